@@ -271,8 +271,7 @@ typedef struct {
     sf_whole altered;
 } sf_state;
 
-/* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is `learnt` of the state.
- */
+/* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is `learnt` of the state. */
 typedef struct {
     sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_measured[2], cop_foot[SF_FEET * 2];
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], force_std[SF_CHANNELS], cop_covariance[4], nis, nis_rows;
@@ -311,9 +310,16 @@ typedef struct {
 } sf_kalman_work;
 
 typedef struct {
-    sf_real covariance[SF_MAP * SF_MAP], axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
-    sf_real of_scales[SF_SCALES * SF_SCALES], mixed[SF_SCALES * SF_SCALES];
-    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_SCALES], S[4][SF_SCALES * SF_SCALES];
+    sf_real covariance[SF_MAP * SF_MAP];
+    union {
+        struct {
+            sf_real axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
+        } data;
+        struct {
+            sf_real own[4 * SF_SCALES * SF_SCALES], mixed[4 * SF_SCALES * SF_SCALES]; /* once those are used */
+        } scales;
+    } of;
+    sf_real L[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_SCALES], S[4 * SF_SCALES * SF_SCALES];
     sf_real found[16 * SF_MAP];
 } sf_severity_work;
 
@@ -454,8 +460,7 @@ SF_API int sf_cholesky(sf_real *A, int n) {
 SF_API void sf_solve_lower(const sf_real *L, int n, sf_real *B, int columns) {
     for (int i = 0; i < n; i++) {
         sf_real *row = B + i * columns, by = 1 / L[i * n + i];
-        if (columns == 1) row[0] -= sf_dot(L + i * n, B, i);
-        else sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
+        sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
         for (int j = 0; j < columns; j++) row[j] *= by;
     }
 }
@@ -473,28 +478,6 @@ SF_API void sf_solve_upper(const sf_real *L, int n, sf_real *B, int columns) {
 SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
     sf_solve_lower(L, n, B, columns);
     sf_solve_upper(L, n, B, columns);
-}
-
-/* Overwrite A's factor L (lower half) with the whole of A^-1. */
-SF_API void sf_inverse(sf_real *L, int n) {
-    /* L^-1 in place, then its square. */
-    for (int i = 0; i < n; i++) {
-        sf_real *row = L + i * n, own = 1 / row[i];
-        for (int j = 0; j < i; j++) {
-            sf_real sum = 0;
-            for (int k = j; k < i; k++) sum += row[k] * L[k * n + j];
-            row[j] = -own * sum; /* columns before j are not needed again */
-        }
-        row[i] = own;
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            sf_real sum = 0;
-            for (int k = i; k < n; k++) sum += L[k * n + i] * L[k * n + j];
-            L[i * n + j] = sum;
-        }
-    for (int i = 0; i < n; i++)
-        for (int j = i + 1; j < n; j++) L[i * n + j] = L[j * n + i];
 }
 
 /* Eigenvalues and eigenvectors (rows of `axes`) of a symmetric A, which is overwritten; returns 0 without an
@@ -520,11 +503,11 @@ SF_API int sf_eigen(sf_real *A, int n, sf_real *values, sf_real *axes) {
         half *= beta / 2;
         for (int i = k + 1; i < n; i++) w[i] -= half * v[i];
         for (int i = k + 1; i < n; i++) {
-            sf_add(A + i * n + k + 1, -v[i], w + k + 1, n - k - 1);
-            sf_add(A + i * n + k + 1, -w[i], v + k + 1, n - k - 1);
+            sf_real *row = A + i * n;
+            for (int j = k + 1; j < n; j++) row[j] = row[j] - v[i] * w[j] - w[i] * v[j];
         }
         memset(w, 0, (size_t)n * sizeof(sf_real));
-        for (int i = k + 1; i < n; i++) sf_add(w, v[i], axes + i * n, n);
+        sf_add_rows(w, 1, v + k + 1, 1, axes + (k + 1) * n, n, n - k - 1, n);
         for (int i = k + 1; i < n; i++) sf_add(axes + i * n, -beta * v[i], w, n);
         beside[k] = alpha;
     }
@@ -625,8 +608,7 @@ SF_API int sf_ground(const sf_config *c, const sf_real *motion, int quasi_static
     return near && vgrf > c->force_threshold && vgrf < SF_LARGEST_WEIGHTS * c->weight;
 }
 
-/* Motions.rows: what a newton on each channel adds to (Fz, Fz px, Fz py), shape (3, K); the other foot's are
- * zero. */
+/* Motions.rows: what a newton on each channel adds to (Fz, Fz px, Fz py), shape (3, K); the other foot's are zero. */
 SF_API void sf_level_rows(const sf_config *c, const sf_real *motion, sf_real *rows) {
     int K = c->channels;
     for (int i = 0; i < K; i++) {
@@ -832,8 +814,7 @@ SF_API void sf_distal_wrenches(const sf_config *c, const sf_block *b, int begin,
     }
 }
 
-/* DistalMasses.total: what the feet's wrenches lack about the points below the centre of mass, over the
- * middle. */
+/* DistalMasses.total: what the feet's wrenches lack about the points below the centre of mass, over the middle. */
 SF_API void sf_distal_total(const sf_config *c, const sf_block *b, sf_real *total) {
     sf_real wrenches[SF_SENSORS * 6];
     int begin = c->settle, n = c->every;
@@ -931,8 +912,7 @@ SF_API void sf_to_cop_rows(const sf_config *c, sf_real *rows, int columns, sf_re
     }
 }
 
-/* NewtonEuler._error_columns: those of the reference's own errors into columns `at` and behind, of width N.
- */
+/* NewtonEuler._error_columns: those of the reference's own errors into columns `at` and behind, of width N. */
 SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_real *apart, sf_real height,
                              const sf_real *late, const sf_real *of_blur, sf_real *H, int at, int N) {
     int six = c->kinds == 6, fz = six ? SF_FZ : 0;
@@ -1266,8 +1246,7 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
     s->rate = sf_clip(s->rate * (1 + SF_RATE_MEMORY * total), 1, SF_FASTEST);
 }
 
-/* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block.
- */
+/* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block. */
 SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_rows *rows) {
     int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), half = c->every / 2;
     sf_real felt[SF_CHANNELS], reading[SF_CHANNELS];
@@ -1352,38 +1331,92 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
 
 /* -------------------------------------------------------------------------- moment: severity, uncertainty */
 
-/* Return log det(L L'). */
-SF_API sf_real sf_log_size(const sf_real *L, int n) {
-    sf_real size = 0, product = 1;
-    for (int i = 0; i < n; i++) {
-        product *= L[i * n + i];
-        if (i % 4 == 3 || i == n - 1) size += 2 * sf_log(product), product = 1;
-    }
-    return size;
+/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. */
+
+/* out -= a b */
+SF_API void sf_less_four(sf_real *__restrict out, const sf_real *a, const sf_real *b) {
+    for (int l = 0; l < 4; l++) out[l] -= a[l] * b[l];
 }
 
-/* The lower half of a precision of scales with the prior of a severity. */
-SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real *ratio, sf_real severity,
-                          int K) {
-    sf_copy(out, precision, K * K);
-    for (int i = 0; i < K; i++) out[i * K + i] += 1 / (severity * severity * ratio[i]);
+/* sf_cholesky of four, and the logarithms of their determinants, NaN of those that are not positive definite. */
+SF_API void sf_cholesky_four(sf_real *A, int n, sf_real size[4]) {
+    sf_real by[4], product[4] = {1, 1, 1, 1};
+    for (int l = 0; l < 4; l++) size[l] = 0;
+    for (int i = 0; i < n; i++) {
+        for (int j = i; j < n; j++) {
+            sf_real *out = A + 4 * (j * n + i), sum[4] = {out[0], out[1], out[2], out[3]};
+            for (int k = 0; k < i; k++) sf_less_four(sum, A + 4 * (j * n + k), A + 4 * (i * n + k));
+            for (int l = 0; j == i && l < 4; l++) by[l] = 1 / sf_sqrt(sum[l] > 0 ? sum[l] : (sf_real)NAN);
+            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
+        }
+        for (int l = 0; l < 4; l++) {
+            product[l] *= A[4 * (i * n + i) + l];
+            if (i % 4 == 3 || i == n - 1) size[l] += 2 * sf_log(product[l]), product[l] = 1;
+        }
+    }
+}
+
+/* sf_solve_lower of four, or sf_solve_upper. */
+SF_API void sf_solve_four(const sf_real *L, int n, sf_real *B, int columns, int upper) {
+    for (int step = 0; step < n; step++) {
+        int i = upper ? n - 1 - step : step, first = upper ? i + 1 : 0, last = upper ? n : i;
+        sf_real by[4];
+        for (int l = 0; l < 4; l++) by[l] = 1 / L[4 * (i * n + i) + l];
+        for (int j = 0; j < columns; j++) {
+            sf_real *out = B + 4 * (i * columns + j), sum[4] = {out[0], out[1], out[2], out[3]};
+            for (int k = first; k < last; k++)
+                sf_less_four(sum, L + 4 * (upper ? k * n + i : i * n + k), B + 4 * (k * columns + j));
+            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
+        }
+    }
+}
+
+/* Overwrite the factors of four with the lower halves of the inverses: L^-1 in place, then its square. */
+SF_API void sf_inverse_four(sf_real *L, int n) {
+    for (int i = 0; i < n; i++) {
+        sf_real own[4], sum[4];
+        for (int l = 0; l < 4; l++) own[l] = 1 / L[4 * (i * n + i) + l];
+        for (int j = 0; j < i; j++) {
+            memset(sum, 0, sizeof sum);
+            for (int k = j; k < i; k++) sf_less_four(sum, L + 4 * (i * n + k), L + 4 * (k * n + j));
+            for (int l = 0; l < 4; l++) L[4 * (i * n + j) + l] = own[l] * sum[l];
+        }
+        memcpy(L + 4 * (i * n + i), own, sizeof own);
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            sf_real sum[4] = {0, 0, 0, 0}, *out = L + 4 * (i * n + j);
+            for (int k = i; k < n; k++) sf_less_four(sum, L + 4 * (k * n + i), L + 4 * (k * n + j));
+            for (int l = 0; l < 4; l++) out[l] = -sum[l];
+        }
+}
+
+/* Factors of four precisions of scales with the prior of a severity; `size` is as of sf_cholesky_four. */
+SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real *ratio, sf_real severity, int P,
+                          sf_real size[4]) {
+    sf_copy(out, precision, 4 * P * P);
+    for (int i = 0; i < P; i++)
+        for (int l = 0; l < 4; l++) out[4 * (i * P + i) + l] += 1 / (severity * severity * ratio[i]);
+    sf_cholesky_four(out, P, size);
 }
 
 /* LearntSeverity.reweighted: scales and offsets under all severities together, and in `w` their
    covariance, shape (M, M); returns 0 if there is no answer.
 
-   Severities are of all scales and of all offsets. With the information of the data A, B and C about scales,
-   both and offsets, and the priors' s and o, what all severities of scales share is done once for each of the
-   offsets': W = (C + o)^-1 B' and S = A - B W, so that
+   Severities are of all scales and of all offsets; those of offsets are side by side. With the information of the data
+   A, B and C about scales, both and offsets, and the priors' s and o, what all severities of scales share is done once:
+   W = (C + o)^-1 B' and S = A - B W, so that
 
        V = [(S + s)^-1, -(S + s)^-1 W'; -W (S + s)^-1, (C + o)^-1 + W (S + s)^-1 W']. */
 SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work *w, sf_real *mean) {
     static const sf_real severities[4] = {(sf_real)0.04, (sf_real)0.2, 1, 5};
     static const sf_real likely[4] = {(sf_real)0.1, (sf_real)0.1, (sf_real)0.7, (sf_real)0.1};
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c);
-    sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], apart[SF_MAP];
-    sf_real *covariance = w->covariance, *axes = w->axes, *seen = w->seen, *of_scales = w->of_scales;
-    sf_real *mixed = w->mixed, *found = w->found, evidence[16], best, total = 0, constant = 0;
+    sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], factor[SF_MAP];
+    sf_real z[4 * SF_CHANNELS], x[4 * SF_SCALES], answer[4 * SF_MAP], of_offsets[4], of_scales[4], wide[4], odds[4];
+    sf_real *covariance = w->covariance, *axes = w->of.data.axes, *seen = w->of.data.seen, *L = w->L, *W = w->W;
+    sf_real *S = w->S, *own = w->of.scales.own, *mixed = w->of.scales.mixed, *found = w->found;
+    sf_real evidence[16], weight[4] = {0, 0, 0, 0}, best = -HUGE_VAL, total = 0, constant = 0;
     for (int i = 0; i < M; i++) {
         sf_real stated = c->stated[i] + s->drift[i],
                 prior = SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i];
@@ -1399,88 +1432,105 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
 
     /* The information of the data alone, P^-1 - P0^-1, in units of the prior that the filter began with. */
     sf_real worth = 1 / sf_max(s->misfit, 1);
-    memset(seen, 0, (size_t)(M * M) * sizeof(sf_real));
     for (int k = 0; k < M; k++) {
-        const sf_real *axis = axes + k * M;
-        sf_real known = sf_clip(share[k], SF_LEAST * SF_EPSILON, 1), weight = worth * (1 / known - 1);
-        for (int i = 0; i < M; i++) sf_add(seen + i * M, weight * axis[i], axis, i + 1);
-        sf_add(pull, sf_dot(axis, off, M) * (worth / known), axis, M);
+        share[k] = sf_clip(share[k], SF_LEAST * SF_EPSILON, 1);
+        sf_add(pull, sf_dot(axes + k * M, off, M) * (worth / share[k]), axes + k * M, M);
     }
-    for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
-        sf_real *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], *So = w->S[of_offsets];
-        sf_real z[SF_CHANNELS], x[SF_SCALES];
-        sf_real variance = severities[of_offsets] * severities[of_offsets];
-        for (int i = 0; i < K; i++) {
-            sf_copy(Lo + i * K, seen + (P + i) * M + P, i + 1);
-            Lo[i * K + i] += 1 / (variance * ratio[P + i]);
-            sf_copy(Wo + i * P, seen + (P + i) * M, P);
+    memset(seen, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int i = 0; i < M; i++) {
+        for (int k = 0; k < M; k++) factor[k] = worth * (1 / share[k] - 1) * axes[k * M + i];
+        sf_add_rows(seen + i * M, 1, factor, 1, axes, M, M, i + 1);
+    }
+    for (int i = 0; i < K; i++)
+        for (int l = 0; l < 4; l++) {
+            const sf_real *row = seen + (P + i) * M;
+            for (int j = 0; j <= i; j++) L[4 * (i * K + j) + l] = row[P + j];
+            L[4 * (i * K + i) + l] += 1 / (severities[l] * severities[l] * ratio[P + i]);
+            for (int j = 0; j < P; j++) W[4 * (i * P + j) + l] = row[j];
+            z[4 * i + l] = pull[P + i];
         }
-        sf_copy(z, pull + P, K);
-        for (int which = of_offsets; which < 16; which += 4) evidence[which] = -HUGE_VAL;
-        if (!sf_cholesky(Lo, K)) continue;
-        sf_real size_of_offsets = sf_log_size(Lo, K);
-        sf_solve_lower(Lo, K, Wo, P);
-        sf_solve_lower(Lo, K, z, 1);
-        /* Of what was halved: S = A - W' W, and what pulls at the scales. */
-        sf_copy(x, pull, P);
-        for (int i = 0; i < P; i++) sf_copy(So + i * P, seen + i * M, i + 1);
-        for (int k = 0; k < K; k++) {
-            const sf_real *row = Wo + k * P;
-            for (int i = 0; i < P; i++) sf_add(So + i * P, -row[i], row, i + 1);
-            sf_add(x, -z[k], row, P);
+    for (int l = 0; l < 4; l++) wide[l] = sf_log(severities[l]), odds[l] = sf_log(likely[l]);
+    sf_cholesky_four(L, K, of_offsets);
+    sf_solve_four(L, K, W, P, 0);
+    sf_solve_four(L, K, z, 1, 0);
+    /* Of what was halved: S = A - W' W, and what pulls at the scales. */
+    for (int i = 0; i < P; i++) {
+        for (int j = 0; j <= i; j++) {
+            sf_real *out = S + 4 * (i * P + j);
+            for (int l = 0; l < 4; l++) out[l] = seen[i * M + j];
+            for (int k = 0; k < K; k++) sf_less_four(out, W + 4 * (k * P + i), W + 4 * (k * P + j));
         }
-        sf_solve_upper(Lo, K, Wo, P);
-        sf_solve_upper(Lo, K, z, 1);
-        for (int i = 0; i < 4; i++) {
-            int which = 4 * i + of_offsets;
-            sf_real *answer = found + which * M;
-            sf_with_prior(of_scales, So, ratio, severities[i], P);
-            if (!sf_cholesky(of_scales, P)) continue;
-            sf_copy(answer, x, P);
-            sf_solve_lower(of_scales, P, answer, 1);
-            sf_solve_upper(of_scales, P, answer, 1);
-            for (int j = 0; j < K; j++) answer[P + j] = z[j] - sf_dot(Wo + j * P, answer, P);
-            evidence[which] = sf_dot(answer, pull, M) - size_of_offsets - sf_log_size(of_scales, P) -
-                              constant - (sf_real)K * sf_log(variance) -
-                              2 * (sf_real)P * sf_log(severities[i]) +
-                              2 * sf_log(likely[i] * likely[of_offsets]);
+        for (int l = 0; l < 4; l++) x[4 * i + l] = pull[i];
+        for (int k = 0; k < K; k++) sf_less_four(x + 4 * i, z + 4 * k, W + 4 * (k * P + i));
+    }
+    sf_solve_four(L, K, W, P, 1);
+    sf_solve_four(L, K, z, 1, 1);
+    for (int i = 0; i < 4; i++) {
+        sf_with_prior(own, S, ratio, severities[i], P, of_scales);
+        sf_copy(answer, x, 4 * P);
+        sf_solve_four(own, P, answer, 1, 0);
+        sf_solve_four(own, P, answer, 1, 1);
+        sf_copy(answer + 4 * P, z, 4 * K);
+        for (int j = 0; j < K; j++)
+            for (int k = 0; k < P; k++) sf_less_four(answer + 4 * (P + j), W + 4 * (j * P + k), answer + 4 * k);
+        for (int l = 0; l < 4; l++) {
+            sf_real *here = found + (4 * i + l) * M, *out = evidence + 4 * i + l;
+            for (int j = 0; j < M; j++) here[j] = answer[4 * j + l];
+            *out = sf_dot(here, pull, M) - of_offsets[l] - of_scales[l] - constant - 2 * (sf_real)K * wide[l] -
+                   2 * (sf_real)P * wide[i] + 2 * (odds[i] + odds[l]);
+            if (*out > best) best = *out; /* not of NaN */
         }
     }
-    best = evidence[0];
-    for (int which = 1; which < 16; which++) best = sf_max(best, evidence[which]);
     if (!sf_finite(best)) return 0;
-    for (int which = 0; which < 16; which++) total += evidence[which] = sf_exp((evidence[which] - best) / 2);
+    for (int which = 0; which < 16; which++) {
+        evidence[which] = sf_exp((evidence[which] - best) / 2);
+        if (!(evidence[which] > 0)) evidence[which] = 0;
+        total += evidence[which];
+    }
 
     memset(mean, 0, (size_t)M * sizeof(sf_real));
-    memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
     for (int which = 0; which < 16; which++) {
         evidence[which] /= total;
         if (evidence[which] > SF_NEGLIGIBLE) sf_add(mean, evidence[which], found + which * M, M);
+        else evidence[which] = 0;
     }
     /* Lower halves, as far as they go. */
-    for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
-        sf_real weight = 0, *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], row[SF_SCALES];
-        memset(mixed, 0, (size_t)(P * P) * sizeof(sf_real));
-        for (int i = 0; i < 4; i++) {
-            int which = 4 * i + of_offsets;
-            if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
-            weight += evidence[which];
-            sf_with_prior(of_scales, w->S[of_offsets], ratio, severities[i], P);
-            sf_cholesky(of_scales, P);
-            sf_inverse(of_scales, P);
-            sf_add(mixed, evidence[which], of_scales, P * P);
-            for (int j = 0; j < M; j++) apart[j] = found[which * M + j] - mean[j];
-            for (int j = 0; j < M; j++) sf_add(covariance + j * M, evidence[which] * apart[j], apart, j + 1);
+    memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
+    memset(mixed, 0, (size_t)(4 * P * P) * sizeof(sf_real));
+    for (int i = 0; i < 4; i++) {
+        const sf_real *of = evidence + 4 * i;
+        if (!(of[0] + of[1] + of[2] + of[3] > 0)) continue;
+        sf_with_prior(own, S, ratio, severities[i], P, of_scales);
+        sf_inverse_four(own, P);
+        for (int k = 0; k < P * P; k++)
+            for (int l = 0; l < 4; l++) mixed[4 * k + l] += of[l] > 0 ? of[l] * own[4 * k + l] : 0;
+        for (int l = 0; l < 4; l++) weight[l] += of[l];
+    }
+    for (int which = 0; which < 16; which++)
+        for (int j = 0; j < M; j++) found[which * M + j] -= mean[j];
+    for (int j = 0; j < M; j++) {
+        sf_real apart[16];
+        for (int which = 0; which < 16; which++)
+            apart[which] = evidence[which] > 0 ? evidence[which] * found[which * M + j] : 0;
+        sf_add_rows(covariance + j * M, 1, apart, 1, found, M, 16, j + 1);
+    }
+    sf_inverse_four(L, K);
+    for (int l = 0; l < 4; l++)
+        for (int i = 0; i < P && weight[l] > 0; i++)
+            for (int j = 0; j <= i; j++) covariance[i * M + j] += mixed[4 * (i * P + j) + l];
+    for (int i = 0; i < K; i++) {
+        sf_real *out = covariance + (P + i) * M;
+        memset(answer, 0, sizeof answer);
+        for (int j = 0; j < P; j++)
+            for (int k = 0; k < P; k++)
+                sf_less_four(answer + 4 * j, W + 4 * (i * P + k), mixed + 4 * (k < j ? j * P + k : k * P + j));
+        for (int j = 0; j <= i; j++) {
+            sf_real *both = answer + 4 * (P + j);
+            for (int l = 0; l < 4; l++) both[l] = weight[l] * L[4 * (i * K + j) + l];
+            for (int k = 0; k < P; k++) sf_less_four(both, answer + 4 * k, W + 4 * (j * P + k));
         }
-        if (!(weight > 0)) continue;
-        sf_inverse(Lo, K);
-        for (int i = 0; i < P; i++) sf_add(covariance + i * M, 1, mixed + i * P, i + 1);
-        for (int i = 0; i < K; i++) {
-            for (int j = 0; j < P; j++) row[j] = -sf_dot(Wo + i * P, mixed + j * P, P);
-            sf_add(covariance + (P + i) * M, 1, row, P);
-            sf_add(covariance + (P + i) * M + P, weight, Lo + i * K, i + 1);
-            for (int j = 0; j <= i; j++) covariance[(P + i) * M + P + j] -= sf_dot(row, Wo + j * P, P);
-        }
+        for (int j = 0; j <= P + i; j++)
+            for (int l = 0; l < 4; l++) out[j] += weight[l] > 0 ? answer[4 * j + l] : 0;
     }
     for (int i = 0; i < M; i++) {
         mean[i] = c->start[i] + std[i] * mean[i];
@@ -1528,20 +1578,20 @@ SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
 /* StandIn.others: how each channel follows from those that are not lost, and how well in N. */
 SF_API void sf_others(const sf_config *c, const sf_state *s, sf_real *others, sf_real *spread) {
     int K = c->channels;
-    sf_real precision[SF_CHANNELS * SF_CHANNELS], row[SF_CHANNELS], cut[SF_CHANNELS];
+    sf_real L[SF_CHANNELS * SF_CHANNELS], precision[SF_CHANNELS * SF_CHANNELS], row[SF_CHANNELS], cut[SF_CHANNELS];
     for (int i = 0; i < K; i++)
         for (int j = 0; j < K; j++) {
             sf_real moment = s->moments[i * K + j] + (i == j) * SF_FLOOR;
-            /* Lost channels are cut off from the others, so that the inverse is that of those that are there.
-             */
-            precision[i * K + j] = moment * (1 - s->lost[i]) * (1 - s->lost[j]) + (i == j) * s->lost[i];
+            /* Lost channels are cut off from the others, so that the inverse is that of those that are there. */
+            L[i * K + j] = moment * (1 - s->lost[i]) * (1 - s->lost[j]) + (i == j) * s->lost[i];
+            precision[i * K + j] = i == j;
         }
-    if (!sf_cholesky(precision, K)) { /* never while the floor holds; nothing then follows from nothing */
+    if (!sf_cholesky(L, K)) { /* never while the floor holds; nothing then follows from nothing */
         memset(others, 0, (size_t)(K * K) * sizeof(sf_real));
         for (int i = 0; i < K; i++) spread[i] = c->weight;
         return;
     }
-    sf_inverse(precision, K);
+    sf_solve(L, K, precision, K);
     for (int i = 0; i < K; i++) {
         sf_real own = precision[i * K + i], variance = 1 / own, there = 1 - s->lost[i];
         for (int j = 0; j < K; j++)
@@ -1598,8 +1648,7 @@ SF_API void sf_lose(const sf_config *c, sf_state *s, const int *fresh, const int
     if (any) sf_rebuild(c, s);
 }
 
-/* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in
- * place. */
+/* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in place. */
 SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int *read, sf_whole *kinds) {
     int K = c->channels, any = 0, leaping[SF_CHANNELS];
     sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
@@ -1749,8 +1798,7 @@ SF_API sf_real sf_mean_with(const sf_config *c, const sf_newton *newton, const s
     return sum / (count > (sf_real)0.5 ? count : 1);
 }
 
-/* Hypotheses.changes for one of them: the error of a force in N in row r, and what it does to the residual.
- */
+/* Hypotheses.changes for one of them: the error of a force in N in row r, and what it does to the residual. */
 SF_API sf_real sf_change(const sf_config *c, const sf_newton *newton, const sf_real *reading,
                          const sf_real *force, const sf_real *others, const sf_real *mean, int h, int r,
                          sf_real *error) {
@@ -1770,8 +1818,7 @@ SF_API sf_real sf_change(const sf_config *c, const sf_newton *newton, const sf_r
     return (places[one] * mean[one] + sign * (places[two] * mean[two])) * *error;
 }
 
-/* Hypotheses._with_load: fit a load to all blocks since something seemed wrong; returns whether there can be
- * one. */
+/* Hypotheses._with_load: fit a load to all blocks since something seemed wrong; returns whether there can be one. */
 SF_API int sf_with_load(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_real *mean,
                         sf_real *change) {
     int N = sf_unknowns(c), M = sf_map(c), possible = 1, rows = sf_groups(c) * c->kinds;
@@ -2199,8 +2246,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     s->status = (rejected ? SF_REJECTED : 0) | (finite && tared ? 0 : SF_SINGULAR);
     sf_watch(c, s, w, &b, before, mean, lost, use_all);
 
-    /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of
-     * it. */
+    /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of it. */
     sf_real least = s->scores[1];
     for (int h = 2; h < sf_hypotheses(c) + 2; h++) least = sf_min(least, s->scores[h]);
     int explicable = s->doubt > (sf_real)0.5 && least < SF_CONTRAST * s->scores[0];
@@ -2246,8 +2292,7 @@ SF_API void sf_known(const sf_config *c, const sf_real *known, const sf_real *on
     }
 }
 
-/* MomentStream._estimate with FrontEnd.report and Uncertainty.of_estimate: apply the map to the newest
- * sample. */
+/* MomentStream._estimate with FrontEnd.report and Uncertainty.of_estimate: apply the map to the newest sample. */
 SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sample *sample, sf_estimate *out) {
     int K = c->channels, P = sf_scales(c), M = c->talks ? sf_map(c) : 2 * K;
     const sf_real *F0 = sample->force;
@@ -2332,8 +2377,7 @@ SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w)
     sf_doubted(c, s, w);
 }
 
-/* MomentStream.retract: take back what was learnt in the last seconds, for a robot that has fallen or was
- * seized. */
+/* MomentStream.retract: take back what was learnt in the last seconds, for a robot that has fallen or was seized. */
 SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work *w) {
     int N = sf_unknowns(c);
     sf_back(c, s);

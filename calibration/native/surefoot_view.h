@@ -17,8 +17,7 @@ typedef struct {
     int flawed;
 } sf_view;
 
-/* The last centres of pressure that were defined: of the left and the right foot, of both, and its deviation.
- */
+/* The last centres of pressure that were defined: of the left and the right foot, of both, and its deviation. */
 typedef struct {
     sf_real cop_foot[4], cop[2], cop_std[2];
 } sf_held;
