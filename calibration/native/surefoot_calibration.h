@@ -456,28 +456,15 @@ SF_API int sf_cholesky(sf_real *A, int n) {
     return 1;
 }
 
-/* Overwrite B, shape (n, columns), with L^-1 B. */
-SF_API void sf_solve_lower(const sf_real *L, int n, sf_real *B, int columns) {
-    for (int i = 0; i < n; i++) {
-        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
-        sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
-        for (int j = 0; j < columns; j++) row[j] *= by;
-    }
-}
-
-/* Overwrite B, shape (n, columns), with L'^-1 B. */
-SF_API void sf_solve_upper(const sf_real *L, int n, sf_real *B, int columns) {
-    for (int i = n - 1; i >= 0; i--) {
-        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
-        sf_add_rows(row, -1, L + (i + 1) * n + i, n, row + columns, columns, n - i - 1, columns);
-        for (int j = 0; j < columns; j++) row[j] *= by;
-    }
-}
-
-/* Overwrite B, shape (n, columns), with (L L')^-1 B. */
+/* Overwrite B, shape (n, columns), with (L L')^-1 B: L^-1 B first, and L'^-1 of that. */
 SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
-    sf_solve_lower(L, n, B, columns);
-    sf_solve_upper(L, n, B, columns);
+    for (int step = 0; step < 2 * n; step++) {
+        int back = step >= n, i = back ? 2 * n - 1 - step : step;
+        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
+        if (back) sf_add_rows(row, -1, L + (i + 1) * n + i, n, row + columns, columns, n - i - 1, columns);
+        else sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
+        for (int j = 0; j < columns; j++) row[j] *= by;
+    }
 }
 
 /* Eigenvalues and eigenvectors (rows of `axes`) of a symmetric A, which is overwritten; returns 0 without an
@@ -1356,7 +1343,7 @@ SF_API void sf_cholesky_four(sf_real *A, int n, sf_real size[4]) {
     }
 }
 
-/* sf_solve_lower of four, or sf_solve_upper. */
+/* Overwrite four B, shape (n, columns), with L^-1 B, or with L'^-1 B. */
 SF_API void sf_solve_four(const sf_real *L, int n, sf_real *B, int columns, int upper) {
     for (int step = 0; step < n; step++) {
         int i = upper ? n - 1 - step : step, first = upper ? i + 1 : 0, last = upper ? n : i;
