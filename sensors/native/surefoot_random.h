@@ -12,6 +12,7 @@
 #ifndef SF_NO_LIBC /* see device.h */
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 #endif
 
 #ifdef SF_SINGLE

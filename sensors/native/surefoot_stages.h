@@ -8,11 +8,6 @@
 #ifndef SUREFOOT_STAGES_H
 #define SUREFOOT_STAGES_H
 
-#ifndef SF_NO_LIBC /* see device.h */
-#include <math.h>
-#include <string.h>
-#endif
-
 #include "surefoot_random.h"
 
 #ifndef SF_ON_WIRE

@@ -19,12 +19,6 @@
 #ifndef SUREFOOT_TELEMETRY_H
 #define SUREFOOT_TELEMETRY_H
 
-#ifndef SF_NO_LIBC /* see device.h */
-#include <math.h>
-#include <stdint.h>
-#include <string.h>
-#endif
-
 #include "surefoot_random.h"
 
 #ifndef SF_JOINTS
