@@ -1,9 +1,9 @@
 /* The calibrator of one robot's feet, one step a sample: surefoot's moment filter in C99.
 
-   The specification is the Python in calibration/front_end and calibration/moment; docs/estimator.md derives
-   it and docs/native.md tells how to use this file. A function here has the name of the Python function that
-   it is equal to, and tests hold the two together. Nothing is allocated, nothing is global, and nothing is
-   read or written but what is passed in.
+   The specification is the Python in calibration/front_end and calibration/moment; docs/estimator.md derives it and
+   docs/native.md tells how to use this file. A function here has the name of the Python function that it is equal to,
+   and tests hold the two together. Nothing is allocated, nothing is global, and nothing is read or written but what is
+   passed in.
 
        sf_config config;         constants of the robot, written by surefoot.calibration.native.config
        sf_state state;           all that is remembered, a plain record that may be copied
@@ -12,12 +12,10 @@
 
    or, with a small stack, sf_calibrator_init_with and sf_calibrator_step_with, in a record sf_work of the caller's.
 
-   Matrices are stored by rows without gaps, as wide as the robot at hand needs: arrays below hold the largest
-   one.
+   Matrices are stored by rows without gaps, as wide as the robot at hand needs: arrays below hold the largest one.
 
-   Before it is included: SF_SINGLE makes numbers floats; SF_CHANNELS, SF_FEET, SF_LAG, SF_EVERY, SF_SETTLE,
-   SF_GROUPS, SF_SENSORS, SF_CELLS, SF_TALKS and SF_PARITIES are the largest sizes; SF_API is what stands before
-   functions. */
+   Before it is included: SF_SINGLE makes numbers floats; SF_CHANNELS, SF_FEET, SF_LAG, SF_EVERY, SF_SETTLE, SF_GROUPS,
+   SF_SENSORS, SF_CELLS, SF_TALKS and SF_PARITIES are the largest sizes; SF_API is what stands before functions. */
 
 #ifndef SUREFOOT_CALIBRATION_H
 #define SUREFOOT_CALIBRATION_H
@@ -79,7 +77,6 @@ typedef long long sf_whole;
 #ifndef SF_PARITIES
 #define SF_PARITIES 6 /* axes that two instruments of a foot see, both feet */
 #endif
-
 #ifndef SF_TALKS
 #define SF_TALKS 10 /* five for each six-axis sensor, 0 for cells alone */
 #endif
@@ -249,7 +246,6 @@ typedef struct {
 /* All that is remembered: FrontState, MomentState and ChannelState side by side. */
 typedef struct {
     sf_front front;
-
     sf_whole step;
     sf_real pending[SF_SPAN * SF_PENDING];
     sf_real mean[SF_UNKNOWNS], covariance[SF_UNKNOWNS * SF_UNKNOWNS];
@@ -260,7 +256,6 @@ typedef struct {
     sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
     sf_real unproven, due, quiet, anchor[SF_CHANNELS];
     sf_whole status;
-
     sf_real last[SF_CHANNELS];
     sf_whole leaps[SF_CHANNELS];
     sf_real leapt[SF_CHANNELS], trust, doubt, scores[1 + SF_HYPOTHESES + 1], size[SF_HYPOTHESES], load[12];
@@ -296,8 +291,7 @@ typedef struct {
 typedef struct {
     sf_real H[SF_NEWTON * SF_UNKNOWNS], y[SF_NEWTON], variance[SF_NEWTON], assumed[SF_NEWTON];
     sf_real places[SF_NEWTON * SF_CHANNELS]; /* what a newton on each channel does, by its own place */
-    sf_real residual[SF_NEWTON],
-        spread[SF_NEWTON]; /* y - H x, and what it may be: the diagonal of H S H' + R */
+    sf_real residual[SF_NEWTON], spread[SF_NEWTON]; /* y - H x, and what it may be: the diagonal of H S H' + R */
     int there[SF_NEWTON], kept[SF_NEWTON]; /* rows that hold anything; those of them that are plausible */
     sf_real mean_square; /* mean squared normalised residual, each clipped */
 } sf_newton;
@@ -360,16 +354,15 @@ SF_API int sf_calibrator_fits(const sf_config *c) {
                c->every <= SF_EVERY && c->every % c->average == 0 && sf_groups(c) <= SF_GROUPS &&
                c->settle >= 1 && c->settle <= SF_SETTLE && (c->kinds == 3 || c->kinds == 6) &&
                c->kinds <= SF_KINDS && c->sensors >= 0 && c->sensors <= SF_SENSORS && c->parities >= 0 &&
-               c->parities <= SF_PARITIES && c->pairs >= 0 && c->pairs <= SF_PAIRS && c->keep_every >= 1;
-    fits = fits && c->talks >= 0 && c->talks <= SF_TALKS;
+               c->parities <= SF_PARITIES && c->pairs >= 0 && c->pairs <= SF_PAIRS && c->keep_every >= 1 &&
+               c->talks >= 0 && c->talks <= SF_TALKS;
     for (int t = 0; fits && t < c->talks; t++)
         fits = c->talk_to[t] >= 0 && c->talk_to[t] < c->channels && c->talk_from[t] >= 0 &&
                c->talk_from[t] < c->channels;
     for (int p = 0; fits && p < c->sensors; p++)
         fits = c->foot_of_sensor[p] >= 0 && c->foot_of_sensor[p] < c->feet;
     for (int p = 0; fits && p < c->pairs; p++)
-        fits =
-            c->first[p] >= 0 && c->first[p] < c->channels && c->second[p] >= 0 && c->second[p] < c->channels;
+        fits = c->first[p] >= 0 && c->first[p] < c->channels && c->second[p] >= 0 && c->second[p] < c->channels;
     return fits;
 }
 
@@ -511,8 +504,7 @@ SF_API int sf_eigen(sf_real *A, int n, sf_real *values, sf_real *axes) {
         }
         if (tries-- == 0) return 0;
         sf_real gap = (values[last - 1] - values[last]) / 2, square = beside[last - 1] * beside[last - 1];
-        sf_real root = sf_sqrt(gap * gap + square),
-                shift = values[last] - square / (gap + (gap < 0 ? -root : root));
+        sf_real root = sf_sqrt(gap * gap + square), shift = values[last] - square / (gap + (gap < 0 ? -root : root));
         sf_real x = values[first] - shift, z = beside[first];
         for (int k = first; k < last; k++) {
             sf_real r = sf_sqrt(x * x + z * z), cosine = r > 0 ? x / r : 1, sine = r > 0 ? z / r : 0;
@@ -630,9 +622,7 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
     for (int i = 0; i < R; i++) sample->sound = sample->sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
     for (int i = 0; i < c->channels; i++) {
         sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
-        sample->flags[i] = (sample->read[i]    ? 0
-                            : raw[i] == raw[i] ? SF_OUT_OF_RANGE
-                                               : SF_MISSING) |
+        sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |
                            (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
         if (sample->read[i]) s->raw[i] = raw[i];
         sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
@@ -654,8 +644,7 @@ SF_API void sf_expected_change(const sf_config *c, const sf_front *s, sf_real dt
         if (back >= 0 && c->carried[i] > 0 && s->clean >= SF_SLOPE_SAMPLES) {
             const sf_real *newest = s->history + c->kept * 2 * K, *before = s->history + back * 2 * K;
             if (newest[K + i] > (sf_real)0.5 && before[K + i] > (sf_real)0.5)
-                change[i] =
-                    c->carried[i] * ((newest[i] - before[i]) / (SF_SLOPE_SAMPLES * sf_max(dt, c->dt)));
+                change[i] = c->carried[i] * ((newest[i] - before[i]) / (SF_SLOPE_SAMPLES * sf_max(dt, c->dt)));
         }
     }
 }
@@ -693,8 +682,7 @@ SF_API sf_real sf_report(const sf_config *c, const sf_front *s, const sf_real *r
     }
     out->cop_valid = load > c->force_threshold && s->known;
     for (int axis = 0; axis < 2; axis++)
-        out->cop[axis] =
-            out->cop_valid ? sf_dot(rows + (1 + axis) * K, out->force, K) / load + 0 : (sf_real)NAN;
+        out->cop[axis] = out->cop_valid ? sf_dot(rows + (1 + axis) * K, out->force, K) / load + 0 : (sf_real)NAN;
     sf_copy(out->cop_measured, out->cop, 2);
     return load;
 }
@@ -940,29 +928,21 @@ SF_API void sf_blurred(const sf_config *c, const sf_block *b, int t, int passes,
 /* NewtonEuler.rows: what the motion asks of the ground, about the estimated centre of pressure. */
 SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_newton *out) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), kinds = c->kinds, settle = c->settle,
-        first = kinds == 6 ? 0 : SF_FZ;
+        first = kinds == 6 ? 0 : SF_FZ, passes = settle < SF_PASSES ? settle : SF_PASSES;
     const sf_real *mean = s->mean;
-    int passes = settle < SF_PASSES ? settle : SF_PASSES;
     sf_real blur = sf_min(sf_max(mean[M + 9], 0), (sf_real)passes / 2);
     sf_real lacking[6] = {0, 0, 0, 0, 0, 0};
     if (c->distal_matters) sf_distal_total(c, b, lacking);
     for (int group = 0; group < sf_groups(c); group++) {
         sf_real *H = out->H + group * kinds * N, *y = out->y + group * kinds;
         sf_real *variance = out->variance + group * kinds, *places = out->places + group * kinds * K;
-        sf_real use[SF_EVERY], count = 0, height = 0, rows[SF_KINDS * SF_CHANNELS],
-                               own[SF_KINDS * SF_CHANNELS];
-        sf_real of_rows[SF_KINDS * SF_CHANNELS], of_speed[SF_KINDS * SF_CHANNELS], late[SF_KINDS],
-            asked[SF_KINDS];
-        sf_real given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS],
-            blurred[SF_CHANNELS], other[SF_CHANNELS], of_blur[SF_KINDS];
+        sf_real use[SF_EVERY], count = 0, height = 0, rows[SF_KINDS * SF_CHANNELS], own[SF_KINDS * SF_CHANNELS];
+        sf_real of_rows[SF_KINDS * SF_CHANNELS] = {0}, of_speed[SF_KINDS * SF_CHANNELS] = {0}, late[SF_KINDS] = {0};
+        sf_real asked[SF_KINDS] = {0}, of_blur[SF_KINDS] = {0}, given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS];
+        sf_real change[SF_CHANNELS], tared[SF_CHANNELS], blurred[SF_CHANNELS], other[SF_CHANNELS];
         memset(H, 0, (size_t)(kinds * N) * sizeof(sf_real));
         memset(y, 0, (size_t)kinds * sizeof(sf_real));
         memset(places, 0, (size_t)(kinds * K) * sizeof(sf_real));
-        memset(of_rows, 0, sizeof of_rows);
-        memset(of_speed, 0, sizeof of_speed);
-        memset(late, 0, sizeof late);
-        memset(asked, 0, sizeof asked);
-        memset(of_blur, 0, sizeof of_blur);
         for (int kind = 0; kind < kinds; kind++) variance[kind] = c->row_variance[kind] * s->noise[kind];
         for (int i = 0; i < c->average; i++) {
             int t = settle + group * c->average + i;
@@ -1142,15 +1122,14 @@ SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count,
 SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *rows, sf_real *count,
                    sf_real *reading) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
-    sf_real felt[SF_CHANNELS] = {0}, row[SF_MAP], up[SF_CHANNELS];
-    sf_real tared[SF_CHANNELS];
+    sf_real felt[SF_CHANNELS] = {0}, up[SF_CHANNELS], tared[SF_CHANNELS];
     sf_hanging(c, s, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
         const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
         if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
         else sf_copy(up, vertical, K);
-        sf_real stated = 0, known = 0, load;
+        sf_real stated = 0, known = 0, row[SF_MAP] = {0}, load;
         /* What was learnt before a first swing was learnt with offsets that nobody knew. */
         int unseen = s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5;
         const sf_real *mean = unseen ? c->start : s->mean;
@@ -1158,7 +1137,6 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
             up[k] /= c->weight;
             tared[k] = sf_tared(c, mean, reading[k], k);
         }
-        memset(row, 0, sizeof row);
         sf_by_scale(c, 1, up, tared, row);
         sf_by_offset(c, up, mean, row + P);
         load = sf_dot(row, mean, P);
@@ -1236,12 +1214,11 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
 /* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block. */
 SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_rows *rows) {
     int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), half = c->every / 2;
-    sf_real felt[SF_CHANNELS], reading[SF_CHANNELS];
-    memset(felt, 0, sizeof felt);
+    sf_real felt[SF_CHANNELS] = {0};
     if (c->distal_matters) sf_distal_felt(c, b, felt);
     for (int part = 0; part < 2; part++) {
         int begin = c->settle + part * half, known = 1;
-        memset(reading, 0, sizeof reading);
+        sf_real reading[SF_CHANNELS] = {0};
         for (int t = begin; t < begin + half; t++) {
             known = known && b->use[t] > (sf_real)0.5;
             sf_add(reading, 1 / (sf_real)half, sf_block_force(b, t), K);
@@ -1266,9 +1243,8 @@ SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block
 
    K = S H' (H S H' + R)^-1,    x <- x + K (y - H x),    S <- (1 - K H) S (1 - K H)' + K R K'
 
-   Joseph's form holds for any gain, also with zeros for unknowns that are only considered (Schmidt), and
-   stays positive in single precision. A row whose innovation is beyond the gate has its variance raised until
-   it is not. */
+   Joseph's form holds for any gain, also with zeros for unknowns that are only considered (Schmidt), and stays
+   positive in single precision. A row whose innovation is beyond the gate has its variance raised until it is not. */
 SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_real *learnt, int N,
                           sf_real gate, sf_kalman_work *w, sf_real *nis, sf_real *nis_rows) {
     int m = rows->count, wide = N + 1;
@@ -1361,10 +1337,10 @@ SF_API void sf_solve_four(const sf_real *L, int n, sf_real *B, int columns, int 
 /* Overwrite the factors of four with the lower halves of the inverses: L^-1 in place, then its square. */
 SF_API void sf_inverse_four(sf_real *L, int n) {
     for (int i = 0; i < n; i++) {
-        sf_real own[4], sum[4];
+        sf_real own[4];
         for (int l = 0; l < 4; l++) own[l] = 1 / L[4 * (i * n + i) + l];
         for (int j = 0; j < i; j++) {
-            memset(sum, 0, sizeof sum);
+            sf_real sum[4] = {0, 0, 0, 0};
             for (int k = j; k < i; k++) sf_less_four(sum, L + 4 * (i * n + k), L + 4 * (k * n + j));
             for (int l = 0; l < 4; l++) L[4 * (i * n + j) + l] = own[l] * sum[l];
         }
@@ -1705,8 +1681,7 @@ SF_API void sf_silent(const sf_config *c, sf_state *s, const sf_block *b) {
         most = sf_max(most, share[i]);
         flat[i] = high[i] - low == 0;
         moves[i] = high[i] - low > SF_MOVING * c->weight;
-        again[i] =
-            share[i] > SF_ALL_READ && !flat[i] && (s->kind[i] & SF_MISSING) && s->lost[i] > (sf_real)0.5;
+        again[i] = share[i] > SF_ALL_READ && !flat[i] && (s->kind[i] & SF_MISSING) && s->lost[i] > (sf_real)0.5;
     }
     sf_return(c, s, again);
     for (int i = 0; i < K; i++) {
@@ -1841,8 +1816,7 @@ SF_API void sf_repair(const sf_config *c, sf_state *s, int accepted) {
         return;
     }
     sf_real sign = pair < c->pairs ? 1 : -1;
-    sf_real *one = s->wiring + c->first[pair % c->pairs] * K,
-            *two = s->wiring + c->second[pair % c->pairs] * K;
+    sf_real *one = s->wiring + c->first[pair % c->pairs] * K, *two = s->wiring + c->second[pair % c->pairs] * K;
     for (int j = 0; j < K; j++) {
         sf_real before = one[j];
         one[j] = sign * two[j];
@@ -1852,9 +1826,8 @@ SF_API void sf_repair(const sf_config *c, sf_state *s, int accepted) {
     s->kind[c->second[pair % c->pairs]] ^= SF_SWAPPED;
 }
 
-/* ChannelFaults.contradicted, Hypotheses.evidence and decide: hold hypotheses against the robot's motion.
-   `mean` is that before the block, `reading` and `force` are those of its groups. Sets whether a fault was
-   found, or a load. */
+/* ChannelFaults.contradicted, Hypotheses.evidence and decide: hold hypotheses against the robot's motion. `mean` is
+   that before the block, `reading` and `force` are those of its groups. Sets whether a fault was found, or a load. */
 SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_real *mean,
                             const sf_real *reading, const sf_real *force, int *fault, int *loaded) {
     int K = c->channels, count = sf_hypotheses(c), rows = sf_groups(c) * c->kinds, possible = 0;
@@ -1866,8 +1839,7 @@ SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *ne
     sf_others(c, s, others, spread);
 
     /* The block in which a fault begins is half right: what counts are those behind it. */
-    sf_real doubt = s->doubt + (sf_real)(s->doubt > (sf_real)0.5),
-            whole = doubt > (sf_real)1.5 ? doubt - 1 : 1;
+    sf_real doubt = s->doubt + (sf_real)(s->doubt > (sf_real)0.5), whole = doubt > (sf_real)1.5 ? doubt - 1 : 1;
     int goes_on = doubt > (sf_real)1.5;
     if (!(doubt > (sf_real)2.5)) memset(s->load, 0, sizeof s->load);
     for (int h = 0; h < count + 2; h++) {
@@ -1930,8 +1902,7 @@ SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *ne
 /* ----------------------------------------------------------------------------------------- moment: stream */
 
 /* Residuals.of the rows of Newton and Euler. */
-SF_API void sf_residuals(const sf_config *c, const sf_real *mean, const sf_real *covariance,
-                         sf_newton *newton) {
+SF_API void sf_residuals(const sf_config *c, const sf_real *mean, const sf_real *covariance, sf_newton *newton) {
     int N = sf_unknowns(c);
     for (int r = 0; r < sf_groups(c) * c->kinds; r++) {
         const sf_real *H = newton->H + r * N;
@@ -1943,9 +1914,8 @@ SF_API void sf_residuals(const sf_config *c, const sf_real *mean, const sf_real 
     newton->mean_square = sf_mean_with(c, newton, 0, SF_CLIP);
 }
 
-/* MomentStream._plausible: leave out groups of rows that no error of calibration explains, such as of a
-   lifted robot; returns whether there are any. Noise that is learnt, or expected at first, is no reason to
-   learn from them. */
+/* MomentStream._plausible: leave out groups of rows that no error of calibration explains, such as of a lifted robot;
+   returns whether there are any. Noise that is learnt, or expected at first, is no reason to learn from them. */
 SF_API int sf_plausible(const sf_config *c, const sf_real *covariance, sf_newton *newton) {
     int N = sf_unknowns(c), M = sf_map(c), rejected = 0;
     for (int group = 0; group < sf_groups(c); group++) {
@@ -1968,8 +1938,7 @@ SF_API int sf_plausible(const sf_config *c, const sf_real *covariance, sf_newton
 SF_API int sf_changed(const sf_config *c, const sf_real *mean, const sf_real *covariance,
                       const sf_newton *newton) {
     int N = sf_unknowns(c);
-    sf_real row[SF_UNKNOWNS], count = 0, e = 0, variance = 0;
-    memset(row, 0, sizeof row);
+    sf_real row[SF_UNKNOWNS] = {0}, count = 0, e = 0, variance = 0;
     for (int r = c->kinds == 6 ? SF_FZ : 0; r < sf_groups(c) * c->kinds; r += c->kinds) {
         if (!newton->kept[r]) continue;
         count++;
@@ -1981,8 +1950,7 @@ SF_API int sf_changed(const sf_config *c, const sf_real *mean, const sf_real *co
     for (int k = 0; k < N; k++) row[k] /= count;
     e = e / count - sf_dot(row, mean, N);
     sf_real spread = sf_variance(row, covariance, N) + variance / (count * count);
-    return e * e > SF_LEAP_STD * SF_LEAP_STD * spread &&
-           sf_fabs(e) > SF_LEAST_CHANGE_OF_MASS * c->mass_change;
+    return e * e > SF_LEAP_STD * SF_LEAP_STD * spread && sf_fabs(e) > SF_LEAST_CHANGE_OF_MASS * c->mass_change;
 }
 
 /* MomentStream._quiet: blocks in which a robot has not moved are one measurement, however long it stands;
@@ -2121,16 +2089,14 @@ SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf
 /* MomentStream._learn: update the unknowns by the block that is full. The covariance of the work is that after
    the block, until all is known to be finite. */
 SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
-    int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected = 0, waiting, changed;
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c);
+    int m = sf_groups(c) * c->kinds, use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected = 0;
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
     sf_rows *rows = &w->rows;
-    sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], *covariance = w->covariance;
-    sf_real tare_nis = 0, tare_rows = 0;
+    sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], *covariance = w->covariance, tare_nis = 0, tare_rows = 0;
     sf_real lost[SF_CHANNELS], product[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
     sf_copy(lost, s->lost, K);
-
     sf_silent(c, s, &b);
     /* MomentStream._complete: which samples have all readings that they need. */
     for (int t = 0; t < n; t++) {
@@ -2149,8 +2115,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
     sf_walked(c, s, 1);
-    /* MomentStream._tared: first of all, so that the columns of all other rows hold the offsets that are known
-       by now. */
+    /* MomentStream._tared: first of all, so that the columns of all other rows hold the offsets known by now. */
     rows->count = 0;
     if (swinging) rejected = sf_tare(c, s, &b, rows, count, reading);
     sf_copy(before, s->mean, N);
@@ -2175,10 +2140,9 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
 
     /* ChannelFaults.suspects and unexplained: wait with learning as something seems wrong since short; what
        still does when no channel was found to be is the robot itself. */
-    waiting = (newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
-              s->trust >= SF_TRUST;
-    changed = sf_changed(c, mean, covariance, newton) ||
-              (s->doubt >= SF_WAIT && s->scores[0] > SF_SUSPICION);
+    int waiting = (newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
+                  s->trust >= SF_TRUST;
+    int changed = sf_changed(c, mean, covariance, newton) || (s->doubt >= SF_WAIT && s->scores[0] > SF_SUSPICION);
     changed = changed && s->trust >= SF_SETTLED && !waiting;
     if (changed) s->trust = SF_TRUST;
     if (waiting) {
@@ -2192,9 +2156,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_drift_followed(c, s, count, reading);
     /* ErrorProduct.drifted and since_swing. */
     for (int k = 0; k < K; k++) {
-        int foot = c->foot_of_channel[k];
-        sf_real blocks = sf_clip(s->swing_ago[foot] + 1, 0, SF_LONGEST_STANCE / (c->every * c->dt));
-        if (count[foot] > (sf_real)0.5) blocks = 0;
+        int foot = c->foot_of_channel[k], hangs = count[foot] > (sf_real)0.5;
+        sf_real blocks = hangs ? 0 : sf_clip(s->swing_ago[foot] + 1, 0, SF_LONGEST_STANCE / (c->every * c->dt));
         product[k] = covariance[k * N + k] * (s->rate * blocks * blocks * c->walk[P + k]);
     }
     rows->count = 0;
@@ -2214,8 +2177,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     *nis += tare_nis;
     *nis_rows += tare_rows;
     if (finite) {
-        for (int i = 0; i < M;
-             i++) { /* _limits: what a sensor can be, by where it began and how far it can drift */
+        /* _limits: what a sensor can be, by where it began and how far it can drift */
+        for (int i = 0; i < M; i++) {
             sf_real reach = SF_REACH * sf_sqrt(SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i]);
             sf_real within = sf_clip(s->mean[i], c->start[i] - reach, c->start[i] + reach);
             rejected = rejected || within != s->mean[i];

@@ -78,8 +78,7 @@ typedef struct {
 
 /* Return whether a window fits into the arrays; call it once for one that comes from elsewhere. */
 SF_API int sf_window_fits(const sf_config *c, const sf_window_config *w) {
-    return sf_robot_fits(c) && w->every >= 1 && w->every <= SF_EVERY && w->every <= w->length &&
-           w->length <= SF_WINDOW;
+    return sf_robot_fits(c) && w->every >= 1 && w->every <= SF_EVERY && w->every <= w->length && w->length <= SF_WINDOW;
 }
 
 /* FrontEnd.estimate: apply a correction (a, b in N) to the newest forces. */
@@ -284,8 +283,7 @@ SF_API int sf_gauss_newton(const sf_config *c, const sf_window_config *w, const 
 }
 
 /* SlidingWindow._solve: solve Eq. 14, with every bound that keeps a bad window from doing harm. */
-SF_API void sf_window_solve(const sf_config *c, const sf_window_config *w, sf_window_state *s,
-                            sf_window_work *work) {
+SF_API void sf_window_solve(const sf_config *c, const sf_window_config *w, sf_window_state *s, sf_window_work *work) {
     int K = c->channels, M = 2 * K, used = 0, enough, solvable;
     sf_real r[3], typical = 0, count = 0, *theta = work->theta;
     for (int t = 0; t < w->length; t++) {

@@ -2,8 +2,7 @@
 
    The specification is Instruments of robot/sensing/instruments.py and RobotSensors of sensors.py beside it; tests
    hold the two together. An episode begins with sf_feet_begin, and each control step after it is one sf_feet_step.
-   Configs may be shared by robots; states and streams are each robot's own. Nothing is allocated, and nothing is
-   global. */
+   Configs may be shared by robots; states and streams are each robot's own. */
 
 #ifndef SUREFOOT_FEET_H
 #define SUREFOOT_FEET_H
@@ -39,8 +38,7 @@ SF_API void sf_feet_read(const sf_feet *f, const sf_real *load, int rows, const 
     int K = cells + (f->force_torque_config ? SF_AXES * f->force_torque_config->sensors : 0);
     if (f->cells_config) sf_cells_step(f->cells_config, f->cells, f->cells_stream, load, rows, dt, row);
     if (f->force_torque_config)
-        sf_force_torque_step(f->force_torque_config, f->force_torque, f->force_torque_stream, wrench, dt,
-                             row + cells);
+        sf_force_torque_step(f->force_torque_config, f->force_torque, f->force_torque_stream, wrench, dt, row + cells);
     for (int k = 0; k < K; k++) counts[k] = row[f->order ? f->order[k] : k];
     if (f->faults_config) sf_faults_step(f->faults_config, f->faults, f->faults_stream, dt, counts);
 }

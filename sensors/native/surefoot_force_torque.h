@@ -1,9 +1,8 @@
 /* Six-axis sensors of one robot, one step a sample: wrenches in, counts out, in C99.
 
    The specification is sensors/devices/force_torque.py for sensors by their matrices of errors, and
-   sensors/devices/strain_gauges.py for one sensor down to its gauges; tests hold them together. As in
-   surefoot_sensors.h nothing is allocated, nothing is global, NaN is a number like others, and drawing sensors is
-   Python's.
+   sensors/devices/strain_gauges.py for one sensor down to its gauges; tests hold them together. NaN is a number like
+   others, and drawing sensors is Python's.
 
        sf_force_torque_config config;   constants, written by surefoot.sensors.devices.native_force_torque
        sf_force_torque sensors;         all that is remembered

@@ -42,8 +42,8 @@ typedef struct {
 
 /* Fields are those of the Python state, by their way through its parts. */
 typedef struct {
-    sf_real period[SF_LOAD_CELLS], due[SF_LOAD_CELLS], previous[SF_LOAD_CELLS], held[SF_LOAD_CELLS], error[2 * SF_LOAD_CELLS];
-    sf_real thermal[3 * SF_LOAD_CELLS], window[SF_SETTLING * SF_LOAD_CELLS];
+    sf_real period[SF_LOAD_CELLS], due[SF_LOAD_CELLS], previous[SF_LOAD_CELLS], held[SF_LOAD_CELLS];
+    sf_real error[2 * SF_LOAD_CELLS], thermal[3 * SF_LOAD_CELLS], window[SF_SETTLING * SF_LOAD_CELLS];
     sf_real mechanics_nonlinearity_quadratic[SF_LOAD_CELLS], mechanics_hysteresis_plays[SF_PLAYS * SF_LOAD_CELLS];
     sf_real mechanics_creep_yielded[SF_CREEPS * SF_LOAD_CELLS], mechanics_mounting_offset[SF_LOAD_CELLS];
     sf_real mechanics_mounting_load[SF_LOAD_CELLS], mechanics_mounting_impact[SF_LOAD_CELLS];
@@ -72,9 +72,7 @@ SF_API void sf_nonlinearity(const sf_cells_config *c, const sf_cells *s, sf_real
 SF_API void sf_mounting(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real *load) {
     static const sf_real warp[SF_CELLS_OF_A_FOOT] = {1, -1, -1, 1};
     int feet = c->channels / SF_CELLS_OF_A_FOOT;
-    sf_real warped[SF_LOAD_CELLS], common[SF_LOAD_CELLS];
-    memset(warped, 0, sizeof warped);
-    memset(common, 0, sizeof common);
+    sf_real warped[SF_LOAD_CELLS] = {0}, common[SF_LOAD_CELLS] = {0};
     if (c->warp_std > 0) sf_random_fill(stream, 1, feet, warped);
     if (c->common_std > 0) sf_random_fill(stream, 1, feet, common);
     for (int foot = 0; foot < feet; foot++) {

@@ -13,7 +13,7 @@
    A packet is a row of 10 + 2 J numbers: its number, when it arrives, J joint angles and J velocities, roll and
    pitch, angular velocity (3) and specific force (3).
 
-   It needs surefoot_random.h. Before it is included: SF_SINGLE makes numbers floats (times stay doubles); SF_JOINTS and SF_LINK_ROOM are the
+   Before it is included: SF_SINGLE makes numbers floats (times stay doubles); SF_JOINTS and SF_LINK_ROOM are the
    largest sizes; SF_API is what stands before functions. */
 
 #ifndef SUREFOOT_TELEMETRY_H
