@@ -144,7 +144,8 @@ SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + 
 
 /* ------------------------------------------------------------------------------------------------ nominal */
 
-/* out = R turned on by an angle about a unit vector in its own axes (Rodrigues), which is `a` in those around it. */
+/* out = R turned on by an angle about a unit vector in its own axes (Rodrigues), and `a`, that vector in those around
+   it; out may be R. */
 SF_API void sf_turn_on(sf_real *out, const sf_real *R, const sf_real *axis, sf_real *a, sf_real sine, sf_real cosine) {
     int k = axis[0] == 1 ? 0 : axis[1] == 1 ? 1 : 2, i = (k + 1) % 3, j = (k + 2) % 3;
     int plain = axis[k] == 1 && axis[i] == 0 && axis[j] == 0; /* most hinges lie along one of the axes */

@@ -1465,8 +1465,8 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
         if (!(of[0] + of[1] + of[2] + of[3] > 0)) continue;
         sf_with_prior(own, S, ratio, severities[i], P, of_scales);
         sf_inverse_four(own, P);
-        for (int k = 0; k < P * P; k++)
-            for (int l = 0; l < 4; l++) mixed[4 * k + l] += of[l] > 0 ? of[l] * own[4 * k + l] : 0;
+        for (int j = 0; j < P; j++)
+            for (int k = 4 * P * j; k < 4 * (P * j + j + 1); k++) mixed[k] += of[k % 4] > 0 ? of[k % 4] * own[k] : 0;
         for (int l = 0; l < 4; l++) weight[l] += of[l];
     }
     for (int which = 0; which < 16; which++)

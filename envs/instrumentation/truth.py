@@ -112,7 +112,7 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
-    def columns(self) -> SensedColumns:
+    def sensed_columns(self) -> SensedColumns:
         """Return where in a row stands what sensors feel."""
         return SensedColumns(
             joints=self._end + TorsoColumns.width,

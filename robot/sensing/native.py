@@ -100,7 +100,7 @@ class NativeSensing:
             "to": to,
         }
         self._shape = self._truth.shape
-        where = truth.columns()
+        where = truth.sensed_columns()
         numbers |= {
             "columns": self._shape[-1],
             "at_joints": where.joints,
@@ -116,7 +116,7 @@ class NativeSensing:
             arrays["load"] = np.zeros_like(truth.force_cell)
             numbers["readings"] = len(self._map[0])
         if "ankles" in devices:
-            arrays["wrench"] = np.zeros_like(truth.wrench_ankle[-1])
+            arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
         if self._telemetry is not None:
             numbers |= {
                 "telemetry": self._telemetry.address,
@@ -229,6 +229,8 @@ def native_sensing(
         return None
     if telemetry is not None:
         if type(telemetry) is not NativeTelemetry:
+            return None
+        if telemetry.inputs[0].shape != truth.joint_position.shape:
             return None
         state = telemetry.empty() if telemetry_state is None else telemetry_state
         if type(state) is not NativeTelemetryState:

@@ -62,8 +62,8 @@ SF_API void sf_random_pair(sf_random *stream, double pair[2]) {
 SF_API void sf_random_fill(sf_random *stream, int normal, int n, sf_real *out) {
     /* One kind of function after the other, of several blocks: none waits for the result of another. */
     double drawn[SF_DRAWN];
-    for (; n > 0; n -= SF_DRAWN, out += SF_DRAWN) {
-        int count = n < SF_DRAWN ? n : SF_DRAWN;
+    for (int count; n > 0; n -= count, out += count) {
+        count = n < SF_DRAWN ? n : SF_DRAWN;
         for (int i = 0; i < count; i += 2) sf_random_pair(stream, drawn + i);
 #ifdef SF_SINGLE
         for (int i = 0; normal && i < count; i += 2) drawn[i] = sqrtf(-2 * logf((float)(1.0 - drawn[i])));

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import surefoot  # noqa: F401
+from surefoot.envs import Truth
 from surefoot.native import compiler
+from surefoot.robot import RobotSensors
 from surefoot.robot.sensing import sensors
 from surefoot.sensors import Fault, LoadCells, Wire
 from surefoot.sensors.native import NATIVE
@@ -100,3 +102,24 @@ def test_what_has_no_room_is_read_by_python(options: dict[str, Any]) -> None:
     for _ in range(3):
         env.step(np.zeros(env.action_space.shape, np.float32))
     assert env.robot._sensing is None
+
+
+@pytest.mark.parametrize("anew", ["reset", "copied"])
+@pytest.mark.parametrize("rows", [2, 300])
+def test_a_step_of_other_substeps_than_telemetry_has_room_for_is_read_by_python(rows: int, anew: str) -> None:
+    env = FootSensors(gym.make("surefoot/NaoStand-v0", disable_env_checker=True))
+    env.reset(seed=0)
+    truth, dt = env.source.truth, float(env.source.dt)
+    other = Truth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.channels)
+    robot = RobotSensors(env.robot.equipment, listening=True)
+    robot.reset(truth, dt, seed=0)
+    assert robot._sensing is not None
+    if anew == "reset":
+        robot.reset(other, dt)
+    else:
+        robot.step(truth)
+        robot = pickle.loads(pickle.dumps(robot))
+    robot.step(other)
+    assert robot._sensing is None
+    joints = other.joint_position[-1]
+    np.testing.assert_allclose(robot.packets[-1].values[: len(joints)], joints, atol=0.05)
