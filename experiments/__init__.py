@@ -5,10 +5,9 @@
   calibrator, and how far each is from the truth; :func:`run_loop` for the walker on calibrated feet.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from surefoot.extras import not_installed
+from surefoot.extras import names_of
 
 if TYPE_CHECKING:
     from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
@@ -30,23 +29,17 @@ __all__ = [
     "write_log",
 ]
 
-_HOMES = {
-    "logs.format": ("Log", "LogTruth", "read_log", "write_log"),
-    "logs.table": ("LogError",),
-    "walks.closed_loop": ("run_loop",),
-    "walks.record": ("record_walk",),
-    "walks.replay": ("replay_logs",),
-    "walks.score": ("score_forces",),
+_MODULES = {
+    "Log": "surefoot.experiments.logs.format",
+    "LogError": "surefoot.experiments.logs.table",
+    "LogTruth": "surefoot.experiments.logs.format",
+    "read_log": "surefoot.experiments.logs.format",
+    "record_walk": "surefoot.experiments.walks.record",
+    "replay_logs": "surefoot.experiments.walks.replay",
+    "run_loop": "surefoot.experiments.walks.closed_loop",
+    "score_forces": "surefoot.experiments.walks.score",
+    "write_log": "surefoot.experiments.logs.format",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for, so that the command starts fast."""
-    for module, names in _HOMES.items():
-        if name in names:
-            try:
-                home = import_module(f"surefoot.experiments.{module}")
-            except ModuleNotFoundError as missing:
-                raise not_installed(f"surefoot.experiments.{name}", missing, "experiments") from None
-            return getattr(home, name)
-    raise AttributeError(f"module 'surefoot.experiments' has no attribute '{name}'")
+# Loaded when first asked for, so that the command starts fast.
+__getattr__, __dir__ = names_of(__name__, _MODULES, "experiments")

@@ -44,8 +44,4 @@ _MODULES = {
     "TelemetryLayout": "surefoot.sensors.telemetry.computer",
 }
 
-__getattr__ = names_of(__name__, _MODULES, "sim")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = names_of(__name__, _MODULES, "sim")

@@ -1,5 +1,6 @@
 """What an extra of the package brings is asked for by its name."""
 
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -15,8 +16,10 @@ def not_installed(name: str, missing: ImportError, extra: str) -> ImportError:
     )
 
 
-def names_of(package: str, modules: Mapping[str, str], extra: str) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package that loads a module when a name of it is asked for.
+def names_of(
+    package: str, modules: Mapping[str, str], extra: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a package that loads a module when a name of it is asked for.
 
     Args:
         package: Name of the package.
@@ -32,4 +35,4 @@ def names_of(package: str, modules: Mapping[str, str], extra: str) -> Callable[[
         except ModuleNotFoundError as missing:
             raise not_installed(f"{package}.{name}", missing, extra) from None
 
-    return get
+    return get, lambda: sorted({*vars(sys.modules[package]), *modules})

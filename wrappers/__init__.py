@@ -46,8 +46,4 @@ _MODULES = {
     "VectorSelfCalibration": "surefoot.wrappers.vector.self_calibration",
 }
 
-__getattr__ = names_of(__name__, _MODULES, "sim")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = names_of(__name__, _MODULES, "sim")

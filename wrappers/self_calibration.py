@@ -12,12 +12,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import Beliefs
-from surefoot.robot.calibration import (
-    CalibrationSetup,
-    RobotCalibration,
-    load_learnt,
-    save_learnt,
-)
+from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import DEFAULT, RAW, seen_below
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors

@@ -15,11 +15,7 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
-from surefoot.robot.sensing.device import (
-    FootDevice,
-    first_steps,
-    foot_device,
-)
+from surefoot.robot.sensing.device import FootDevice, first_steps, foot_device
 from surefoot.robot.streams import SENSOR_STREAM, device_streams
 from surefoot.sensors import Fault, LoadCells, parse_fault, scaled
 from surefoot.sensors.devices.load_cells import true_map
