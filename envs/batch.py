@@ -133,8 +133,8 @@ class BatchVectorEnv(SyncVectorEnv):
             for i in np.flatnonzero(starting).tolist():
                 self.envs[i].reset()
             self._begin(starting)
-        observation, truth = self._observe()
-        terms = robots._reward(truth, residual)
+        observation, pressed, truth = self._observe()
+        terms = robots._reward(pressed, residual)
         rewards = np.where(stepping, sum(terms.values()), 0.0)
         terminated = robots._fallen() & stepping
         truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)
@@ -191,9 +191,9 @@ class BatchVectorEnv(SyncVectorEnv):
         if changed:
             self._batch.set_models([env.model for env in self.envs])
 
-    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]]]:
-        observation, truth = self.robots._observe(self._rows, self._qvel[:, -2])
-        return {key: observation[key] for key in self.single_observation_space}, truth  # type: ignore
+    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+        observation, *truth = self.robots._observe(self._rows, self._qvel[:, -2])
+        return {key: observation[key] for key in self.single_observation_space}, *truth  # type: ignore
 
     def _share(self) -> None:
         """Bring the robots' own environments to where the robots are now."""

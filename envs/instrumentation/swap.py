@@ -165,15 +165,6 @@ def fingerprint(model: mujoco.MjModel) -> bytes:
     return digest.digest()
 
 
-def why_not_in_place(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
-    """Return what an environment may look up by number that would change; empty if nothing does."""
-    if old.nsensor:
-        return "the model has sensors of its own, and the environment may read all sensor data at once"
-    if not np.array_equal(_kept(new, prefix)["site"], np.arange(old.nsite)):
-        return "added sites would change the numbers of the model's own, by which the environment may ask"
-    return ""
-
-
 def find_holder(env: gym.Env[Any, Any]) -> str:
     """Return an attribute, besides the usual ones, that points into the model or its data; empty without."""
     base: Any = env.unwrapped
@@ -201,10 +192,12 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
     """
     old, before = env.model, env.data
     data = mujoco.MjData(new)
-    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    # Added sensors have a history behind that of the environment's own sensors and motors.
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION.value & ~mujoco.mjtState.mjSTATE_HISTORY.value
     state = np.empty(mujoco.mj_stateSize(old, kind))
     mujoco.mj_getState(old, before, state, kind)
     mujoco.mj_setState(new, data, state, kind)
+    data.history[: before.history.size] = before.history
     # What was derived from the state goes along: some environments look at it before they step.
     for name, value in _public(before):
         if isinstance(value, np.ndarray) and value.size:

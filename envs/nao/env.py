@@ -251,11 +251,11 @@ class NaoEnv(BipedEnv):
         return Truth(rows, self.channels)
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(truth, COP_SCALE),
+            "reward_cop": self._paid_cop(pressed, COP_SCALE),
             "reward_action": self._effort(action),
         }
 

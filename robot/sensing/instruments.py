@@ -99,7 +99,7 @@ class CellsUnderFeet:
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return state._replace(previous=truth.force_cell[-1].copy())
+        return state._replace(charge=truth.force_cell[-1] * (state.period - state.due))
 
     def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
@@ -108,7 +108,7 @@ class CellsUnderFeet:
 
     @staticmethod
     def load(truth: Any) -> Floats:
-        """Return the loads that they read, at the ends of substeps in N, shape (S, K)."""
+        """Return the loads that they read in each substep in N, shape (S, K)."""
         load: Floats = truth.force_cell
         return load
 
@@ -123,11 +123,12 @@ class CellsUnderFeet:
 
 
 class SensorsInAnkles:
-    """A six-axis sensor in each ankle, read at the end of a control step.
+    """A six-axis sensor in each ankle, read once a control step.
 
     Args:
         config: The sensors.
         drawing: The robot.
+        dt: Duration of a control step in s.
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
@@ -140,7 +141,7 @@ class SensorsInAnkles:
     name: Final = "ankles"
     kind: Final = FORCE_TORQUE
 
-    def __init__(self, config: ForceTorque, drawing: RobotDrawing) -> None:
+    def __init__(self, config: ForceTorque, drawing: RobotDrawing, dt: float) -> None:
         below = drawing.below_ankle
         if config.sensors != len(drawing.feet):
             raise ValueError(
@@ -149,7 +150,8 @@ class SensorsInAnkles:
         self.config = config
         self.channels = config.channels
         self.nominal = Parameters(config.nominal_scale, np.zeros(config.channels))
-        self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
+        self.slope, self.zero_code = config.slope, config.zero_code
+        self.age = config.nominal_age + (0.5 * dt if config.averaged else 0.0)
         self.code_range = config.code_range
         self.feet = tuple(
             FootLayout.force_torque(
@@ -170,21 +172,20 @@ class SensorsInAnkles:
         return drawn
 
     def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
-        """Return the state as it is: readings of an instant have no load before."""
+        """Return the state as it is: readings remember no load before."""
         return state
 
     def read(
         self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
     ) -> tuple[Floats, ForceTorqueState]:
-        """Read them at the end of a control step of dt."""
+        """Read them after a control step of dt."""
         counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
 
-    @staticmethod
-    def load(truth: Any) -> Floats:
-        """Return the loads that they read, at the end of a control step in N and N m, shape (K,)."""
-        load: Floats = truth.wrench_ankle[-1].ravel()
-        return load
+    def load(self, truth: Any) -> Floats:
+        """Return the loads of the whole control step, or of its end, in N and N m, shape (K,)."""
+        wrench: Floats = truth.wrench_ankle
+        return (wrench.mean(axis=0) if self.config.averaged else wrench[-1]).ravel()
 
     def force(self, truth: Any) -> Floats:
         """Return the true loads at the end of a control step in N and N m, shape (K,)."""
@@ -212,6 +213,7 @@ class Instruments:
     Args:
         devices: One kind of instrument, or load cells and six-axis sensors.
         drawing: The robot.
+        dt: Duration of a control step in s.
 
     Attributes:
         channels: Their number K.
@@ -233,7 +235,7 @@ class Instruments:
         UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
     """
 
-    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing) -> None:
+    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing, dt: float) -> None:
         kinds = [type(device) for device in devices]
         if not kinds or len(set(kinds)) < len(kinds):
             raise ValueError(
@@ -245,7 +247,7 @@ class Instruments:
         found: list[CellsUnderFeet | SensorsInAnkles] = [
             CellsUnderFeet(device, drawing)
             if isinstance(device, LoadCells)
-            else SensorsInAnkles(device, drawing)
+            else SensorsInAnkles(device, drawing, dt)
             for device in devices
         ]
         self.parts = tuple(sorted(found, key=lambda part: isinstance(part, SensorsInAnkles)))

@@ -103,7 +103,7 @@ class Equipment:
             devices = [scaled(device, float(severity)) for device in devices]
         for device in devices:
             check_wire(device, dt)
-        self.instruments = Instruments(tuple(devices), drawing)
+        self.instruments = Instruments(tuple(devices), drawing, dt)
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         self._link_by_name = isinstance(link, str)
         if isinstance(faults, (str, Mapping)):

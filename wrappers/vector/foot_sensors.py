@@ -16,7 +16,6 @@ from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.robot.sensing.sensors import load_hardware, save_hardware
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
-from surefoot.wrappers.vector.truth import batch_truth
 from surefoot.wrappers.vector.truth_row import VectorTruthRow
 
 Infos = dict[str, Any]
@@ -31,7 +30,8 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     takes the place of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: each
     robot is read as :class:`~surefoot.wrappers.FootSensors` reads it alone.
 
-    ``infos["surefoot"]["truth"]`` holds (N, ...) arrays (:func:`surefoot.wrappers.vector.truth.batch_truth`).
+    ``infos["surefoot"]["truth"]`` holds (N, ...) arrays
+    (:func:`surefoot.envs.instrumentation.truth.mean_truth`).
 
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
     hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
@@ -128,5 +128,4 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def _with_truth(self, infos: Infos) -> Infos:
         known = infos.get("surefoot", {})
-        truth = batch_truth(self.sensors.truth, self.sensors.drawing)
-        return {**infos, "surefoot": {**known, "truth": truth}}
+        return {**infos, "surefoot": {**known, "truth": self.sensors.truth}}

@@ -17,7 +17,6 @@ from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
-from surefoot.wrappers.vector.truth import batch_truth
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -95,7 +94,7 @@ class VecFootSensors(VecEnvWrapper):
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """What really happened at the end of the last step, to score against."""
-        return batch_truth(self.sensors.truth, self.sensors.drawing)
+        return self.sensors.truth
 
 
 class VecSelfCalibration(VecEnvWrapper):

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.envs.instrumentation.truth import mean_truth
+from surefoot.envs.numbers import MANY
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
 from surefoot.sensors import Encoders, Fault, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
-from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, read_rows
+from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -183,11 +185,9 @@ class BatchSensors:
         return self.view.show(observation, own.held, own.newest)
 
     @property
-    def truth(self) -> Any:
-        """What really happened at the end of the step."""
-        columns = self._meaning.columns
-        last = self._rows[:, (self._meaning.rows - 1) * columns : self._meaning.rows * columns]
-        return read_rows(last, self._key)
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.truth.mean_truth`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
 
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
@@ -196,14 +196,18 @@ class BatchSensors:
 
     def _look(self, rows: Floats) -> list[Any]:
         """Keep what each robot plans, and return what happened to it."""
-        self._rows, meaning, feet = rows, self._meaning, self._meaning.feet
+        self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
             self.planned = [None] * len(rows)
         else:
             self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
-        shape = (len(rows), meaning.rows, meaning.columns)
-        return [read_rows(own, self._key) for own in rows[:, : -2 * feet].reshape(shape)]
+        return [read_rows(own, self._key) for own in self._substeps(rows)]
+
+    def _substeps(self, rows: Floats) -> Floats:
+        """Return what the simulator read in each substep, shape (N, S, columns)."""
+        meaning = self._meaning
+        return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
 
 
 def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:

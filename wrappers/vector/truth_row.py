@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, InstrumentedEnv, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
+from surefoot.envs.instrumentation.truth import FootPlaces, foot_places
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
@@ -195,15 +196,25 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
     return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
 
 
+def places_of(key: Any) -> FootPlaces:
+    """Return where the feet's columns are in a row.
+
+    Args:
+        key: :attr:`TruthRow.row_key`.
+    """
+    places: FootPlaces = foot_places(key) if hasattr(key, "feet") else key.places.feet
+    return places
+
+
 def _meaning(source: Any) -> RowMeaning:
     feet, joints = len(source.drawing.feet), tuple(source.joint_names)
     if hasattr(source, "channels"):
         columns = source.channels.size
     else:
         columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
-    # What is instrumented from outside is read once a step.
-    outside = isinstance(source, InstrumentedEnv)
-    rows = 1 if outside else round(source.dt / source.model.opt.timestep)
+    # What is computed beside an environment is read once a step.
+    seldom = isinstance(source, InstrumentedEnv) and len(source.truth.rows) == 1
+    rows = 1 if seldom else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
     return RowMeaning(rows, int(columns), feet, joints, float(source.dt), state)
