@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
-from surefoot.robot.beliefs.lag import check_lag, usual_lag, waiting_samples
+from surefoot.robot.beliefs.lag import check_lag, joined_packets, usual_lag, waiting_samples
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
@@ -28,6 +29,7 @@ from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
 from surefoot.robot.starting_map import StartingMap
 from surefoot.robot.streams import BELIEF_STREAM, check_stream, wants_fresh
+from surefoot.sensors.presets import REFERENCE_WEIGHT
 
 
 class Learnt(NamedTuple):
@@ -42,6 +44,14 @@ class Learnt(NamedTuple):
     state: Any
     initial: Parameters
     masses: Masses
+
+
+def contact_force(weight: float) -> float:
+    """Return the load in N above which a foot of a robot of this weight in N has a centre of pressure.
+
+    It is 5 N under a NAO, and as much of the weight of heavier robots, whose cells are larger.
+    """
+    return FORCE_THRESHOLD * max(1.0, weight / REFERENCE_WEIGHT)
 
 
 class CalibrationSetup:
@@ -96,9 +106,8 @@ class CalibrationSetup:
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
-        self.options = (
-            {"age": instruments.ages.tolist()} | layout_options(self.layout, drawing, self.method) | options
-        )
+        usual = {"age": instruments.ages.tolist(), "force_threshold": contact_force(drawing.weight)}
+        self.options = usual | layout_options(self.layout, drawing, self.method) | options
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
@@ -191,6 +200,7 @@ class RobotCalibration:
                     telemetry.averaged,
                     lag=self.late,
                     dt=telemetry.dt,
+                    joined=joined_packets(telemetry),
                 )
             )
         self._view.begin_episode()

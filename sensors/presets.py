@@ -203,8 +203,8 @@ ONBOARD_ENCODERS = Encoders(bits=14)
 """Magnetic encoders of 14 bits on the joints' own axes, as in today's humanoids."""
 
 ONBOARD_LINK = Link(rate=500.0, delay=0.002, jitter=0.0002)
-"""The motors' bus of a humanoid whose policy runs on board: 500 packets/s, one packet late (Unitree's low-level
-state comes at that rate)."""
+"""The motors' bus of a humanoid whose policy runs on board: 500 packets/s, one packet late, as Unitree's
+low-level state comes."""
 
 NAO_LINK = Link()
 """NAOqi over a wireless network: 100 packets/s, 20 +- 4 ms late."""

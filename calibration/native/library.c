@@ -137,12 +137,13 @@ static const place places[] = {
     M_REAL(anchor), M_REAL(axis), M_REAL(zero), M_REAL(mass), M_REAL(com), M_REAL(inertia),
     M_REAL(position_site), M_REAL(R_body_site),
 
-    PLACE(timing, averaged, "int"), PLACE(timing, needed, "int"), PLACE(timing, window, "int"),
+    PLACE(timing, averaged, "int"), PLACE(timing, joined, "int"), PLACE(timing, needed, "int"),
+    PLACE(timing, window, "int"),
     PLACE(timing, dt, "real"), PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
 
     B_REAL(ring), B_REAL(angle), B_REAL(accelerometer), B_REAL(gyroscope), B_REAL(forward), B_REAL(up),
     B_REAL(spin), B_REAL(spin_bias), B_REAL(force_bias), B_REAL(lean), B_REAL(highest),
-    PLACE(beliefs, clock, "double"), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
+    PLACE(beliefs, clock, "double"), B_REAL(sum), B_WHOLE(parts), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
     B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),

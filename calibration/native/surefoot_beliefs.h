@@ -102,6 +102,7 @@ typedef struct {
 /* When packets leave and samples are taken. */
 typedef struct {
     int averaged;         /* whether a sample of the IMU is the mean since the packet before */
+    int joined;           /* how many packets become one, of which the period is */
     int needed, window;   /* contacts.planned_window: for how long a plan must have held, and what is kept */
     sf_real dt;           /* time between samples of the feet in s */
     double period, delay; /* time between packets and their mean delay in s */
@@ -114,7 +115,8 @@ typedef struct {
     sf_real forward[3], up[3], spin[3], spin_bias[3], force_bias[3];
     sf_real lean[3], highest;
     double clock; /* time in s on the host's clock at which packet 0 left */
-    sf_whole number, seen, run, count;
+    sf_real sum[6]; /* of the IMU over the packets that are being joined */
+    sf_whole number, seen, run, count, parts;
     sf_whole planned[SF_PLANNED * 4], found[4], upright; /* samples: left and right stance, then swing */
 } sf_beliefs;
 
@@ -350,6 +352,24 @@ SF_API void sf_beliefs_init(sf_beliefs *s) {
     s->forward[0] = s->up[2] = 1;
 }
 
+/* Beliefs._combine: add a packet to those that become one; whether that is whole, with the means in s->sum. */
+SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_real *accelerometer,
+                   const sf_real *gyroscope) {
+    sf_whole part = number % t->joined;
+    if (part == 0) {
+        s->parts = 0;
+        memset(s->sum, 0, sizeof s->sum);
+    }
+    if (part != s->parts) {
+        s->parts = t->joined;
+        return 0;
+    }
+    for (int k = 0; k < 3; k++) s->sum[k] += accelerometer[k], s->sum[3 + k] += gyroscope[k];
+    if (++s->parts < t->joined) return 0;
+    for (int k = 0; k < 6; k++) s->sum[k] /= (sf_real)t->joined;
+    return 1;
+}
+
 /* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e6, is a lost one.
 
    number: of the packet; those that get lost or come twice leave a gap. arrival: on the host's clock in s.
@@ -359,6 +379,10 @@ SF_API void sf_beliefs_packet(const sf_model *m, const sf_timing *t, sf_beliefs 
                               const sf_real *gyroscope) {
     if (!sf_measured(angle, m->hinges) || !sf_measured(accelerometer, 3) || !sf_measured(gyroscope, 3))
         return;
+    if (t->joined > 1) {
+        if (!sf_join(t, s, number, accelerometer, gyroscope)) return;
+        number /= t->joined, accelerometer = s->sum, gyroscope = s->sum + 3;
+    }
     double left = arrival - t->delay - (double)number * t->period;
     int first = s->seen == 0;
     s->seen++;
@@ -539,7 +563,7 @@ SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, co
 SF_API int sf_beliefs_fit(const sf_model *m, const sf_timing *t) {
     sf_real mass = 0;
     int fit = m->bodies >= 1 && m->bodies <= SF_BODIES && m->hinges >= 0 && m->hinges <= SF_HINGES &&
-              t->window >= 1 && t->window <= SF_PLANNED && t->period > 0 && t->dt > 0 &&
+              t->window >= 1 && t->window <= SF_PLANNED && t->joined >= 1 && t->period > 0 && t->dt > 0 &&
               SF_PACKETS > SF_SLOPE;
     for (int i = 0; fit && i < m->bodies; i++) {
         fit = i == 0 || (m->parent[i] >= 0 && m->parent[i] < i);

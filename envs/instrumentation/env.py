@@ -236,7 +236,7 @@ def step_duration(base: Any) -> float:
 
 def count_substeps(base: Any) -> int:
     """Count the simulation's steps in a control step of an innermost environment."""
-    return max(1, round(step_duration(base) / base.model.opt.timestep))
+    return max(1, round(step_duration(base) / float(base.model.opt.timestep)))
 
 
 def _aliased(env: Any, reason: str, substeps: int) -> str:

@@ -1,7 +1,8 @@
 """What a robot can know of its own motion without its feet's sensors, on their timeline.
 
-Encoders and IMU come at 100 Hz, numbered and some 20 ms late with jitter. The mean delay is known and taken
-off; the numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
+Encoders and IMU come at 100 Hz or faster, numbered and late with jitter; packets of a faster link are joined
+into one of 10 ms, with the mean of the IMU and the last angles. The mean delay is known and taken off; the
+numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
 n, at their middle, the nominal model gives from the mean and the difference of both encoder readings the
 centre of mass c, the soles and the angular momentum L, and gyroscope and accelerometer give the turning and
 the specific force f. In axes that are level and whose heading follows the gyroscope (*odometry* axes),
@@ -73,6 +74,7 @@ class Beliefs:
         averaged: Whether a sample of the IMU is the mean since the sample before.
         lag: How many samples of the feet ago :meth:`sample` is about.
         dt: Time between these samples in s.
+        joined: How many packets become one.
 
     Attributes:
         believed: What the last :meth:`sample` found.
@@ -88,13 +90,15 @@ class Beliefs:
         *,
         lag: int = 0,
         dt: float = 1.0 / 80.0,
+        joined: int = 1,
     ) -> None:
         self.model = model
         self._layout = layout
-        self._period, self._delay, self._averaged = period, delay, averaged
+        self._period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
+        self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
         self._ring = np.zeros((HISTORY, ROWS, 3))
         self._local = np.zeros((FORCE + 1, 3))
-        self._odometry = Odometry(period)
+        self._odometry = Odometry(self._period)
         self._last: Packet | None = None
         self._run = 0
         self._clock, self._seen = 0.0, 0
@@ -107,11 +111,12 @@ class Beliefs:
         return Beliefs(
             self.model,
             self._layout,
-            self._period,
+            self._period / self._join,
             self._delay,
             self._averaged,
             lag=self._lag,
             dt=self._dt,
+            joined=self._join,
         )
 
     @property
@@ -135,8 +140,9 @@ class Beliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
-        for packet in packets:
-            if not np.abs(packet.values).max() <= LARGEST_VALUE:
+        for one in packets:
+            packet = self._combine(one) if np.abs(one.values).max() <= LARGEST_VALUE else None
+            if packet is None:
                 continue
             self._synchronise(packet)
             if self._last is not None and packet.number == self._last.number + 1:
@@ -147,6 +153,27 @@ class Beliefs:
             else:
                 self._run = 0
             self._last = packet
+
+    def _combine(self, packet: Packet) -> Packet | None:
+        """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
+        if self._join == 1:
+            return packet
+        number, part = divmod(packet.number, self._join)
+        if part == 0:
+            self._parts, self._sum = 0, (0.0,) * 6
+        if part != self._parts:
+            self._parts = self._join
+            return None
+        where, values = self._layout, packet.values
+        measured = (*values[where.accelerometer].tolist(), *values[where.gyroscope].tolist())
+        self._sum = tuple(a + b for a, b in zip(self._sum, measured, strict=True))
+        self._parts += 1
+        if self._parts < self._join:
+            return None
+        values = values.copy()
+        mean = np.array(self._sum) / self._join
+        values[where.accelerometer], values[where.gyroscope] = mean[:3], mean[3:]
+        return Packet(number, packet.arrival, values)
 
     def _synchronise(self, packet: Packet) -> None:
         """Average the packets' lateness: the time on the host's clock at which number 0 left."""

@@ -185,7 +185,8 @@ class SensorsInAnkles:
     def load(self, truth: Any) -> Floats:
         """Return the loads of the whole control step, or of its end, in N and N m, shape (K,)."""
         wrench: Floats = truth.wrench_ankle
-        return (wrench.mean(axis=0) if self.config.averaged else wrench[-1]).ravel()
+        load: Floats = wrench.mean(axis=0) if self.config.averaged else wrench[-1]
+        return load.ravel()
 
     def force(self, truth: Any) -> Floats:
         """Return the true loads at the end of a control step in N and N m, shape (K,)."""

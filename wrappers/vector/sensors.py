@@ -32,9 +32,9 @@ class SensorOptions(TypedDict, total=False):
     """Keyword arguments of :class:`~surefoot.wrappers.FootSensors` that wrappers of many robots have."""
 
     ankles: str | Mapping[str, Any] | FootDevice | None
-    imu: str | Mapping[str, Any] | Imu
-    encoders: str | Mapping[str, Any] | Encoders
-    link: str | Mapping[str, Any] | Link
+    imu: str | Mapping[str, Any] | Imu | None
+    encoders: str | Mapping[str, Any] | Encoders | None
+    link: str | Mapping[str, Any] | Link | None
     severity: float
     faults: Sequence[str | Fault | Mapping[str, Any]]
     fresh: bool
