@@ -113,7 +113,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         assert source is not None
         self.source: Source = source
         dt, joints = float(source.dt), source.joint_names
-        equipment = Equipment("FootSensors", source.drawing, joints, dt, **options)
+        seldom = getattr(source, "seldom", False)
+        equipment = Equipment("FootSensors", source.drawing, joints, dt, **options, seldom=seldom)
         self.instruments = equipment.instruments
         check_order("FootSensors", self.env, source)
         shown: Any = self.env.observation_space

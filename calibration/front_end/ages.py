@@ -2,8 +2,8 @@ r"""Forces of the last control step, from readings that are some milliseconds ol
 
 A chip on its own clock is read up to a conversion late, and a filter or a wire adds to that. The mean age
 :math:`\alpha` of its readings is known from data sheets; the phase of its clock is not. A force is carried on
-to the middle of the last step, of which an ideal cell would give the mean, with the slope that it had over the
-last :math:`n = 3` samples,
+to the middle of the last step, of which ideal cells give the mean, with the slope that it had over the last
+:math:`n = 3` samples,
 
 .. math:: \delta_i = \max(\alpha_i - \Delta t / 2, 0) \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
 

@@ -59,6 +59,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         instrumentation: The instrumented description, which copies share; None for a model that was left
             alone.
         untouched: Why the model was left alone; empty if it was not.
+        seldom: Whether only one of several substeps of a control step is read; calibrators then take feet for
+            noisier.
 
     Environments of dm_control, which hold their robot as ``unwrapped.physics``, are never changed: the same
     quantities are computed beside them.
@@ -147,13 +149,15 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 if chosen is not None:
                     swap_in(base, copy(chosen))
         self._reader: SensorReader | FeetReader
+        self.seldom = False
         if self.instrumentation is not None:
             self._reader = SensorReader(base.model, base.data, self.instrumentation, samples)
             self.drawing: RobotDrawing = self.instrumentation.drawing
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
             self.drawing = self._reader.drawing
-            if count_substeps(base) > 1 and in_place is not False:
+            self.seldom = count_substeps(base) > 1
+            if self.seldom and in_place is not False:
                 warnings.warn(_aliased(env, self.untouched, count_substeps(base)), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data

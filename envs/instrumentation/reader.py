@@ -1,7 +1,7 @@
 """The rows of a robot: read from sensors in its model, or computed beside the simulation from a copy."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import mujoco
@@ -13,6 +13,7 @@ from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns, encoders, measure_robot
 from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
+from surefoot.envs.instrumentation.swap import sensors_off
 from surefoot.envs.instrumentation.truth import FeetTruth
 
 Array = NDArray[np.float64]
@@ -50,8 +51,7 @@ class SensorReader:
         self._scratch = mujoco.MjData(model)
         self._scratch_row = self._scratch.sensordata[columns]
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
-        self._stages = model.sensor_needstage[first:]
-        self._stages_on = self._stages.copy()
+        self._first = first
         feet, joints = FootColumns.width * len(self._layout.feet), len(self._layout.joint_names)
         self._gyroscope = slice(feet + TorsoColumns.gyroscope.start, feet + TorsoColumns.gyroscope.stop)
         self._joints = slice(feet + TorsoColumns.width, feet + TorsoColumns.width + joints)
@@ -72,7 +72,7 @@ class SensorReader:
         A sensor's part is two numbers of MuJoCo's own, the S times and the S values.
         """
         model, count = self._model, self._samples
-        sensors = range(first, first + len(self._stages))
+        sensors = range(first, model.nsensor)
         start = [int(model.sensor_historyadr[i]) + 2 + count for i in sensors]
         places = np.concatenate(
             [
@@ -127,14 +127,9 @@ class SensorReader:
         self._read_until = self._data.time
         return FeetTruth(np.tile(self._scratch_row, (self._samples, 1)), self._layout)
 
-    @contextmanager
-    def still(self) -> Iterator[None]:
-        """Leave the sensors out meanwhile: some make MuJoCo compute what is zero without them."""
-        self._stages[:] = 0
-        try:
-            yield
-        finally:
-            self._stages[:] = self._stages_on
+    def still(self) -> AbstractContextManager[None]:
+        """Leave the sensors out meanwhile, as a reset of the environment does not know them."""
+        return sensors_off(self._model, self._first)
 
 
 class FeetReader:

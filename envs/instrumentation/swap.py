@@ -1,6 +1,7 @@
 """How an instrumented model takes the place of the one that an environment made."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -205,6 +206,18 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
             if target.shape == value.shape:
                 target[...] = value
     put_in(env, new, data)
+
+
+@contextmanager
+def sensors_off(model: mujoco.MjModel, first: int) -> Iterator[None]:
+    """Leave sensors from a number on out meanwhile: some make MuJoCo compute what is zero without them."""
+    stages = model.sensor_needstage[first:]
+    on = stages.copy()
+    stages[:] = 0
+    try:
+        yield
+    finally:
+        stages[:] = on
 
 
 def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:

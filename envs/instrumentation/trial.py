@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from gymnasium.wrappers import HumanRendering, RecordVideo, RenderCollection
 
-from surefoot.envs.instrumentation.swap import put_in, swap_in
+from surefoot.envs.instrumentation.swap import put_in, sensors_off, swap_in
 
 STEPS: Final = 10
 """Control steps with random actions that a copy takes."""
@@ -54,10 +54,12 @@ def find_notice(env: gym.Env[Any, Any], model: mujoco.MjModel) -> str:
 def _play(env: gym.Env[Any, Any], model: mujoco.MjModel | None) -> Shown:
     """Step a copy of an environment, with another model or its own."""
     tried = _copied(env)
+    own = tried.unwrapped.model.nsensor
     if model is not None:
         swap_in(tried.unwrapped, copy(model))
     tried.action_space.seed(SEED)
-    shown: Shown = [tried.reset(seed=SEED)]
+    with sensors_off(tried.unwrapped.model, own):
+        shown: Shown = [deepcopy(tried.reset(seed=SEED))]
     for _ in range(STEPS):
         shown.append(deepcopy(tried.step(tried.action_space.sample())))
         if shown[-1][2] or shown[-1][3]:

@@ -74,8 +74,10 @@ class Equipment:
         faults: What breaks when.
         fresh: Whether every reset draws fresh sensors.
         stream: Number of the random stream.
+        seldom: Whether truth is read in one of several substeps of a control step.
 
     Attributes:
+        seldom: The same.
         instruments: What is under the feet.
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
@@ -105,8 +107,10 @@ class Equipment:
         faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
+        seldom: bool = False,
     ) -> None:
         check_stream(owner, stream)
+        self.seldom = seldom
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
         devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]

@@ -100,7 +100,10 @@ class BatchSensors:
     ) -> None:
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
-        self.equipment = Equipment(owner, self.drawing, joints, self._meaning.dt, config, **options)
+        meaning = self._meaning
+        self.equipment = Equipment(
+            owner, self.drawing, joints, meaning.dt, config, **options, seldom=meaning.seldom
+        )
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}

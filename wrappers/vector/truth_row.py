@@ -17,7 +17,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from surefoot.envs import FeetTruth, InstrumentedEnv, Truth
+from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.envs.instrumentation.truth import FootPlaces, foot_places
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
@@ -38,6 +38,7 @@ class RowMeaning(NamedTuple):
         feet: Number of feet F.
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
+        seldom: Whether only one of several substeps of a control step is read.
         state: Where (name, start, stop) of what telemetry has (``MEASURED``) lie in
             ``observation["state"]``, or nothing.
     """
@@ -47,6 +48,7 @@ class RowMeaning(NamedTuple):
     feet: int
     joints: tuple[str, ...]
     dt: float
+    seldom: bool
     state: tuple[tuple[str, int, int], ...]
 
     @property
@@ -212,9 +214,8 @@ def _meaning(source: Any) -> RowMeaning:
         columns = source.channels.size
     else:
         columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
-    # What is computed beside an environment is read once a step.
-    seldom = isinstance(source, InstrumentedEnv) and len(source.truth.rows) == 1
+    seldom = getattr(source, "seldom", False)
     rows = 1 if seldom else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
-    return RowMeaning(rows, int(columns), feet, joints, float(source.dt), state)
+    return RowMeaning(rows, int(columns), feet, joints, float(source.dt), seldom, state)
