@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
-from surefoot.wrappers.vector.calibration import BatchCalibration
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
+from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth
 
 try:
@@ -25,7 +25,7 @@ except ModuleNotFoundError as missing:
     raise not_installed("surefoot.wrappers.vector.sb3", missing, "rl") from None
 
 
-class VecFootSensors(VecEnvWrapper):
+class VecFootSensors(SensorsFace, VecEnvWrapper):
     """Read the robots of an SB3 ``VecEnv`` as :class:`VectorFootSensors` reads those of Gymnasium's.
 
     Each copy needs a :class:`~surefoot.wrappers.vector.truth_row.TruthRow` around it.
@@ -82,7 +82,7 @@ class VecFootSensors(VecEnvWrapper):
         """Finish a step and read the sensors."""
         given: Any
         given, rewards, dones, infos = self.venv.step_wait()
-        rows = given[TRUTH_KEY]
+        rows, infos = given[TRUTH_KEY], list(infos)  # SubprocVecEnv hands a tuple over
         finals = {robot: infos[robot]["terminal_observation"] for robot in np.flatnonzero(dones).tolist()}
         fell = dones & ~np.array([info.get("TimeLimit.truncated", False) for info in infos])
         self.sensors.step(merge_rows(rows, finals), fell=fell)
@@ -98,7 +98,7 @@ class VecFootSensors(VecEnvWrapper):
         return batch_truth(self.sensors.truth, self.sensors.drawing)
 
 
-class VecSelfCalibration(VecEnvWrapper):
+class VecSelfCalibration(CalibrationFace, VecEnvWrapper):
     """Calibrate the readings of :class:`VecFootSensors` while the robots move, and observe the result.
 
     Args:
@@ -113,6 +113,8 @@ class VecSelfCalibration(VecEnvWrapper):
         TypeError: If it is not right around :class:`VecFootSensors`.
         ValueError: If the method or an option does not exist, or a value has no meaning.
     """
+
+    venv: VecFootSensors
 
     def __init__(self, venv: VecEnv, method: str = "moment", **options: Any) -> None:
         if not isinstance(venv, VecFootSensors):
