@@ -143,6 +143,43 @@ def test_files_and_freezing_are_those_of_gymnasiums_vectors(method: str, tmp_pat
             env.load(tmp_path / f"{file}.npz")
 
 
+def test_a_seed_given_before_there_were_sensors_seeds_them_as_well() -> None:
+    seen = []
+    for early in (True, False):
+        copies = DummyVecEnv(_functions())
+        if early:
+            copies.seed(3)
+        venv = VecSelfCalibration(VecFootSensors(VecMonitor(copies), measure_state=False))
+        if not early:
+            venv.seed(3)
+        seen.append((venv.reset(), venv.venv.true_parameters()))
+        assert venv.venv.seeds == [3, 4]
+        venv.reset()
+        assert venv.venv.seeds == [None, None]
+    for one, other in zip(*[[*shown.values(), *maps] for shown, maps in seen], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_options_of_one_reset_are_those_of_gymnasiums_vectors() -> None:
+    venv = VecMonitor(VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions()))))
+    feet = venv.venv.venv
+    venv.reset()
+    drawn = feet.true_parameters().scale
+    for options, kept in ((None, True), ({"surefoot": {"sensors": "fresh"}}, False), (None, True)):
+        if options is not None:
+            venv.set_options(options)
+        venv.reset()
+        now = feet.true_parameters().scale
+        assert np.allclose(now, drawn, rtol=1e-3) is kept
+        drawn = now
+    venv.set_options([{"surefoot": {"sensors": "fresh"}}, {"surefoot": {"sensors": "fresh"}, "more": 1}])
+    assert feet.venv._options == [{}, {"more": 1}]
+    with pytest.raises(ValueError, match="the same for all robots"):
+        venv.set_options([{"surefoot": {"sensors": "fresh"}}, {}])
+    with pytest.raises(ValueError, match="must be one of"):
+        venv.set_options({"surefoot": {"sensors": "new"}})
+
+
 def _logged(venv: Any, folder: Any, steps: int = 16) -> dict[str, Any]:
     """Train for one rollout, and return what the logger was told last."""
     model = A2C("MultiInputPolicy", venv, n_steps=steps, seed=0, device="cpu")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
+from surefoot.wrappers.source import OPTIONS, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth
@@ -38,7 +39,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
 
     Attributes:
         sensors: The sensors of all robots.
-        seeds: What the robots were seeded with at the last reset; ``None`` without a seed.
+        seeds: What each robot was seeded with at the last reset; ``None`` without a seed.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -63,19 +64,32 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
             **options,
         )
         super().__init__(venv, observation_space=self.sensors.view.space)
-        self.seeds: Sequence[int | None] | None = None
-        self._next_seeds: Sequence[int | None] | None = None
+        self.seeds: Sequence[int | None] = [None] * venv.num_envs
+        self._asked: Mapping[str, str] = {}
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the environments and the sensors at the next reset."""
-        self._next_seeds = self.venv.seed(seed)
-        return self._next_seeds
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Set the options of the next reset.
+
+        Args:
+            options: Of all robots, or of each. ``options["surefoot"]`` is as of
+                :meth:`VectorFootSensors.reset` and the same for all; the rest is handed to the environments.
+
+        Raises:
+            ValueError: If a choice does not exist, or robots are to differ in it.
+        """
+        each = options if isinstance(options, list) else [options] * self.num_envs
+        rest, asked = zip(*(split_options(own, "sensors", "calibration") for own in each), strict=True)
+        if any(own != asked[0] for own in asked):
+            raise ValueError(f"options['{OPTIONS}'] must be the same for all robots, got {list(asked)}.")
+        self._asked = asked[0]
+        self.venv.set_options([own or {} for own in rest])
 
     def reset(self) -> dict[str, Any]:
         """Reset all robots."""
+        # Kept where robots are gathered until a reset: they may have been seeded before they had sensors.
+        self.seeds, asked, self._asked = list(self.venv.unwrapped._seeds), self._asked, {}
         observations: Any = self.venv.reset()
-        self.seeds, self._next_seeds = self._next_seeds, None
-        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, {})
+        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, asked)
         return self.sensors.show(observations)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
