@@ -32,8 +32,11 @@ FLAGGED: Final = "feet/flagged_channels"
 """Share of channels with any flag, over samples; behind a slash, that with one of them."""
 
 
+_BITS: Final = np.array([sum(Flag), *Flag])
+
+
 class CalibrationLog(BaseCallback):
-    """Log how right the feet are: over all samples of all robots since the logger wrote last.
+    """Log how right the feet are: over all looks at all robots since the logger wrote last.
 
     | Key | Value | Unit |
     |-----|-------|------|
@@ -50,9 +53,19 @@ class CalibrationLog(BaseCallback):
     It goes with :class:`~surefoot.wrappers.vector.sb3.VecSelfCalibration` anywhere among the wrappers, or
     with :class:`~surefoot.wrappers.SelfCalibration` around each copy (without the last sample of an episode).
 
+    Args:
+        every: Looks are this many steps apart, by default ten a second at 80 Hz: each costs time.
+
     Raises:
+        ValueError: If ``every`` is no whole number from 1 on.
         TypeError: As training starts, if nothing calibrates the environment.
     """
+
+    def __init__(self, every: int = 8) -> None:
+        super().__init__()
+        if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+            raise ValueError(f"'every' must be a whole number of steps from 1 on, got {every!r}.")
+        self._every = every
 
     def _on_training_start(self) -> None:
         env = self.training_env
@@ -70,17 +83,25 @@ class CalibrationLog(BaseCallback):
             self._channels = 0
 
     def _on_step(self) -> bool:
-        for estimate, reference, wrench_sole in self._samples():
-            error = estimate.cop - cop_of_feet(wrench_sole, reference.position_sole, reference.R_level_sole)
-            covariance = estimate.cop_covariance
-            variance = np.full(2, np.nan) if covariance is None else np.diagonal(covariance)
-            for place, squares in enumerate((error**2, variance)):
-                if np.isfinite(squares).all():
-                    self._squares[place] += squares.mean(), 1.0
-            raised = estimate.flags[:, None] & [sum(Flag), *Flag]
-            self._flagged += np.count_nonzero(raised, axis=0)
-            self._channels += len(raised)
+        if self.n_calls % self._every or not (samples := list(self._samples())):
+            return True
+        estimates, references, wrenches = zip(*samples, strict=True)
+        position, R = (
+            np.array([getattr(own, name) for own in references]) for name in ("position_sole", "R_level_sole")
+        )
+        error = np.array([own.cop for own in estimates]) - cop_of_feet(np.array(wrenches), position, R)
+        known = np.isfinite(error).all(axis=1)
+        self._add(0, error[known] ** 2)
+        if estimates[0].cop_covariance is not None:
+            covariance = np.array([own.cop_covariance for own in estimates])[known]
+            self._add(1, np.diagonal(covariance, axis1=1, axis2=2))
+        raised = np.concatenate([own.flags for own in estimates])[:, None] & _BITS
+        self._flagged += np.count_nonzero(raised, axis=0)
+        self._channels += len(raised)
         return True
+
+    def _add(self, place: int, squares: NDArray[np.float64]) -> None:
+        self._squares[place] += squares.sum(), squares.size
 
     def _on_rollout_end(self) -> None:
         for name, (total, count) in zip((TRUE_ERROR, STATED_STD), self._squares.tolist(), strict=True):
