@@ -86,7 +86,7 @@ class FeetObserver:
                 "foot_force": spaces.Box(-force_bound, force_bound, (8,), dtype=np.float32),
                 "cop_foot": spaces.Box(-COP_BOUND, COP_BOUND, (2, 2), dtype=np.float32),
                 "cop": spaces.Box(-COP_BOUND, COP_BOUND, (2,), dtype=np.float32),
-                "cop_valid": spaces.MultiBinary(3),
+                "cop_valid": spaces.Box(0.0, 1.0, (3,), np.float32),
             }
         )
         self._cop: list[list[Number]] = [[0.0, 0.0] for _ in range(3)]
@@ -133,7 +133,7 @@ class FeetObserver:
             "foot_force": force,
             "cop_foot": m.array([_bounded(place, m) for place in self._cop[1:]], dtype=np.float32),
             "cop": m.array(_bounded(self._cop[0], m), dtype=np.float32),
-            "cop_valid": m.array(valid, dtype=np.int8),
+            "cop_valid": m.array(valid, dtype=np.float32),
         }, {"cop_world": m.array([x, y]), "cop_valid": m.array(valid)}
 
     def _state(

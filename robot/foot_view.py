@@ -92,7 +92,7 @@ class FootView:
             "foot_load": box(-force / self.weight, force / self.weight, (channels,), np.float32),
             "cop_foot": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
             "cop": box(-COP_BOUND, COP_BOUND, (2,), np.float32),
-            "cop_valid": spaces.MultiBinary(1 + feet),
+            "cop_valid": box(0.0, 1.0, (1 + feet,), np.float32),
             "wrench": box(-force, force, (feet, 6), np.float32),
             "vgrf": box(-force, force, (feet,), np.float32),
             "foot_force_std": box(0.0, force, (channels,), np.float32),
@@ -148,7 +148,7 @@ class FootView:
             case "cop":
                 return held[..., 4:6].astype(np.float32)
             case "cop_valid":
-                return valid.astype(np.int8)
+                return valid.astype(np.float32)
             case "cop_std":
                 return held[..., 6:].astype(np.float32)
             case "foot_flags":

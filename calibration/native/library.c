@@ -158,8 +158,7 @@ static const place places[] = {
     PLACE(view, flawed, "int"),
 
     SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
-    SHOWN(foot_force_std), SHOWN(cop_std), PLACE(shown, foot_flags, "int"),
-    PLACE(shown, cop_valid, "small"),
+    SHOWN(foot_force_std), SHOWN(cop_std), SHOWN(cop_valid), PLACE(shown, foot_flags, "int"),
 
     WHOLE_OF(told), {"told", "belief", "", offsetof(sf_told, belief), sizeof(sf_belief)},
     {"told", "estimate", "", offsetof(sf_told, estimate), sizeof(sf_estimate)},

@@ -34,7 +34,7 @@ def make(**changes):
 
 def look(seed=0):
     rng = np.random.default_rng(seed)
-    return {"state": rng.normal(size=5), "cop": rng.normal(size=2), "cop_valid": np.ones(3, np.int8)}
+    return {"state": rng.normal(size=5), "cop": rng.normal(size=2), "cop_valid": np.ones(3, np.float32)}
 
 
 def test_a_file_gives_the_same_policy_back(tmp_path):
@@ -90,7 +90,7 @@ def test_it_refuses_another_observation():
     box = {
         "state": spaces.Box(-1, 1, (5,)),
         "cop": spaces.Box(-1, 1, (2,)),
-        "cop_valid": spaces.MultiBinary(3),
+        "cop_valid": spaces.Box(0.0, 1.0, (3,)),
     }
     motors = spaces.Box(-1, 1, (11,))
     policy.fits(spaces.Dict(box), motors)

@@ -1,6 +1,7 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
 import numpy as np
@@ -13,7 +14,7 @@ from surefoot.envs.instrumentation.truth import mean_truth
 from surefoot.envs.numbers import MANY
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
-from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
 from surefoot.sensors import Encoders, Fault, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
@@ -197,6 +198,23 @@ class BatchSensors:
         maps = [robot.true_parameters() for robot in self.robots]
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what all robots' hardware keeps, as :meth:`FootSensors.save` does of one.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+        """
+        save_hardware(path, self.robots)
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+            ValueError: If the file is of other or of more robots, or of other sensors.
+        """
+        load_hardware(path, self.robots)
+
     def _look(self, rows: Floats) -> list[Any]:
         """Keep what each robot plans, and return what happened to it."""
         self._rows, feet = rows, self._meaning.feet
@@ -211,6 +229,28 @@ class BatchSensors:
         """Return what the simulator read in each substep, shape (N, S, columns)."""
         meaning = self._meaning
         return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
+
+
+class SensorsFace:
+    """What wrappers of :class:`BatchSensors` hand on.
+
+    Attributes:
+        sensors: The sensors of all robots.
+    """
+
+    sensors: BatchSensors
+
+    def true_parameters(self) -> Parameters:
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        return self.sensors.true_parameters()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""
+        self.sensors.save(path)
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the hardware of a file, as :meth:`BatchSensors.load` does."""
+        self.sensors.load(path)
 
 
 def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:

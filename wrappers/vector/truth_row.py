@@ -163,7 +163,7 @@ class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
         batch: Any = env.unwrapped
-        self._robots = batch.robots
+        self._batch, self._robots = batch, batch.robots
         self._row = TruthRow(batch.envs[0])
         self.single_observation_space = self._row.observation_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -181,7 +181,13 @@ class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step all robots."""
         observations, *paid, infos = self.env.step(actions)
-        return self._row.show(observations, self._robots), *paid, _without_truth(infos)
+        infos = _without_truth(infos)
+        if self._batch.ended:
+            finals = infos["final_obs"].copy()
+            for robot, ended in self._batch.ended.items():
+                finals[robot] = self._row.show(finals[robot], ended)
+            infos |= {"final_obs": finals, "final_info": _without_truth(infos["final_info"])}
+        return self._row.show(observations, self._robots), *paid, infos
 
 
 def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:
