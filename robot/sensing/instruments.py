@@ -88,7 +88,7 @@ class CellsUnderFeet:
             FootLayout.load_cells(
                 name, places[i], mass_below=float(below.mass[i]), com_below_sole=below.com_sole[i]
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
         self._device = load_cells(config)
 
@@ -159,7 +159,7 @@ class SensorsInAnkles:
                 mass_below=float(below.mass[i]),
                 com_below_sole=below.com_sole[i],
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
         self.preload = np.concatenate([_weight(foot) for foot in self.feet])
         self._device = force_torque(config)
@@ -256,7 +256,7 @@ class Instruments:
         self.layout = FeetLayout(
             tuple(
                 foot[0] if self._one else FootLayout.combined(name, *foot)
-                for name, foot in zip(drawing.feet, feet, strict=True)
+                for name, foot in zip(drawing.sides, feet, strict=True)
             )
         )
         self.nominal = self._parameters([part.nominal for part in self.parts])
