@@ -97,7 +97,9 @@ class CalibrationSetup:
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
         self.options = (
-            {"age": instruments.ages.tolist()} | layout_options(self.layout, drawing, self.method) | options
+            {"age": instruments.ages.tolist(), "gravity": drawing.gravity}
+            | layout_options(self.layout, drawing, self.method)
+            | options
         )
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
@@ -117,7 +119,7 @@ class CalibrationSetup:
 
     def view(self) -> FootView:
         """Make what shows the feet of one robot."""
-        return FootView(self.show, self.layout, self.mass, self.drawing.flaw)
+        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, self.drawing.gravity)
 
 
 class RobotCalibration:

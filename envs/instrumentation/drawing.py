@@ -76,9 +76,14 @@ class RobotDrawing:
 
     @functools.cached_property
     def weight(self) -> float:
-        """Weight of all that hangs on the torso in N, at 9.81 m/s^2."""
+        """Weight of all that hangs on the torso in its world in N."""
         model = self.spec().compile()
-        return 9.81 * float(model.body_subtreemass[model.body(self.torso).id])
+        return self.gravity * float(model.body_subtreemass[model.body(self.torso).id])
+
+    @functools.cached_property
+    def gravity(self) -> float:
+        """Acceleration of free fall in the robot's world in m/s^2."""
+        return float(np.linalg.norm(self.spec().option.gravity))
 
     def spec(self) -> mujoco.MjSpec:
         """Read the skeleton afresh, to perturb in memory and then ``compile()``."""

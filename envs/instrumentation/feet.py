@@ -18,11 +18,12 @@ SAME_HEIGHT: Final = 0.1
 """Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
 
 BEARS: Final = 0.01
-"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1 cm on a
-person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
+"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1 cm on
+a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
 
 SHORT: Final = 0.5
-"""Greatest distance of a foot's bodies as a share of the torso's height: of a robot that lies, all would be."""
+"""Greatest distance of a foot's bodies, a share of the torso's height: of a robot that lies, all bodies are
+on the ground."""
 
 SETTLING: Final = 0.15
 """Time in s in which a robot that is put on the ground comes to rest; its load is averaged as long again."""
@@ -230,7 +231,7 @@ def _floor(
         return float(data.geom_xpos[planes][:, 2].max())
     if not fixed.any():
         return None
-    hit, above = np.full(1, -1, dtype=np.int32), place + (0.0, 0.0, 0.5)
+    hit, above = np.full(1, -1, dtype=np.int32), place + np.array([0.0, 0.0, 0.5])
     down = mujoco.mj_ray(model, data, above, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
     return float(above[2] - down) if hit[0] >= 0 and fixed[hit[0]] else None
 

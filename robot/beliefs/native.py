@@ -48,7 +48,7 @@ class NativeBeliefs:
         needed, window = planned_window(beliefs._lag)
         timing = {
             "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs._dt,
-            "period": beliefs._period, "delay": beliefs._delay,
+            "period": beliefs._period, "delay": beliefs._delay, "gravity": self.model.gravity,
         }  # fmt: skip
         joints = beliefs._layout.joint_position.stop
         shapes = {

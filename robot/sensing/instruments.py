@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
+from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
@@ -161,7 +161,7 @@ class SensorsInAnkles:
             )
             for i, name in enumerate(drawing.sides)
         )
-        self.preload = np.concatenate([_weight(foot) for foot in self.feet])
+        self.preload = np.concatenate([_weight(foot, drawing.gravity) for foot in self.feet])
         self._device = force_torque(config)
 
     def init(self, rng: Rng) -> ForceTorqueState:
@@ -389,9 +389,9 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
     return options | {"foot_length": length}
 
 
-def _weight(foot: FootLayout) -> Floats:
+def _weight(foot: FootLayout, gravity: float) -> Floats:
     """Weight of a level foot in its sensor's frame, upwards, shape (6,)."""
     sensor = foot.sensors[0]
-    load = np.array([0.0, 0.0, sensor.mass_below * GRAVITY])
+    load = np.array([0.0, 0.0, sensor.mass_below * gravity])
     wrench_sole = np.concatenate([load, np.cross(sensor.com_below_sole, load)])
     return np.linalg.solve(sensor.wrench_map, wrench_sole)
