@@ -41,8 +41,8 @@ class FootCalibrator:
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
             telemetry that comes 20 ms late, 0 without delay.
-        options: ``gravity`` in m/s^2 where it is not 9.81, further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
-            method.
+        options: ``gravity`` in m/s^2 where it is not 9.81, and further fields of
+            :class:`~surefoot.calibration.online.OnlineSetup` and options of the method.
 
     Raises:
         ValueError: If the method or an option does not exist, or a value has no meaning.

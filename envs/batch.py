@@ -134,7 +134,7 @@ class BatchVectorEnv(SyncVectorEnv):
                 self.envs[i].reset()
             self._begin(starting)
         observation, truth = self._observe()
-        terms = robots._reward(truth, residual)
+        terms = robots._paid(truth, residual)
         rewards = np.where(stepping, sum(terms.values()), 0.0)
         terminated = robots._fallen() & stepping
         truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)

@@ -115,6 +115,12 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         raise NotImplementedError
 
+    def _paid(self, truth: dict[str, Any], residual: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the terms of a reward, each 0 where a simulation that blew up makes it no number."""
+        where = self._numbers.where
+        terms = self._reward(truth, residual)
+        return {name: where(abs(term) < np.inf, term, 0.0) for name, term in terms.items()}
+
     def _reward(
         self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
@@ -216,7 +222,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         rows[-1] = sensordata
 
         observation, truth = self._observe(rows, qvel)
-        terms = self._reward(truth, residual)
+        terms = self._paid(truth, residual)
         truncated = self._steps is not None and self._tick >= self._steps
         info = {"surefoot": {"truth": truth}, **terms}
         return observation, sum(terms.values()), self._fallen(), truncated, info

@@ -97,8 +97,8 @@ def measure_robot(
 
     Raises:
         TypeError: If ``feet`` is a single name.
-        ValueError: If feet cannot be found, cannot touch or have no name, a layout is wrong, or gravity is not
-            along -z.
+        ValueError: If feet cannot be found, cannot touch or have no name, a layout is wrong, or gravity
+            does not point along -z.
     """
     bodies = find_feet(model, data, feet)
     geometry = tuple(measure_foot(model, data, body) for body in bodies)

@@ -43,7 +43,8 @@ def planned_window(lag: int) -> tuple[int, int]:
 
 
 LEANING = 0.4
-"""Mean believed acceleration as a share of gravity from which a robot is not upright: half a radian off the vertical."""
+"""Mean believed acceleration as a share of gravity from which a robot is not upright: half a radian off
+the vertical."""
 
 LEAN_TIME = 0.25
 """Time constant in s of that mean, longer than a push or a landing."""

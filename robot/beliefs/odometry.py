@@ -28,7 +28,8 @@ REST_TIME = 10.0
 faster: what is left is the accelerometer's bias."""
 
 FREE_FALL = 0.5
-"""Specific force as a share of gravity below which a robot falls freely, which says nothing of an accelerometer's bias."""
+"""Specific force as a share of gravity below which a robot falls freely, which says nothing of an
+accelerometer's bias."""
 
 SOLE_HEIGHT = 0.003
 """Height in m above the lower sole at which the other one no longer shows what is level."""
