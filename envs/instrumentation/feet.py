@@ -313,7 +313,11 @@ def pose_name(model: mujoco.MjModel) -> str:
 
 def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
     """Order a pair as left and right, by names before places; empty if neither decides."""
-    sides = [_side(model.body(body).name) for body in pair]
+    names = [model.body(body).name for body in pair]
+    sides = [_side(name) for name in names]
+    differ = [a + b for a, b in zip(*names, strict=False) if a != b]
+    if len(names[0]) == len(names[1]) and len(differ) == 1 and differ[0].lower() in ("lr", "rl"):
+        sides = [1, -1] if differ[0][0].lower() == "l" else [-1, 1]
     if set(sides) in ({1, -1}, {1, 0}, {-1, 0}):
         return tuple(pair) if sides[0] > sides[1] else tuple(reversed(pair))
     root = int(model.body_rootid[pair[0]])
