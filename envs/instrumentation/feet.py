@@ -17,9 +17,9 @@ STANDING: Final = ("home", "stand", "standing")
 SAME_HEIGHT: Final = 0.1
 """Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
 
-BEARS: Final = 0.01
-"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1 cm on
-a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
+BEARS: Final = 0.015
+"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1.4 cm
+on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
 
 SHORT: Final = 0.5
 """Greatest distance of a foot's bodies, a share of the torso's height: of a robot that lies, all bodies are

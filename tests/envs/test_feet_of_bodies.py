@@ -27,14 +27,16 @@ def biped(foot: str, gravity: str = "0 0 -9.81", more: str = "") -> str:
     """Write a robot of 6.4 kg or so whose knees and ankles are stiff springs."""
     legs = "".join(
         f'<body name="{s}_thigh" pos="0 {y} 0"><joint name="{s}_hip" axis="0 1 0" stiffness="900"/>{BALL}'
-        f'<body name="{s}_foot" pos="0 0 -.25"><joint name="{s}_ankle" axis="0 1 0" stiffness="900"/>{foot.replace("SIDE", s)}'
+        f'<body name="{s}_foot" pos="0 0 -.25"><joint name="{s}_ankle" axis="0 1 0" stiffness="900"/>'
+        f"{foot.replace('SIDE', s)}"
         "</body></body>"
         for s, y in (("left", 0.06), ("right", -0.06))
     )
     return (
         f'<mujoco><option gravity="{gravity}"/><default><joint damping="9"/></default><worldbody>'
         '<geom type="plane" size="3 3 .1"/><body name="torso" pos="0 0 .26"><freejoint/>'
-        f'<geom type="box" size=".05 .08 .08" pos="0.01 0 .1" mass="5"/>{more}{legs}</body></worldbody></mujoco>'
+        f'<geom type="box" size=".05 .08 .08" pos=".01 0 .1" mass="5"/>{more}{legs}'
+        "</body></worldbody></mujoco>"
     )
 
 
@@ -45,11 +47,17 @@ def test_all_bodies_of_a_foot_bear_its_load(kind):
     assert [foot.body for foot in made.feet] == ["left_foot", "right_foot"]
     model = made.spec.compile()
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, 600)
+    mujoco.mj_step(model, data, 60)
     mujoco.mj_forward(model, data)
     force = made.read(model, data).force_world[..., 2]
+    ground, wrench = 0.0, np.zeros(6)
+    for k in range(data.ncon):
+        assert 0 in data.contact.geom[k]
+        mujoco.mj_contactForce(model, data, k, wrench)
+        ground += wrench[0]
     weight = 9.81 * model.body_subtreemass[1]
-    assert force.sum() == pytest.approx(weight, rel=0.01)
+    assert force.sum() == pytest.approx(ground, rel=1e-9)
+    assert ground > 0.5 * weight
     beside = FeetReader(model, data).now()
     np.testing.assert_allclose(beside.force_world[0, :, 2], force, rtol=1e-9)
     np.testing.assert_allclose(beside.wrench_sole[0], made.read(model, data).wrench_sole, atol=1e-6 * weight)
@@ -88,6 +96,7 @@ def test_a_simulation_that_blows_up_goes_on_without_a_sample():
     assert np.isfinite(env.env.raw).all()
 
 
+@pytest.mark.filterwarnings("ignore:.*observation space")
 @pytest.mark.parametrize("bad", [np.nan, 7e11])
 def test_no_reward_is_nan(bad):
     """A task whose simulation blows up pays a finite reward, and the episode ends."""
@@ -95,4 +104,5 @@ def test_no_reward_is_nan(bad):
     env.reset(seed=2)
     env.unwrapped.data.qvel[10] = bad
     _, reward, terminated, _, _ = env.step(np.zeros(env.action_space.shape, np.float32))
-    assert np.isfinite(reward) and terminated
+    assert np.isfinite(reward)
+    assert terminated
