@@ -2,8 +2,8 @@
 
 Each robot is given as an MJCF file, ``module:file`` inside an installed package, or the name of an
 environment that runs on MuJoCo. It is put into its standing pose, falls onto its feet with its actuators at
-zero or at its keyframe's controls, and is compared for some hundred steps: the feet's vertical force by the sensors in its
-model and by what is computed beside it, against the sum of all contacts of what hangs on the feet's ankles.
+zero or at its keyframe's controls, and is compared for some hundred steps: the feet's vertical force by the
+sensors in its model and by what is computed beside it, against the sum of all contacts of the feet.
 
     python benchmarks/robots_feet.py scene.xml dm_control:suite/humanoid_CMU.xml Humanoid-v5
 
