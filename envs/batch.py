@@ -152,7 +152,7 @@ class BatchVectorEnv(SyncVectorEnv):
         if who is not None:
             self._restart(starting)
         observation, pressed, truth = self._observe()
-        terms = robots._reward(pressed, residual)
+        terms = robots._pay(pressed, residual)
         rewards = np.where(stepping, sum(terms.values()), 0.0)
         terminated = robots._fallen() & stepping
         truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)

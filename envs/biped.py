@@ -116,6 +116,12 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         raise NotImplementedError
 
+    def _pay(self, pressed: dict[str, Any], residual: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the terms of a reward, each 0 where a simulation that blew up makes it no number."""
+        where = self._numbers.where
+        terms = self._reward(pressed, residual)
+        return {name: where(abs(term) < np.inf, term, 0.0) for name, term in terms.items()}
+
     def _reward(
         self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
@@ -222,7 +228,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         rows[-1] = sensordata
 
         observation, pressed, truth = self._observe(rows, qvel)
-        terms = self._reward(pressed, residual)
+        terms = self._pay(pressed, residual)
         truncated = self._steps is not None and self._tick >= self._steps
         info = {"surefoot": {"truth": truth}, **terms}
         return observation, sum(terms.values()), self._fallen(), truncated, info

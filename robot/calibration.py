@@ -112,7 +112,11 @@ class CalibrationSetup:
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
-        usual = {"age": instruments.ages.tolist(), "force_threshold": contact_force(drawing.weight)}
+        usual = {
+            "age": instruments.ages.tolist(),
+            "gravity": drawing.gravity,
+            "force_threshold": contact_force(drawing.weight),
+        }
         if equipment.seldom and self.method == "moment":
             usual |= ALIASED
         self.options = usual | layout_options(self.layout, drawing, self.method) | options
@@ -134,7 +138,7 @@ class CalibrationSetup:
 
     def view(self) -> FootView:
         """Make what shows the feet of one robot."""
-        return FootView(self.show, self.layout, self.mass, self.drawing.flaw)
+        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, self.drawing.gravity)
 
 
 class RobotCalibration:

@@ -60,6 +60,7 @@ class FootView:
         layout: The feet and their channels.
         mass: Mass that the robot believes it has in kg, for the bounds.
         flaw: Why the feet have no centres of pressure, or empty.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         spaces: The space of each part that is calibrated.
@@ -79,13 +80,14 @@ class FootView:
         layout: FeetLayout,
         mass: float,
         flaw: str = "",
+        gravity: float = GRAVITY,
     ) -> None:
         check_parts(parts)
         self.parts = tuple(part for part in parts if part != RAW)
         self.flawed = bool(flaw)
         channels, feet = layout.channels, len(layout.feet)
-        force = max(FORCE_BOUND, 5.0 * mass * GRAVITY)
-        self.force_bound, self.weight = force, mass * GRAVITY
+        force = max(FORCE_BOUND, 5.0 * mass * gravity)
+        self.force_bound, self.weight = force, mass * gravity
         box = spaces.Box
         self.every: dict[str, spaces.Space[Any]] = {
             "foot_force": box(-force, force, (channels,), np.float32),

@@ -150,13 +150,16 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return self._show(observation) if seen is None else seen, info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment and read the sensors."""
+        """Step the environment and read the sensors; no sample arrives of a simulation that blew up."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         truth, robot = self.source.truth, self.robot
         before, self._clock = self._clock, truth.time.item(-1)
-        if before is not None:
-            check_clock("FootSensors", self.env, self._clock - before, robot.telemetry.dt)
+        blown_up = before is not None and check_clock(
+            "FootSensors", self.env, self._clock - before, robot.telemetry.dt, self.source
+        )
         seen = robot.step(truth, observation)
+        if blown_up:
+            robot.raw[:] = np.nan
         if seen is None:
             seen = self._show(observation)
         return seen, reward, terminated, truncated, info

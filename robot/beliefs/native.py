@@ -49,6 +49,7 @@ class NativeBeliefs:
         timing = {
             "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs._dt,
             "period": beliefs._period, "delay": beliefs._delay, "joined": beliefs._join,
+            "gravity": self.model.gravity,
         }  # fmt: skip
         joints = beliefs._layout.joint_position.stop
         shapes = {

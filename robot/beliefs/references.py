@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Reference
+from surefoot.calibration import Reference
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -98,12 +98,16 @@ class Beliefs:
         self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
         self._ring = np.zeros((HISTORY, ROWS, 3))
         self._local = np.zeros((FORCE + 1, 3))
-        self._odometry = Odometry(self._period)
+        self._odometry = Odometry(self._period, model.gravity)
         self._last: Packet | None = None
         self._run = 0
         self._clock, self._seen = 0.0, 0
         self._lag, self._dt = lag, dt
-        self._plan, self._kinematics, self._upright = Plan(lag), Kinematics(), Upright(dt)
+        self._plan, self._kinematics, self._upright = (
+            Plan(lag),
+            Kinematics(model.gravity),
+            Upright(dt, model.gravity),
+        )
         self.believed = nothing(2)
 
     def begun(self) -> "Beliefs":
@@ -209,7 +213,7 @@ class Beliefs:
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
         acceleration = row[FORCE] + (bent[COM] - bent[IMU]) / period**2
-        acceleration[2] -= GRAVITY
+        acceleration[2] -= self.model.gravity
         row[ACCELERATION] = acceleration
         row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
 

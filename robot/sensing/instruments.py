@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
+from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
@@ -88,7 +88,7 @@ class CellsUnderFeet:
             FootLayout.load_cells(
                 name, places[i], mass_below=float(below.mass[i]), com_below_sole=below.com_sole[i]
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
         self._device = load_cells(config)
 
@@ -161,9 +161,9 @@ class SensorsInAnkles:
                 mass_below=float(below.mass[i]),
                 com_below_sole=below.com_sole[i],
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
-        self.preload = np.concatenate([_weight(foot) for foot in self.feet])
+        self.preload = np.concatenate([_weight(foot, drawing.gravity) for foot in self.feet])
         self._device = force_torque(config)
 
     def init(self, rng: Rng) -> ForceTorqueState:
@@ -259,7 +259,7 @@ class Instruments:
         self.layout = FeetLayout(
             tuple(
                 foot[0] if self._one else FootLayout.combined(name, *foot)
-                for name, foot in zip(drawing.feet, feet, strict=True)
+                for name, foot in zip(drawing.sides, feet, strict=True)
             )
         )
         self.nominal = self._parameters([part.nominal for part in self.parts])
@@ -392,9 +392,9 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
     return options | {"foot_length": length}
 
 
-def _weight(foot: FootLayout) -> Floats:
+def _weight(foot: FootLayout, gravity: float) -> Floats:
     """Weight of a level foot in its sensor's frame, upwards, shape (6,)."""
     sensor = foot.sensors[0]
-    load = np.array([0.0, 0.0, sensor.mass_below * GRAVITY])
+    load = np.array([0.0, 0.0, sensor.mass_below * gravity])
     wrench_sole = np.concatenate([load, np.cross(sensor.com_below_sole, load)])
     return np.linalg.solve(sensor.wrench_map, wrench_sole)

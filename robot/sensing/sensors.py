@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, foot_device
@@ -164,7 +164,7 @@ class Equipment:
     def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
         if not isinstance(given, str):
             return resolve(given, Fault)
-        return parse_fault(given, self.drawing.feet, self.instruments.layout.feet[0].channel_names)
+        return parse_fault(given, self.drawing.sides, self.instruments.layout.feet[0].channel_names)
 
 
 def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
@@ -238,7 +238,7 @@ class RobotSensors:
         if self.sensors_fresh:
             self._draw()
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
-        at_rest = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
+        at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
         sensing = self._by_library(truth)
         read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
         if read is not None:

@@ -125,7 +125,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         observation, reward, terminated, truncated, info = self.env.step(action)
         before, self._clock = self._clock, float(self._source.truth.time[-1])
         if before is not None:
-            check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt)
+            check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt, self._source)
         return self.show(observation, self._source), reward, terminated, truncated, self._info(info)
 
     def begin(self, source: Any) -> None:
