@@ -113,8 +113,10 @@ class CellsUnderFeet:
         return load
 
     def force(self, truth: Any) -> Floats:
-        """Return the true forces at the end of a control step in N, shape (K,)."""
-        force: Floats = truth.force_cell[-1].copy()
+        """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
+        force: Floats = (
+            truth.force_cell[-1] + 0.0 if self.config.rate is None else truth.force_cell.mean(axis=0)
+        )
         return force
 
     def true_map(self, state: LoadCellState) -> Parameters:
@@ -189,9 +191,8 @@ class SensorsInAnkles:
         return load.ravel()
 
     def force(self, truth: Any) -> Floats:
-        """Return the true loads at the end of a control step in N and N m, shape (K,)."""
-        force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
-        return force
+        """Return the true loads of a control step in N and N m, the mean for sensors that average, (K,)."""
+        return self.load(truth) + self.preload
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
         """Return the map that undoes each axis's own errors now; cross-talk is left out."""
