@@ -5,7 +5,7 @@ from os import PathLike
 from typing import Any, Unpack
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -17,12 +17,12 @@ from surefoot.robot.sensing.sensors import load_hardware, save_hardware
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth
-from surefoot.wrappers.vector.truth_row import VectorTruthRow
+from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
 Infos = dict[str, Any]
 
 
-class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorFootSensors(AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around
