@@ -5,7 +5,6 @@ import pickle
 import subprocess
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
@@ -16,7 +15,6 @@ from surefoot.sensors.native import NATIVE
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Hardware, Telemetry
 from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState, telemetry_of
-from surefoot.wrappers import FootSensors
 
 STEPS, EXCHANGE, BLOWN_UP, CLOSE = 2000, 1234, 1000, 1e-9
 
@@ -193,6 +191,9 @@ def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
 
 def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
     """Copied and pickled on the way, as vector environments and checkpoints do."""
+    gym = pytest.importorskip("gymnasium", reason="a robot needs the extra 'sim'")
+    from surefoot.wrappers import FootSensors
+
     seen = []
     for found in (None, library):
         monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
