@@ -162,11 +162,10 @@ $(CORE)/.made: $(SOURCES) | $(CORE)/bin/python $(NEEDS_UV)
 	$(call install,$(CORE)) -c constraints.txt -e '.[test]'
 	touch $@
 
-# array-api-compat is for Gymnasium's tensors, whose own extra asks for a newer NumPy.
 $(LOWEST)/.made: $(SOURCES) | $(LOWEST)/bin/python $(UV)
 	$(call torch_by_pip,$(LOWEST))
 	$(UV) pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
-		-e '.[rl,icub,robots,experiments,ros,view,test]' 'array-api-compat>=1.11'
+		-e '.[rl,icub,robots,experiments,ros,view,test]'
 	touch $@
 
 clean:

@@ -245,6 +245,7 @@ def test_gymnasiums_wrappers_go_around(wrap: Any) -> None:
 
 
 def test_tensors_go_in_and_come_out() -> None:
+    pytest.importorskip("array_api_compat", reason="needs gymnasium[torch]")
     env = wrappers.NumpyToTorch(calibrated(humanoid(), ANKLES))
     env.reset(seed=0)
     observation, *_, info = env.step(torch.zeros(17))
@@ -260,6 +261,7 @@ def many(around: Any = None) -> Any:
 
 
 def test_infos_of_many_become_a_list_and_tensors() -> None:
+    pytest.importorskip("array_api_compat", reason="needs gymnasium[torch]")
     plain, listed, tensors = many(), many(wrappers.vector.DictInfoToList), many(wrappers.vector.NumpyToTorch)
     for envs in (plain, listed, tensors):
         envs.reset(seed=0)
