@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 from surefoot.controllers.policy import FORMAT, PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
@@ -81,6 +80,7 @@ def test_a_posture_is_a_leaky_integral_and_stays_within_its_bounds():
 
 
 def test_it_refuses_another_observation():
+    spaces = pytest.importorskip("gymnasium", reason="spaces are Gymnasium's").spaces
     policy = make()
     with pytest.raises(ValueError, match=r"lacks \['cop', 'cop_valid'\].*SelfCalibration"):
         policy({"state": np.zeros(5), "foot_raw": np.zeros(8)})

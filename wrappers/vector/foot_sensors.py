@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -13,12 +13,12 @@ from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
-from surefoot.wrappers.vector.truth_row import VectorTruthRow
+from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
 Infos = dict[str, Any]
 
 
-class VectorFootSensors(SensorsFace, VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorFootSensors(SensorsFace, AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from surefoot.wrappers.source import find_sensors
 from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
 from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
+from surefoot.wrappers.vector.truth_row import AnyVectorWrapper
 
 
-class VectorSelfCalibration(CalibrationFace, VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
     The observation loses ``"foot_raw"`` and gains what ``show`` names, ``infos["surefoot"]`` gains

@@ -8,7 +8,7 @@ sees it.
 The row is what the simulator's sensors read at each substep; what it means is worked out where it is read.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -23,6 +23,11 @@ from surefoot.envs.instrumentation.truth import FootPlaces, foot_places
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
+
+if TYPE_CHECKING:
+    AnyVectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
+else:  # before Gymnasium 1.4 the class takes no types
+    AnyVectorWrapper = VectorWrapper
 
 NO_PLAN = -1.0
 """What the row holds for feet planned to stand and to swing, 0 or 1, where nobody plans."""
@@ -150,7 +155,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         return info if self._keep_info else _without_truth(info)
 
 
-class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorTruthRow(AnyVectorWrapper):
     """Put the rows of truth of a :class:`~surefoot.envs.batch.BatchVectorEnv` beside its observations.
 
     They are those of :class:`TruthRow` around each robot. ``VectorFootSensors`` puts this wrapper around such
