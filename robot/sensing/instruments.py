@@ -192,7 +192,8 @@ class SensorsInAnkles:
 
     def force(self, truth: Any) -> Floats:
         """Return the true loads of a control step in N and N m, the mean for sensors that average, (K,)."""
-        return self.load(truth) + self.preload
+        force: Floats = self.load(truth) + self.preload
+        return force
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
         """Return the map that undoes each axis's own errors now; cross-talk is left out."""
