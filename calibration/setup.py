@@ -42,11 +42,14 @@ class OnlineMethod(NamedTuple):
         retract: ``retract(state) -> state`` takes back what was learnt in the last seconds, as something
             happened to the robot that began before it was noticed, such as a fall. Methods that remember no
             earlier state leave theirs as it is.
+        limits: Least and greatest value that leaves of the state can have, by the last part of their names; a
+            saved state beyond them is refused (:func:`surefoot.calibration.state.load_state`).
     """
 
     init: Callable[[Array], Any]
     update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
     retract: Callable[[Any], Any] = lambda state: state
+    limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,6 +88,10 @@ class OnlineSetup:
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
+        if not isinstance(self.layout, FeetLayout):
+            raise TypeError(
+                f"'layout' must be a FeetLayout, got {self.layout!r} of {type(self.layout).__name__}."
+            )
         check_positive(self, "mass", "dt", "plausible_weights")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
@@ -152,11 +159,15 @@ def setup_from_options(
     setup = OnlineSetup(
         layout=layout,
         mass=mass,
-        initial=Parameters(np.ones(layout.channels), np.zeros(layout.channels))
-        if initial is None
-        else initial,
+        initial=_newtons(layout) if initial is None else initial,
         dt=dt,
         lag=lag,
         **{name: options[name] for name in own},
     )
     return setup, {name: value for name, value in options.items() if name not in own}
+
+
+def _newtons(layout: FeetLayout) -> Parameters:
+    """Return the map of readings that are newtons."""
+    channels = getattr(layout, "channels", 0)  # of what is no layout the setup says so
+    return Parameters(np.ones(channels), np.zeros(channels))

@@ -36,7 +36,7 @@ from surefoot.experiments.logs.contacts import contacts
 from surefoot.experiments.logs.description import Description, describe
 from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
-from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.files import atomic_path, write_text
 
 METADATA_KEY = b"surefoot"
 MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more

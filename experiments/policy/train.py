@@ -23,7 +23,7 @@ from surefoot.experiments.policy.export import network_of
 from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.policy.view import PolicyView, make_task
-from surefoot.experiments.study.files import atomic_path, locked, write_text
+from surefoot.files import atomic_path, locked, write_text
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""

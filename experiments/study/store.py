@@ -14,9 +14,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from surefoot.experiments.study.files import locked, write_text
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
+from surefoot.files import locked, write_text
 
 JOURNAL, PLAN = "journal.jsonl", "study.json"
 

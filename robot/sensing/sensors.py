@@ -392,7 +392,7 @@ def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
     Raises:
         RuntimeError: If nothing was drawn yet.
     """
-    save_state(path, _together(robots), **robots[0].notes())
+    save_state(path, _together(robots), finite=False, **robots[0].notes())
 
 
 def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
@@ -402,7 +402,7 @@ def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
         RuntimeError: If nothing was drawn yet.
         ValueError: If the file is of another robot, or of other sensors.
     """
-    found = load_state(path, _together(robots), **robots[0].notes())
+    found = load_state(path, _together(robots), finite=False, **robots[0].notes())
     for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
         robot.exchange(hardware)
 
