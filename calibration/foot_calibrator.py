@@ -188,7 +188,7 @@ class FootCalibrator:
         """
         if self._state is None:
             raise RuntimeError("There is nothing to save before the first update().")
-        save_state(path, self.state, limits=self.limits, **self._notes())
+        save_state(path, self.state, self.limits, **self._notes())
 
     def load(self, path: str | PathLike[str]) -> None:
         """Go on from a file that :meth:`save` wrote, bit for bit.
@@ -199,7 +199,7 @@ class FootCalibrator:
                 what no state can; what was learnt is as it was.
         """
         fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
-        self._state = load_state(path, fresh, limits=self.limits, **self._notes())
+        self._state = load_state(path, fresh, self.limits, **self._notes())
 
     def _fresh_state(self, raw: NDArray[np.float64]) -> Any:
         """Return a state in which nothing was learnt."""

@@ -25,7 +25,12 @@ def method_name(name: str) -> str:
     """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
 
     That of a user's method keeps its module, ``"module:name"``, which other processes need.
+
+    Raises:
+        TypeError: If it is no name.
     """
+    if not isinstance(name, str):
+        raise TypeError(f"'method' must be a name, such as 'moment', got {name!r} of {type(name).__name__}.")
     if name not in OLD_NAMES:
         return name
     today = OLD_NAMES[name]

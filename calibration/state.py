@@ -9,6 +9,7 @@ a method states of its numbers.
 """
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -26,22 +27,20 @@ Limits = Mapping[str, tuple[ArrayLike, ArrayLike]]
 LARGEST = 2.0**53
 """Magnitude beyond which a float64 cannot tell one count from the next: no number of a robot is there."""
 
+_NO_LIMITS: Limits = MappingProxyType({})
 _FLAGS: Limits = {"status": (0, ALL_FLAGS), "kind": (0, ALL_FLAGS)}
-_ROOM = 2**20
-"""Bytes of a file besides the state: notes, names and headers."""
+_ROOM, _HEADER = 2**20, 256
+"""Bytes of a file besides the numbers: notes, and what an array says of itself."""
 
 
-def save_state(
-    path: AnyPath, state: Any, *, limits: Limits | None = None, finite: bool = True, **notes: str
-) -> None:
+def save_state(path: AnyPath, state: Any, limits: Limits | None = _NO_LIMITS, /, **notes: str) -> None:
     """Write a state to a file.
 
     Args:
         path: Where to; the name is used as it is given.
         state: The state of an online method.
-        limits: Of its leaves, such as those of an
-            :class:`~surefoot.calibration.setup.OnlineMethod`.
-        finite: Whether every number must be; an emulated device marks by NaN what has not come yet.
+        limits: Of its leaves, such as those of an :class:`~surefoot.calibration.setup.OnlineMethod`; ``None``
+            for an emulated device, whose numbers are NaN or infinite where nothing has come yet.
         notes: Texts to keep with it, checked again by :func:`load_state`.
 
     Raises:
@@ -49,16 +48,14 @@ def save_state(
             file bears the name; a file that is there is left as it is.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
-    _check(leaves, limits or {}, finite, f"Nothing was written to '{path}'")
+    _check(leaves, limits, f"Nothing was written to '{path}'")
     texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
     entries: dict[str, Any] = texts | {f"state.{name}": leaf for name, leaf in leaves.items()}
     with atomic_path(path) as part, part.open("wb") as file:
         np.savez(file, format=np.asarray(_FORMAT), **entries)
 
 
-def load_state(
-    path: AnyPath, like: Any, *, limits: Limits | None = None, finite: bool = True, **notes: str
-) -> Any:
+def load_state(path: AnyPath, like: Any, limits: Limits | None = _NO_LIMITS, /, **notes: str) -> Any:
     """Read a state from a file.
 
     Args:
@@ -66,7 +63,6 @@ def load_state(
         like: A state of the same method and setup, such as a fresh one, which says what must fit. It is
             not changed.
         limits: As of :func:`save_state`.
-        finite: Likewise.
         notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 
     Returns:
@@ -79,7 +75,7 @@ def load_state(
     """
     wanted = {name: np.asarray(leaf) for name, leaf in _leaves(like).items()}
     # Twice: of a state that is somewhat larger the message names what does not fit.
-    largest = 2 * sum(leaf.nbytes for leaf in wanted.values()) + _ROOM
+    largest = sum(2 * leaf.nbytes + _HEADER for leaf in wanted.values()) + _ROOM
     try:
         entries = read_arrays(path, largest)
     except ValueError as error:
@@ -110,12 +106,13 @@ def load_state(
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
                 f"{expected.shape} and {expected.dtype}: layout, lag and window must be as they were saved."
             )
-    _check(leaves, limits or {}, finite, f"'{path}' is no state to go on with")
+    _check(leaves, limits, f"'{path}' is no state to go on with")
     return _rebuild(like, leaves, "")
 
 
-def _check(leaves: Mapping[str, NDArray[Any]], limits: Limits, finite: bool, refusal: str) -> None:
+def _check(leaves: Mapping[str, NDArray[Any]], limits: Limits | None, refusal: str) -> None:
     """Raise ValueError at a leaf that no state of a robot can hold; it begins with the refusal."""
+    finite, limits = limits is not None, limits or _NO_LIMITS
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:
             continue

@@ -22,7 +22,7 @@ from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty, check_parts
 from surefoot.robot.native import NOTHING, NativeSample
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
@@ -89,6 +89,7 @@ class CalibrationSetup:
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)
         check_stream(owner, stream)
+        check_parts(show)
         if len(drawing.feet) != 2:
             raise ValueError(
                 f"{owner} needs a robot on two feet, got the feet {drawing.feet}: name two, or use "
@@ -373,7 +374,7 @@ def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
     Raises:
         RuntimeError: If they have not been reset.
     """
-    save_state(path, _side_by_side(robots), limits=robots[0].limits(), **robots[0].notes())
+    save_state(path, _side_by_side(robots), robots[0].limits(), **robots[0].notes())
 
 
 def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
@@ -384,7 +385,7 @@ def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
         ValueError: If the file is of another robot, other sensors, another method or another lag.
     """
     like = _side_by_side(robots)
-    found = load_state(path, like, limits=robots[0].limits(), **robots[0].notes())
+    found = load_state(path, like, robots[0].limits(), **robots[0].notes())
     for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=True):
         robot.take_over(learnt)
 

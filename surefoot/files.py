@@ -163,36 +163,41 @@ def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str
     return found
 
 
-def read_columns(path: AnyPath, wanted: tuple[str, ...] = ()) -> dict[str, NDArray[np.float64]]:
+def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a CSV file of finite numbers by their names, shape (rows,) each.
 
     Args:
         path: The file.
         wanted: Names of columns that must be there.
+        cure: What messages advise, such as ``"write it with ..."``.
 
     Raises:
         ValueError: As of :func:`read_text`; if a column is missing or there twice, a row is longer or
             shorter than the names, or a cell is no finite number.
     """
-    text, name = read_text(path), Path(path).name
+
+    def refusal(message: str) -> ValueError:
+        return ValueError(f"{path}{message}; {cure}.")
+
+    text = read_text(path)
     try:
         names, *rows = csv.reader(text.splitlines())
     except (ValueError, csv.Error):
-        raise ValueError(f"{name}: not a table: it needs a line of column names.") from None
+        raise refusal(": not a table: it needs a line of column names") from None
     if missing := [column for column in wanted if column not in names]:
-        raise ValueError(f"{name} lacks the columns {missing}.")
+        raise refusal(f" lacks the columns {missing}")
     if len(set(names)) < len(names):
-        raise ValueError(f"{name}: a column is there twice.")
+        raise refusal(" has a column twice")
     for line, row in enumerate(rows, 2):
         if len(row) != len(names):
-            raise ValueError(f"{name}: line {line} has {len(row)} cells for {len(names)} columns.")
+            raise refusal(f": line {line} has {len(row)} cells for {len(names)} columns")
     try:
         table = np.array(rows, dtype=np.float64).reshape(-1, len(names))
     except ValueError as error:
-        raise ValueError(f"{name}: {error}; every cell must be a number.") from None
+        raise refusal(f": {error}") from None
     if not np.isfinite(table).all():
         line, column = np.argwhere(~np.isfinite(table))[0]
-        raise ValueError(f"{name}: column '{names[column]}' is not finite in line {line + 2}.")
+        raise refusal(f": column '{names[column]}' is not finite in line {line + 2}")
     return dict(zip(names, table.T, strict=True))
 
 
@@ -207,25 +212,37 @@ def read_arrays(path: AnyPath, largest: int) -> dict[str, NDArray[Any]]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no regular file, no archive of plain arrays, or one that unpacks to more.
     """
+    found: dict[str, NDArray[Any]] = {}
+    with _archive(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+        if size > largest:
+            raise ValueError(f"it unpacks to {size} bytes, and {largest} are the most")
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in found:
+                raise ValueError(f"'{name}' is there twice")
+            found[name] = _array_of(archive, member, name)
+    return found
+
+
+def names_in_archive(path: AnyPath) -> list[str]:
+    """Return the names of the files in an archive; errors as of :func:`read_arrays`."""
+    with _archive(path) as archive:
+        return archive.namelist()
+
+
+@contextmanager
+def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
+    """Open an archive; what goes wrong inside is a ValueError that names it."""
     target = Path(_as_path(path))
     if _stat_of(path, target) is None:
         raise FileNotFoundError(f"{path}: no such file.")
-    found: dict[str, NDArray[Any]] = {}
     with target.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                members = archive.infolist()
-                size = sum(member.file_size for member in members)
-                if size > largest:
-                    raise ValueError(f"it unpacks to {size} bytes, and {largest} are the most")
-                for member in members:
-                    name = member.filename.removesuffix(".npy")
-                    if name in found:
-                        raise ValueError(f"'{name}' is there twice")
-                    found[name] = _array_of(archive, member, name)
+                yield archive
         except Exception as error:  # Whatever a damaged archive raises.
             raise ValueError(f"'{path}' is no archive of arrays, or damaged: {_said(error)}.") from error
-    return found
 
 
 def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
@@ -245,7 +262,7 @@ def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> N
 def _as_path(path: Any) -> str:
     """Return a path as a str; TypeError for what is none, such as an int: the number of an open file."""
     if not isinstance(path, str | PathLike):
-        raise TypeError(f"The path of a file must be a str or a Path, got {path!r} of {type(path).__name__}.")
+        raise TypeError(f"A path must be a str or a Path, got {path!r} of {type(path).__name__}.")
     return os.fspath(path)
 
 

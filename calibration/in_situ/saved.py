@@ -1,7 +1,6 @@
 """A fit as values that JSON can hold, and back: what a robot reads of a sensor that was calibrated before."""
 
 import dataclasses
-import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.files import read_json
 
 FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
@@ -109,7 +109,7 @@ def read_calibration(path: Path) -> InSituFit:
     if not path.is_file():
         raise ValueError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
     try:
-        given = json.loads(path.read_text(encoding="utf-8"))
+        given = read_json(path)
         if (given["format"], given["format_version"]) != (FORMAT, VERSION):
             raise ValueError(f"{given['format']} {given['format_version']}")
         return _fit_of(given)

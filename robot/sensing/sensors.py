@@ -3,7 +3,7 @@
 Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration.checks import as_number
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, foot_device
@@ -99,14 +100,14 @@ class Equipment:
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
         devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
-        if severity != 1.0:
-            devices = [scaled(device, float(severity)) for device in devices]
+        if (severity := as_number("severity", severity)) != 1.0:
+            devices = [scaled(device, severity) for device in devices]
         for device in devices:
             check_wire(device, dt)
         self.instruments = Instruments(tuple(devices), drawing)
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         self._link_by_name = isinstance(link, str)
-        if isinstance(faults, (str, Mapping)):
+        if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
             raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
         self._faults = [self._fault(fault) for fault in faults]
         self.broken = channel_faults(self._faults, self.instruments) if self._faults else None
@@ -392,7 +393,7 @@ def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
     Raises:
         RuntimeError: If nothing was drawn yet.
     """
-    save_state(path, _together(robots), finite=False, **robots[0].notes())
+    save_state(path, _together(robots), None, **robots[0].notes())
 
 
 def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
@@ -402,7 +403,7 @@ def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
         RuntimeError: If nothing was drawn yet.
         ValueError: If the file is of another robot, or of other sensors.
     """
-    found = load_state(path, _together(robots), finite=False, **robots[0].notes())
+    found = load_state(path, _together(robots), None, **robots[0].notes())
     for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
         robot.exchange(hardware)
 
