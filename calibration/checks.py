@@ -78,6 +78,15 @@ def check_count(config: Any, *fields: str) -> None:
         object.__setattr__(config, field, int(value))
 
 
+def check_kind(name: str, value: Any, kind: type) -> None:
+    """Raise TypeError if a value is of another class."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise TypeError(
+            f"'{name}' must be {article} {kind.__name__}, got {value!r} of {type(value).__name__}."
+        )
+
+
 def check_value(name: str, value: Any, *, positive: bool) -> None:
     """Raise TypeError for no number; ValueError if it is not finite, or negative, or zero and must not be."""
     number = as_number(name, value)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_not_negative, check_positive, is_whole
+from surefoot.calibration.checks import check_kind, check_not_negative, check_positive, is_whole
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
@@ -93,10 +93,7 @@ class OnlineSetup:
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
-        if not isinstance(self.layout, FeetLayout):
-            raise TypeError(
-                f"'layout' must be a FeetLayout, got {self.layout!r} of {type(self.layout).__name__}."
-            )
+        check_kind("layout", self.layout, FeetLayout)
         check_positive(self, "mass", "dt", "plausible_weights")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
@@ -160,19 +157,16 @@ def setup_from_options(
 
     Without an initial map readings are taken for newtons.
     """
+    check_kind("layout", layout, FeetLayout)
     own = {"foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
     setup = OnlineSetup(
         layout=layout,
         mass=mass,
-        initial=_newtons(layout) if initial is None else initial,
+        initial=Parameters(np.ones(layout.channels), np.zeros(layout.channels))
+        if initial is None
+        else initial,
         dt=dt,
         lag=lag,
         **{name: options[name] for name in own},
     )
     return setup, {name: value for name, value in options.items() if name not in own}
-
-
-def _newtons(layout: FeetLayout) -> Parameters:
-    """Return the map of readings that are newtons."""
-    channels = getattr(layout, "channels", 0)  # of what is no layout the setup says so
-    return Parameters(np.ones(channels), np.zeros(channels))

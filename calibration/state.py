@@ -21,26 +21,27 @@ from surefoot.files import AnyPath, atomic_path, read_arrays
 
 _FORMAT = "surefoot-state-1"
 
-Limits = Mapping[str, tuple[ArrayLike, ArrayLike]]
-"""Least and greatest value of leaves by the last part, or the last two, of their names."""
+Limits = Mapping[str, tuple[ArrayLike, ArrayLike] | None]
+"""Least and greatest value of leaves by the last part, or the last two, of their names; ``None`` for those of
+an emulated device that are NaN or infinite where nothing has come yet."""
 
 LARGEST = 2.0**53
 """Magnitude beyond which a float64 cannot tell one count from the next: no number of a robot is there."""
 
+_ANY = (-LARGEST, LARGEST)
 _NO_LIMITS: Limits = MappingProxyType({})
 _FLAGS: Limits = {"status": (0, ALL_FLAGS), "kind": (0, ALL_FLAGS)}
 _ROOM, _HEADER = 2**20, 256
 """Bytes of a file besides the numbers: notes, and what an array says of itself."""
 
 
-def save_state(path: AnyPath, state: Any, limits: Limits | None = _NO_LIMITS, /, **notes: str) -> None:
+def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> None:
     """Write a state to a file.
 
     Args:
         path: Where to; the name is used as it is given.
         state: The state of an online method.
-        limits: Of its leaves, such as those of an :class:`~surefoot.calibration.setup.OnlineMethod`; ``None``
-            for an emulated device, whose numbers are NaN or infinite where nothing has come yet.
+        limits: Of its leaves, such as those of an :class:`~surefoot.calibration.setup.OnlineMethod`.
         notes: Texts to keep with it, checked again by :func:`load_state`.
 
     Raises:
@@ -55,7 +56,7 @@ def save_state(path: AnyPath, state: Any, limits: Limits | None = _NO_LIMITS, /,
         np.savez(file, format=np.asarray(_FORMAT), **entries)
 
 
-def load_state(path: AnyPath, like: Any, limits: Limits | None = _NO_LIMITS, /, **notes: str) -> Any:
+def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> Any:
     """Read a state from a file.
 
     Args:
@@ -79,8 +80,10 @@ def load_state(path: AnyPath, like: Any, limits: Limits | None = _NO_LIMITS, /, 
     try:
         entries = read_arrays(path, largest)
     except ValueError as error:
+        if error.__cause__ is None:
+            raise  # No file at all.
         raise ValueError(
-            f"'{path}' is not a saved state: it is another file or damaged ({error.__cause__ or error}); "
+            f"'{path}' is not a saved state: it is another file or damaged ({error.__cause__}); "
             "give one that save_state wrote."
         ) from error
     if str(entries.get("format")) != _FORMAT:
@@ -110,15 +113,15 @@ def load_state(path: AnyPath, like: Any, limits: Limits | None = _NO_LIMITS, /, 
     return _rebuild(like, leaves, "")
 
 
-def _check(leaves: Mapping[str, NDArray[Any]], limits: Limits | None, refusal: str) -> None:
+def _check(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
     """Raise ValueError at a leaf that no state of a robot can hold; it begins with the refusal."""
-    finite, limits = limits is not None, limits or _NO_LIMITS
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:
             continue
         last, two = name.rpartition(".")[2], ".".join(name.split(".")[-2:])
-        low, high = limits.get(two) or limits.get(last) or _FLAGS.get(last) or (-LARGEST, LARGEST)
-        wrong = ~((leaf >= low) & (leaf <= high)) & (finite | np.isfinite(leaf))
+        stated = limits[two] if two in limits else limits.get(last, _FLAGS.get(last, _ANY))
+        low, high = stated or _ANY
+        wrong = ~((leaf >= low) & (leaf <= high)) & (np.isfinite(leaf) | (stated is not None))
         problem = ""
         if wrong.any():
             at = tuple(int(place) for place in np.argwhere(wrong)[0])

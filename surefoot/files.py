@@ -263,7 +263,9 @@ def _as_path(path: Any) -> str:
     """Return a path as a str; TypeError for what is none, such as an int: the number of an open file."""
     if not isinstance(path, str | PathLike):
         raise TypeError(f"A path must be a str or a Path, got {path!r} of {type(path).__name__}.")
-    return os.fspath(path)
+    if "\0" in (text := os.fspath(path)):
+        raise ValueError(f"{text!r} cannot be the name of a file.")
+    return text
 
 
 def _stat_of(path: AnyPath, target: Path, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
@@ -272,8 +274,6 @@ def _stat_of(path: AnyPath, target: Path, refusal: type[ValueError] = ValueError
         there = os.stat(target)
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except ValueError as error:
-        raise refusal(f"{str(path)!r} cannot be the name of a file: {error}.") from None
     for is_one, kind in _KINDS:
         if is_one(there.st_mode):
             raise refusal(f"'{path}' is {kind} and no regular file; give the path of a file.")

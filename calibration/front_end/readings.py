@@ -116,7 +116,7 @@ class FrontEnd:
         ends = (np.array([[-limit], [limit]]) - self._offset) / self._scale
         self.plausible = ends.min(axis=0), ends.max(axis=0)
         # Twice the range, as a saved starting map may differ a little; a lost channel is made of others.
-        span, made = self.plausible[1] - self.plausible[0], limit * self._channels**2
+        span, made = self.plausible[1] - self.plausible[0], limit * self._channels
         self.limits: dict[str, tuple[Array | float, Array | float]] = {
             "raw": (self.plausible[0] - 0.5 * span, self.plausible[1] + 0.5 * span),
             "history": (-made, made),

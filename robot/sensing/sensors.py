@@ -32,6 +32,9 @@ from surefoot.sensors.telemetry.native import telemetry_of
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 
+_EMPTY = dict.fromkeys(("held", "window", "load", "due", "readings"))
+"""Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
+
 
 class HardwareState(NamedTuple):
     """What stays as it is while the power is on, whatever happens to the robot.
@@ -393,7 +396,7 @@ def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
     Raises:
         RuntimeError: If nothing was drawn yet.
     """
-    save_state(path, _together(robots), None, **robots[0].notes())
+    save_state(path, _together(robots), _EMPTY, **robots[0].notes())
 
 
 def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
@@ -403,7 +406,7 @@ def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
         RuntimeError: If nothing was drawn yet.
         ValueError: If the file is of another robot, or of other sensors.
     """
-    found = load_state(path, _together(robots), None, **robots[0].notes())
+    found = load_state(path, _together(robots), _EMPTY, **robots[0].notes())
     for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
         robot.exchange(hardware)
 
