@@ -12,6 +12,7 @@ itself.
 import csv
 import json
 import os
+import re
 import shutil
 import stat
 import sys
@@ -35,6 +36,9 @@ LARGEST_TEXT = 2**26
 
 DEEPEST = 64
 """Levels of nesting beyond which data are none of ours, whose formats have less than ten."""
+
+_DOTTED = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+"""A key in TOML of more parts; the parser's time grows with the square of their number."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -157,6 +161,8 @@ def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str
     """Return what a TOML file holds; errors as of :func:`read_text`, and if it is no TOML."""
     text = read_text(path, refusal)
     try:
+        if _DOTTED.search(text):
+            raise RecursionError
         found: dict[str, Any] = _shallow(tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         raise refusal(f"{Path(path).name}: not TOML: {_said(error)}.") from None
