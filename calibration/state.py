@@ -49,7 +49,7 @@ def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **note
             file bears the name; a file that is there is left as it is.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
-    _check(leaves, limits, f"Nothing was written to '{path}'")
+    check_leaves(leaves, limits, f"Nothing was written to '{path}'")
     texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
     entries: dict[str, Any] = texts | {f"state.{name}": leaf for name, leaf in leaves.items()}
     with atomic_path(path) as part, part.open("wb") as file:
@@ -109,12 +109,18 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
                 f"{expected.shape} and {expected.dtype}: layout, lag and window must be as they were saved."
             )
-    _check(leaves, limits, f"'{path}' is no state to go on with")
+    check_leaves(leaves, limits, f"'{path}' is no state to go on with")
     return _rebuild(like, leaves, "")
 
 
-def _check(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
-    """Raise ValueError at a leaf that no state of a robot can hold; it begins with the refusal."""
+def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
+    """Raise ValueError at a leaf that no state of a robot can hold.
+
+    Args:
+        leaves: Arrays by their names; those of many robots have these first.
+        limits: As of :func:`save_state`.
+        refusal: What the message begins with.
+    """
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:
             continue

@@ -65,7 +65,7 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
         OSError: If it cannot be written; the old file is as it was.
     """
     target = Path(os.path.realpath(_as_path(path)))
-    there = _stat_of(path, target)
+    there = stat_of_file(path)
     if there is not None and not os.access(target, os.W_OK):
         raise PermissionError(f"'{path}' is write-protected: nothing was written.")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -111,6 +111,18 @@ def locked(folder: Path, refusal: Exception) -> Iterator[None]:
         os.close(file)
 
 
+def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
+    """Return what is known of a regular file, ``None`` if there is none; ValueError if it is no such."""
+    try:
+        there = os.stat(_as_path(path))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    for is_one, kind in _KINDS:
+        if is_one(there.st_mode):
+            raise refusal(f"'{path}' is {kind} and no regular file; give the path of a file.")
+    return there
+
+
 def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
     """Return a text file in UTF-8, with or without a byte order mark.
 
@@ -124,7 +136,7 @@ def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
     """
     target = Path(_as_path(path))
     name = target.name or str(path)
-    there = _stat_of(path, target, refusal)
+    there = stat_of_file(path, refusal)
     if there is None:
         raise refusal(f"{path}: no such file.")
     if there.st_size > LARGEST_TEXT:
@@ -241,7 +253,7 @@ def names_in_archive(path: AnyPath) -> list[str]:
 def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
     """Open an archive; what goes wrong inside is a ValueError that names it."""
     target = Path(_as_path(path))
-    if _stat_of(path, target) is None:
+    if stat_of_file(path) is None:
         raise FileNotFoundError(f"{path}: no such file.")
     with target.open("rb") as file:
         try:
@@ -272,18 +284,6 @@ def _as_path(path: Any) -> str:
     if "\0" in (text := os.fspath(path)):
         raise ValueError(f"{text!r} cannot be the name of a file.")
     return text
-
-
-def _stat_of(path: AnyPath, target: Path, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
-    """Return what is known of a regular file, ``None`` if there is none; ValueError if it is no such."""
-    try:
-        there = os.stat(target)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    for is_one, kind in _KINDS:
-        if is_one(there.st_mode):
-            raise refusal(f"'{path}' is {kind} and no regular file; give the path of a file.")
-    return there
 
 
 def _lock(file: int) -> bool | None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
-from surefoot.files import locked, parse_json, read_json, write_text
+from surefoot.files import locked, parse_json, read_json, stat_of_file, write_text
 
 JOURNAL, PLAN = "journal.jsonl", "study.json"
 
@@ -84,6 +84,7 @@ class Store:
             path = self.folder / JOURNAL
             if self.damaged:
                 write_text(path, "".join(_line_of(one) for one in self.outcomes.values()))
+            stat_of_file(path)
             self._journal = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             try:
                 yield self

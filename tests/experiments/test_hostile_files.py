@@ -251,7 +251,7 @@ OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
     ),
     "no prelude there": (STAND, {"prelude": "gone.csv"}, "gone.csv: no such file."),
     "a program": (STAND, {"prelude": "/bin/sh"}, "sh: not a text in UTF-8 ("),
-    "no severity": (FootSensors, {"severity": None}, "'severity' must be a number, got None of type NoneType."),
+    "no severity": (FootSensors, {"severity": None}, "'severity' must be a number, got None of type"),
     "faults of none": (FootSensors, {"faults": 1}, "'faults' must be a sequence of faults, such as [1]; got"),
     "no view": (SelfCalibration, {"show": None}, "'show' must name parts of "),
     "beliefs in words": (
