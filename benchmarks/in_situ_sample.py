@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.force_torque.calibrate import SAMPLE
-from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.files import atomic_path, write_text
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 
 RATE = 10.0

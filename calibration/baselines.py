@@ -121,7 +121,8 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         estimate = estimate._replace(flags=estimate.flags | rejected)
         return TareState(front, airborne, count, mean, scatter, offset), estimate
 
-    return OnlineMethod(init, update)
+    limits = front_end.limits | {"offset": (-limit, limit)}
+    return OnlineMethod(init, update, limits=limits)
 
 
 def uncorrected(setup: OnlineSetup) -> OnlineMethod:
@@ -136,4 +137,4 @@ def uncorrected(setup: OnlineSetup) -> OnlineMethod:
         state, sample = front_end.observe(state, raw, reference, dt)
         return state, front_end.estimate(sample, np.ones_like(sample.force), np.zeros_like(sample.force))
 
-    return OnlineMethod(front_end.init, update)
+    return OnlineMethod(front_end.init, update, limits=front_end.limits)

@@ -78,16 +78,32 @@ def check_count(config: Any, *fields: str) -> None:
         object.__setattr__(config, field, int(value))
 
 
+def check_kind(name: str, value: Any, kind: type) -> None:
+    """Raise TypeError if a value is of another class."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise TypeError(
+            f"'{name}' must be {article} {kind.__name__}, got {value!r} of {type(value).__name__}."
+        )
+
+
 def check_value(name: str, value: Any, *, positive: bool) -> None:
     """Raise TypeError for no number; ValueError if it is not finite, or negative, or zero and must not be."""
-    try:
-        finite = bool(np.isfinite(value))
-    except (TypeError, ValueError):
-        raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.") from None
-    if positive and not (finite and value > 0):
+    number = as_number(name, value)
+    if positive and not 0.0 < number < np.inf:
         raise ValueError(f"'{name}' must be positive and finite, got {value}.")
-    if not (finite and value >= 0):
+    if not 0.0 <= number < np.inf:
         raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
+
+
+def as_number(name: str, value: Any) -> float:
+    """Return a number as a float; raise TypeError for a text, several numbers or anything else."""
+    try:
+        if not isinstance(value, str | bytes) and np.ndim(value) == 0:
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.")
 
 
 def is_whole(value: Any) -> bool:

@@ -59,6 +59,10 @@ class Flag(IntFlag):
     """The reading stays at an end of its range: the channel is out while it does."""
 
 
+ALL_FLAGS = int(~Flag(0))
+"""Every flag at once."""
+
+
 class Estimate(NamedTuple):
     """Calibrated readings of one sample; a replay of N samples has N first in each field.
 

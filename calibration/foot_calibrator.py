@@ -1,5 +1,6 @@
 """A calibrator for people at a robot: an online method that keeps its own state."""
 
+from collections.abc import Mapping
 from hashlib import sha256
 from os import PathLike
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration.checks import as_number
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
@@ -111,6 +113,11 @@ class FootCalibrator:
     def state(self, kept: Any) -> None:
         self._state = kept
 
+    @property
+    def limits(self) -> Mapping[str, tuple[Any, Any]]:
+        """Least and greatest values of the state's leaves: what :meth:`load` accepts."""
+        return self._pure.limits
+
     def update(
         self, raw: ArrayLike, reference: Reference | ReferenceRecord, dt: float | None = None
     ) -> Estimate:
@@ -133,6 +140,7 @@ class FootCalibrator:
             native = self.native()
             if native is not None:
                 return self._native.update(native[1], raw, reference, dt)
+        dt = as_number("dt", dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
         state = self._fresh_state(raw) if self._state is None else self.state
@@ -175,19 +183,23 @@ class FootCalibrator:
 
         Raises:
             RuntimeError: If no sample came yet.
+            ValueError: If the state holds what :meth:`load` would refuse, or something else than a regular
+                file bears the name; what is there is left as it is.
         """
         if self._state is None:
             raise RuntimeError("There is nothing to save before the first update().")
-        save_state(path, self.state, **self._notes())
+        save_state(path, self.state, self.limits, **self._notes())
 
     def load(self, path: str | PathLike[str]) -> None:
         """Go on from a file that :meth:`save` wrote, bit for bit.
 
         Raises:
-            ValueError: If the file is not from this method and setup, or its arrays do not fit.
+            FileNotFoundError: If there is no such file.
+            ValueError: If the file is not from this method and setup, its arrays do not fit, or they hold
+                what no state can; what was learnt is as it was.
         """
         fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
-        self._state = load_state(path, fresh, **self._notes())
+        self._state = load_state(path, fresh, self.limits, **self._notes())
 
     def _fresh_state(self, raw: NDArray[np.float64]) -> Any:
         """Return a state in which nothing was learnt."""

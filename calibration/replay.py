@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.checks import ONE_ROBOT, check_value
+from surefoot.calibration.checks import ONE_ROBOT, check_kind, check_value
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.front_end.filters import zero_phase as filter_zero_phase
@@ -66,6 +66,8 @@ def replay(
     """
     method = method_name(method)
     readings = np.asarray(raw, dtype=np.float64)
+    check_kind("layout", layout, FeetLayout)
+    check_kind("reference", reference, Reference)
     layout.check_raw(readings)
     if readings.ndim != 2 or len(readings) == 0:
         way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_not_negative, check_positive, is_whole
+from surefoot.calibration.checks import check_kind, check_not_negative, check_positive, is_whole
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
@@ -25,7 +25,12 @@ def method_name(name: str) -> str:
     """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
 
     That of a user's method keeps its module, ``"module:name"``, which other processes need.
+
+    Raises:
+        TypeError: If it is no name.
     """
+    if not isinstance(name, str):
+        raise TypeError(f"'method' must be a name, such as 'moment', got {name!r} of {type(name).__name__}.")
     if name not in OLD_NAMES:
         return name
     today = OLD_NAMES[name]
@@ -42,11 +47,14 @@ class OnlineMethod(NamedTuple):
         retract: ``retract(state) -> state`` takes back what was learnt in the last seconds, as something
             happened to the robot that began before it was noticed, such as a fall. Methods that remember no
             earlier state leave theirs as it is.
+        limits: Least and greatest value that leaves of the state can have, by the last part of their names; a
+            saved state beyond them is refused (:func:`surefoot.calibration.state.load_state`).
     """
 
     init: Callable[[Array], Any]
     update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
     retract: Callable[[Any], Any] = lambda state: state
+    limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,6 +96,7 @@ class OnlineSetup:
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
+        check_kind("layout", self.layout, FeetLayout)
         check_positive(self, "mass", "dt", "gravity", "plausible_weights")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
@@ -151,6 +160,7 @@ def setup_from_options(
 
     Without an initial map readings are taken for newtons.
     """
+    check_kind("layout", layout, FeetLayout)
     own = {"gravity", "foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
     setup = OnlineSetup(
         layout=layout,

@@ -2,58 +2,90 @@
 
 A state is a tree of tuples, mostly named, with arrays and numbers at its leaves. The file is a plain
 ``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
+
+A state is checked on both ways by the same rules, so that what diverged replaces no good file and what was
+edited reaches no robot: shapes and dtypes, finite numbers, covariances that can be some, and the limits that
+a method states of its numbers.
 """
 
-import os
-from os import PathLike
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration.estimate import ALL_FLAGS
 from surefoot.calibration.setup import OLD_NAMES
+from surefoot.files import AnyPath, atomic_path, read_arrays
 
 _FORMAT = "surefoot-state-1"
 
+Limits = Mapping[str, tuple[ArrayLike, ArrayLike] | None]
+"""Least and greatest value of leaves by the last part, or the last two, of their names; ``None`` for those of
+an emulated device that are NaN or infinite where nothing has come yet."""
 
-def save_state(path: str | PathLike[str], state: Any, **notes: str) -> None:
+LARGEST = 2.0**53
+"""Magnitude beyond which a float64 cannot tell one count from the next: no number of a robot is there."""
+
+_ANY = (-LARGEST, LARGEST)
+_NO_LIMITS: Limits = MappingProxyType({})
+_FLAGS: Limits = {"status": (0, ALL_FLAGS), "kind": (0, ALL_FLAGS)}
+_ROOM, _HEADER = 2**20, 256
+"""Bytes of a file besides the numbers: notes, and what an array says of itself."""
+
+
+def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> None:
     """Write a state to a file.
 
     Args:
         path: Where to; the name is used as it is given.
         state: The state of an online method.
+        limits: Of its leaves, such as those of an :class:`~surefoot.calibration.setup.OnlineMethod`.
         notes: Texts to keep with it, checked again by :func:`load_state`.
+
+    Raises:
+        ValueError: If the state holds what :func:`load_state` would refuse, or something else than a regular
+            file bears the name; a file that is there is left as it is.
     """
-    leaves = {f"state.{name}": np.asarray(leaf) for name, leaf in _leaves(state).items()}
+    leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
+    check_leaves(leaves, limits, f"Nothing was written to '{path}'")
     texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
-    # Replaced in one step: whoever is interrupted while writing keeps the file that was there.
-    temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
-    try:
-        with open(temporary, "wb") as file:
-            np.savez(file, format=np.asarray(_FORMAT), **texts, **leaves)  # type: ignore[arg-type]
-        os.replace(temporary, path)
-    except BaseException:
-        if os.path.exists(temporary):
-            os.remove(temporary)
-        raise
+    entries: dict[str, Any] = texts | {f"state.{name}": leaf for name, leaf in leaves.items()}
+    with atomic_path(path) as part, part.open("wb") as file:
+        np.savez(file, format=np.asarray(_FORMAT), **entries)
 
 
-def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
+def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> Any:
     """Read a state from a file.
 
     Args:
         path: A file that :func:`save_state` wrote.
         like: A state of the same method and setup, such as a fresh one, which says what must fit. It is
             not changed.
+        limits: As of :func:`save_state`.
         notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 
     Returns:
         The saved state.
 
     Raises:
-        ValueError: If the file is no state, or not one of this method, shape and dtype.
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file is no state, not one of this method, shape and dtype, or holds numbers that no
+            state can have.
     """
-    entries = _read(path)
+    wanted = {name: np.asarray(leaf) for name, leaf in _leaves(like).items()}
+    # Twice: of a state that is somewhat larger the message names what does not fit.
+    largest = sum(2 * leaf.nbytes + _HEADER for leaf in wanted.values()) + _ROOM
+    try:
+        entries = read_arrays(path, largest)
+    except ValueError as error:
+        if error.__cause__ is None:
+            raise  # No file at all.
+        raise ValueError(
+            f"'{path}' is not a saved state: it is another file or damaged ({error.__cause__}); "
+            "give one that save_state wrote."
+        ) from error
     if str(entries.get("format")) != _FORMAT:
         raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
     for name, text in notes.items():
@@ -63,39 +95,57 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
             saved = OLD_NAMES.get(method, method) + space + options
         if saved != text:
             raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
-    saved_leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}
-    wanted = _leaves(like)
-    if set(wanted) != set(saved_leaves):
-        odd = sorted(set(wanted) ^ set(saved_leaves))
+    leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}
+    if set(wanted) != set(leaves):
+        odd = sorted(set(wanted) ^ set(leaves))
         raise ValueError(
             f"'{path}' holds the state of another method or of another version of surefoot: {odd} are not "
             "in both. Calibrate afresh."
         )
-    for name, leaf in wanted.items():
-        expected, found = np.asarray(leaf), saved_leaves[name]
+    for name, expected in wanted.items():
+        found = leaves[name]
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise ValueError(
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
                 f"{expected.shape} and {expected.dtype}: layout, lag and window must be as they were saved."
             )
-    return _rebuild(like, saved_leaves, "")
+    check_leaves(leaves, limits, f"'{path}' is no state to go on with")
+    return _rebuild(like, leaves, "")
 
 
-def _read(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Read all entries of a file."""
-    # Opened here, as NumPy leaves a damaged archive open.
-    with open(path, "rb") as opened:
-        try:
-            file = np.load(opened, allow_pickle=False)
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("it holds a single array")
-            with file:
-                return {name: file[name] for name in file.files}
-        except Exception as error:  # Whatever a damaged archive raises; nothing of it is executed.
-            raise ValueError(
-                f"'{path}' is not a saved state: it is another file or damaged; give one that save_state "
-                "wrote."
-            ) from error
+def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
+    """Raise ValueError at a leaf that no state of a robot can hold.
+
+    Args:
+        leaves: Arrays by their names; those of many robots have these first.
+        limits: As of :func:`save_state`.
+        refusal: What the message begins with.
+    """
+    for name, leaf in leaves.items():
+        if leaf.dtype.kind not in "iuf" or not leaf.size:
+            continue
+        last, two = name.rpartition(".")[2], ".".join(name.split(".")[-2:])
+        stated = limits[two] if two in limits else limits.get(last, _FLAGS.get(last, _ANY))
+        low, high = stated or _ANY
+        wrong = ~((leaf >= low) & (leaf <= high)) & (np.isfinite(leaf) | (stated is not None))
+        problem = ""
+        if wrong.any():
+            at = tuple(int(place) for place in np.argwhere(wrong)[0])
+            least, most = (float(np.broadcast_to(end, leaf.shape)[at]) for end in (low, high))
+            problem = f"holds {leaf[at]:.4g}{f' at {at}' * bool(at)}, and {least:.4g} to {most:.4g} can be"
+        elif last.endswith("covariance") and leaf.ndim > 1 and leaf.shape[-1] == leaf.shape[-2]:
+            problem = _covariance_problem(leaf)
+        if problem:
+            raise ValueError(f"{refusal}: '{name}' {problem}. Calibrate afresh, or load an older file.")
+
+
+def _covariance_problem(matrix: NDArray[Any]) -> str:
+    """Return why a matrix is no covariance; nothing if it is one to rounding."""
+    rounding = np.sqrt(np.finfo(matrix.dtype).eps) * np.abs(matrix).max()
+    if np.abs(matrix - np.swapaxes(matrix, -1, -2)).max() > rounding:
+        return "is not symmetric, as a covariance is"
+    least = np.linalg.eigvalsh(matrix).min()
+    return f"has the variance {least:.4g}, which is less than none" if least < -rounding else ""
 
 
 def _branches(state: Any) -> dict[str, Any] | None:
@@ -117,7 +167,7 @@ def _leaves(state: Any, path: str = "") -> dict[str, Any]:
     return result
 
 
-def _rebuild(like: Any, leaves: dict[str, NDArray[Any]], path: str) -> Any:
+def _rebuild(like: Any, leaves: dict[str, NDArray[np.float64]], path: str) -> Any:
     """Put leaves back into a tree of the same form."""
     branches = _branches(like)
     if branches is not None:

@@ -1,14 +1,13 @@
 """A motion by which a robot calibrates its feet: joint targets over time, until it is certain."""
 
-import csv
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.certainty import ENOUGH, Certainty
+from surefoot.files import AnyPath, read_columns
 
 __all__ = ["CalibrationMotion"]
 
@@ -74,27 +73,27 @@ class CalibrationMotion:
         self.start()
 
     @classmethod
-    def read(cls, path: str | PathLike[str], **options: Any) -> "CalibrationMotion":
+    def read(cls, path: AnyPath, **options: Any) -> "CalibrationMotion":
         """Read a file of ``surefoot calibrate motion``.
 
         Args:
             path: The CSV.
             **options: ``enough`` and ``again``.
+
+        Raises:
+            ValueError: If it is no such table, a column is missing, or a number is not finite.
         """
-        with open(path, newline="", encoding="utf-8") as file:
-            names, *lines = csv.reader(file)
-        rows = np.array(lines, dtype=np.float64)
-        of = {name: i for i, name in enumerate(names)}
-        joints = [name for name in names if name.startswith("target_") and name.endswith("_rad")]
-        feet: dict[str, Any] = {
-            key: rows[:, [of[f"{key}_left_1"], of[f"{key}_right_1"]]] > 0.5 for key in ("stance", "swing")
-        }
+        feet = [f"{phase}_{foot}_1" for phase in ("stance", "swing") for foot in ("left", "right")]
+        table = read_columns(path, ("time_s", "rest_1", *feet), "write it with surefoot calibrate motion")
+        joints = [name for name in table if name.startswith("target_") and name.endswith("_rad")]
+        time, columns = table["time_s"], np.stack([table[name] for name in (*feet, *joints)], axis=1)
         return cls(
-            rows[:, [of[name] for name in joints]],
-            rows[:, of["rest_1"]] > 0.5,
+            columns[:, len(feet) :],
+            table["rest_1"] > 0.5,
             [name.removeprefix("target_").removesuffix("_rad") for name in joints],
-            dt=float(rows[-1, of["time_s"]]) / len(rows),
-            **feet,
+            dt=float(time[-1]) / len(time) if len(time) else np.nan,
+            stance=columns[:, :2] > 0.5,
+            swing=columns[:, 2:4] > 0.5,
             **options,
         )
 

@@ -14,10 +14,8 @@ Its outputs are speeds of postures, see :mod:`surefoot.controllers.posture`.
 """
 
 import json
-import zipfile
 from collections.abc import Mapping
 from operator import index
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.controllers.posture import PostureDrive
+from surefoot.files import AnyPath, atomic_path, names_in_archive, parse_json, read_arrays
 
 __all__ = ["FORMAT", "PolicyFileError", "PolicyNetwork"]
 
 FORMAT = "surefoot-policy-1"
 """What a policy file calls itself."""
 
-LARGEST_FILE = 2**20
-"""Size in bytes beyond which a file is no policy."""
-
-LARGEST_UNPACKED = 8 * LARGEST_FILE
+LARGEST_UNPACKED = 2**23
 """Size in bytes beyond which what a file unpacks to is no policy."""
 
 _REQUIRED = (
@@ -181,7 +177,7 @@ class PolicyNetwork:
             )
 
     @classmethod
-    def load(cls, path: str | PathLike[str], *, engage_after: float = 0.0) -> "PolicyNetwork":
+    def load(cls, path: AnyPath, *, engage_after: float = 0.0) -> "PolicyNetwork":
         """Read a policy file; nothing in it is executed.
 
         Args:
@@ -192,20 +188,23 @@ class PolicyNetwork:
             FileNotFoundError: If there is no such file.
             PolicyFileError: If it is no policy, is damaged, or a Stable-Baselines3 zip.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"There is no policy file '{path}'.")
-        if path.stat().st_size > LARGEST_FILE:
-            raise PolicyFileError(
-                f"'{path}' has {path.stat().st_size} bytes; a policy file has less than 1 MB."
-            )
-        refuse_pickles(path)
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                held = {name: archive[name] for name in archive.files}
-        except Exception as error:  # Whatever a damaged archive raises; nothing of it is executed.
-            raise PolicyFileError(f"'{path}' cannot be read as a policy file: {error}.") from error
-        return cls._from(held, path, engage_after)
+            pickled = {"data", "policy.pth"} & set(names_in_archive(path))
+            held = {} if pickled else read_arrays(path, LARGEST_UNPACKED)
+        except FileNotFoundError:
+            raise FileNotFoundError(f"There is no policy file '{path}'.") from None
+        except ValueError as error:
+            raise PolicyFileError(
+                f"'{path}' cannot be read as a policy file, an archive of arrays (.npz): "
+                f"{error.__cause__ or error}."
+            ) from error
+        if pickled:
+            raise PolicyFileError(
+                f"'{path}' is a Stable-Baselines3 zip, which holds pickled objects: opening it runs whatever "
+                "its maker put there. If you trust who made it, turn it into a file of numbers once: "
+                f"surefoot train --export {path} --trusted."
+            )
+        return cls._from(held, Path(path), engage_after)
 
     @classmethod
     def _from(cls, held: dict[str, NDArray[Any]], path: Path, engage_after: float) -> "PolicyNetwork":
@@ -224,7 +223,7 @@ class PolicyNetwork:
                 "layers does not, or the other way round: it is damaged or of another program."
             )
         try:
-            notes = json.loads(str(held["notes"]))
+            notes = parse_json(str(held["notes"]), "its notes")
             sizes = [index(size) for size in held["sizes"].tolist()]
             parts = dict(zip(held["parts"].tolist(), sizes, strict=True))
             numbers = {
@@ -233,8 +232,8 @@ class PolicyNetwork:
             }
             speed, memory = float(held["posture_speed"]), float(held["posture_memory"])
             hold, dt = index(held["hold"].item()), float(held["dt"])
-        except (ValueError, TypeError, RecursionError) as error:
-            raise PolicyFileError(f"'{path}' is damaged: {error}.") from error
+        except (ValueError, TypeError) as error:
+            raise PolicyFileError(f"'{path}' is damaged: {str(error).rstrip('.')}.") from error
         try:
             return cls(
                 parts,
@@ -251,24 +250,29 @@ class PolicyNetwork:
         except PolicyFileError as error:
             raise PolicyFileError(f"'{path}': {error}") from error
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the policy to an ``.npz`` of plain arrays in single precision."""
+    def save(self, path: AnyPath) -> None:
+        """Write the policy to an ``.npz`` of plain arrays in single precision, under the name as it is given.
+
+        Raises:
+            ValueError: If something else than a regular file bears the name.
+        """
         layers: dict[str, Any] = {}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             layers[f"weight_{i}"], layers[f"bias_{i}"] = weight.astype(np.float32), bias.astype(np.float32)
-        np.savez_compressed(
-            Path(path),
-            format=np.array(FORMAT),
-            parts=np.array(list(self.parts)),
-            sizes=np.array(list(self.parts.values())),
-            posture_matrix=self._drive.matrix,
-            posture_speed=np.array(self._drive.speed),
-            posture_memory=np.array(self._drive.memory),
-            hold=np.array(self.hold),
-            dt=np.array(self._drive.dt),
-            notes=np.array(json.dumps(self.notes, sort_keys=True)),
-            **layers,
-        )
+        with atomic_path(path) as part, part.open("wb") as file:
+            np.savez_compressed(
+                file,
+                format=np.array(FORMAT),
+                parts=np.array(list(self.parts)),
+                sizes=np.array(list(self.parts.values())),
+                posture_matrix=self._drive.matrix,
+                posture_speed=np.array(self._drive.speed),
+                posture_memory=np.array(self._drive.memory),
+                hold=np.array(self.hold),
+                dt=np.array(self._drive.dt),
+                notes=np.array(json.dumps(self.notes, sort_keys=True)),
+                **layers,
+            )
 
     def _vector(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
         if missing := [part for part in self.parts if part not in observation]:
@@ -303,29 +307,3 @@ class PolicyNetwork:
             size = weight.shape[0]
         if size != self._drive.size:
             raise PolicyFileError(f"The last layer gives {size} numbers for {self._drive.size} postures.")
-
-
-def refuse_pickles(path: Path) -> None:
-    """Raise PolicyFileError if a file is no archive of arrays, by its content and not by its name.
-
-    Raises:
-        PolicyFileError: If it is no archive, a Stable-Baselines3 zip, or one that unpacks to far more than
-            a policy; the message says what to do with it.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            sizes = {member.filename: member.file_size for member in archive.infolist()}
-    except Exception as error:  # Whatever a damaged archive raises.
-        raise PolicyFileError(
-            f"'{path}' cannot be read as a policy file, an archive of arrays (.npz): {error}."
-        ) from error
-    if "data" in sizes or "policy.pth" in sizes:
-        raise PolicyFileError(
-            f"'{path}' is a Stable-Baselines3 zip, which holds pickled objects: opening it runs whatever its "
-            "maker put there. If you trust who made it, turn it into a file of numbers once: "
-            f"surefoot train --export {path} --trusted."
-        )
-    if sum(sizes.values()) > LARGEST_UNPACKED:
-        raise PolicyFileError(
-            f"'{path}' unpacks to {sum(sizes.values())} bytes; a policy has less than {LARGEST_UNPACKED}."
-        )

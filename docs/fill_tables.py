@@ -14,8 +14,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.page import MADE
+from surefoot.files import write_text
 
 _MARK = re.compile(r"(<!-- table (\S+\.csv) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 def positive(name: str, value: float, *, or_zero: bool = False) -> float:
     """Return a number, or raise ValueError if it is not finite and positive (or zero, where it may be)."""
-    number = _number(value)
+    number = number_of(value)
     if not isfinite(number) or number < 0.0 or (number == 0.0 and not or_zero):
         rule = "zero or positive" if or_zero else "positive"
         raise ValueError(f"'{name}' must be finite and {rule}, got {value!r}.")
@@ -30,7 +30,7 @@ def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
 
 def checked_time_constant(name: str, value: float) -> float:
     """Return a contact's time constant in s, or raise ValueError if steps of 1.25 ms cannot follow it."""
-    number = _number(value)
+    number = number_of(value)
     if not 0.005 <= number <= 0.1:
         raise ValueError(f"'{name}' must lie between 0.005 s (hard) and 0.1 s (very soft), got {value!r}.")
     return number
@@ -76,7 +76,8 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
         raise ValueError(f"There is no render mode '{mode}'; choose one of {modes} or None.")
 
 
-def _number(value: Any) -> float:
+def number_of(value: Any) -> float:
+    """Return a number as a float, NaN for what is none."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -86,6 +87,6 @@ def _number(value: Any) -> float:
 def numbers_of(value: Any) -> tuple[float, ...]:
     """Return a sequence of numbers: NaN for what is none, empty for what is no sequence."""
     try:
-        return tuple(_number(number) for number in value)
+        return tuple(number_of(number) for number in value)
     except TypeError:
         return ()

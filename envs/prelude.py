@@ -1,14 +1,13 @@
 """What a robot does before an episode: commands over time, planned once, that a file can hold."""
 
-import csv
 from collections.abc import Sequence
-from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
+from surefoot.files import AnyPath, read_columns, write_text
 
 BLEND_TIME = 1.5
 """Time in s in which the robot goes from an episode's first posture to a prelude's, and back."""
@@ -18,6 +17,8 @@ SAME_POSTURE = 0.005
 
 SAME_PLACE = 0.005
 """Distance in m by which soles of a prelude may be off those of the episode that follows it."""
+
+_CURE = "write it with surefoot calibrate motion"
 
 _COLUMNS = (
     ("com", "m", ("x", "y", "z")),
@@ -83,41 +84,35 @@ class Prelude(NamedTuple):
         """Return the command of a row."""
         return Command(**{name: getattr(self, name)[row] for name in Command._fields[:-1]}, phase=0.0)
 
-    def write(self, path: str | PathLike[str]) -> None:
+    def write(self, path: AnyPath) -> None:
         """Write a CSV: ``time_s``, ``target_<motor>_rad``, the other fields with units, and ``rest_1``."""
         names = ["time_s", *(f"target_{motor}_rad" for motor in self.motors), *_names(), "rest_1"]
         time = self.dt * np.arange(1, len(self.rest) + 1)
         parts = [np.reshape(getattr(self, field), (len(time), -1)) for field, _, _ in _COLUMNS]
         rows = np.column_stack([time, self.joint_target, *parts, self.rest])
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(names)
-            writer.writerows([[f"{value:.7g}" for value in row] for row in rows])
+        lines = [",".join(names), *(",".join(f"{value:.7g}" for value in row) for row in rows)]
+        write_text(path, "\n".join(lines) + "\n")
 
     @classmethod
-    def read(cls, path: str | PathLike[str]) -> "Prelude":
+    def read(cls, path: AnyPath) -> "Prelude":
         """Read what :meth:`write` wrote.
 
         Raises:
-            ValueError: If a column is missing, or the times are not evenly spaced.
+            ValueError: If it is no such table, a column is missing, a number is not finite, or the times are
+                not evenly spaced.
         """
-        with open(path, newline="", encoding="utf-8") as file:
-            header, *lines = csv.reader(file)
-        table = dict(zip(header, np.array(lines, dtype=np.float64).T, strict=True))
-        motors = tuple(
-            name.removeprefix("target_").removesuffix("_rad") for name in header if name.startswith("target_")
-        )
-        if missing := [name for name in ("time_s", *_names(), "rest_1") if name not in table]:
-            raise ValueError(f"{path} lacks the columns {missing}; write it with surefoot calibrate motion.")
+        table = read_columns(path, ("time_s", *_names(), "rest_1"), _CURE)
+        targets = [name for name in table if name.startswith("target_") and name.endswith("_rad")]
+        motors = tuple(name.removeprefix("target_").removesuffix("_rad") for name in targets)
         time = table["time_s"]
-        if len(time) < 2 or np.ptp(np.diff(time)) > 1e-5:
+        if len(time) < 2 or np.ptp(np.diff(time)) > 1e-5 or not time[-1] > time[0] >= 0.0:
             raise ValueError(f"{path} must have two rows or more, evenly spaced in time.")
         parts: dict[str, Any] = {}
         for field, unit, axes in _COLUMNS:
             values = np.stack([table[f"{field}_{axis}_{unit}"] for axis in axes], axis=1)
             parts[field] = values.astype(bool) if field in ("stance", "swing") else values
         parts["position_sole"] = parts["position_sole"].reshape(-1, 2, 3)
-        target = np.stack([table[f"target_{motor}_rad"] for motor in motors], axis=1)
+        target = np.stack([time, *(table[name] for name in targets)], axis=1)[:, 1:]
         return cls(float(time[-1]) / len(time), motors, target, rest=table["rest_1"].astype(bool), **parts)
 
 
@@ -133,11 +128,12 @@ class Player:
         ValueError: If the prelude is for other motors.
     """
 
-    def __init__(
-        self, prelude: Prelude | str | PathLike[str] | None, motors: Sequence[str], dt: float
-    ) -> None:
+    def __init__(self, prelude: Prelude | AnyPath | None, motors: Sequence[str], dt: float) -> None:
         if prelude is not None and not isinstance(prelude, Prelude):
-            prelude = Prelude.read(prelude)
+            try:
+                prelude = Prelude.read(prelude)
+            except TypeError as error:
+                raise TypeError(f"'prelude' must be a Prelude or the path of one: {error}") from None
         if prelude is not None and prelude.motors != tuple(motors):
             raise ValueError(
                 f"'prelude' moves {list(prelude.motors)}, but the robot's motors are {list(motors)}; plan "

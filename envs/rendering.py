@@ -11,6 +11,8 @@ import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
+from surefoot.envs.options import number_of
+
 Marker = tuple[Sequence[float], Sequence[float], float]
 """A sphere: its position in the world in m, its RGBA and its radius in m."""
 
@@ -100,7 +102,7 @@ class SceneRenderer:
 def check_size(model: mujoco.MjModel, width: int, height: int) -> None:
     """Raise ValueError if a model has no buffer for frames of this size."""
     most_wide, most_high = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
-    if not (0 < width <= most_wide and 0 < height <= most_high):
+    if not (0 < number_of(width) <= most_wide and 0 < number_of(height) <= most_high):
         raise ValueError(
             f"'width' and 'height' must be positive and at most {most_wide} x {most_high} pixels, "
             f"got {width} x {height}."

@@ -23,7 +23,7 @@ from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty, check_parts
 from surefoot.robot.native import NOTHING, NativeSample
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
@@ -105,6 +105,7 @@ class CalibrationSetup:
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)
         check_stream(owner, stream)
+        check_parts(show)
         if len(drawing.feet) != 2:
             raise ValueError(
                 f"{owner} needs a robot on two feet, got the feet {drawing.feet}: name two, or use "
@@ -306,6 +307,21 @@ class RobotCalibration:
         self.calibrator.state = learnt.state
         self._wait_out()
 
+    def limits(self) -> dict[str, tuple[Any, Any]]:
+        """Return least and greatest values of what is saved: start and body are somewhat like its own."""
+        setup, (mass, inertia, com) = self.calibrator.setup, self.model.masses
+        most, (scale, offset) = setup.plausible_weights, setup.initial
+        ends = np.sort([scale / most, scale * most], axis=0)
+        reach, least = np.abs(com).max() + most * setup.length, most * (np.abs(offset).max() + setup.weight)
+        return {
+            **self.calibrator.limits,
+            "initial.scale": (ends[0], ends[1]),
+            "initial.offset": (-least, least),
+            "masses.mass": (mass / most, mass * most),
+            "masses.inertia": (inertia / most, inertia * most),
+            "masses.com_torso": (-reach, reach),
+        }
+
     def notes(self) -> dict[str, str]:
         """Return what something that is saved belongs to."""
         setup, equipment = self._setup, self._sensors.equipment
@@ -380,7 +396,7 @@ def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
     Raises:
         RuntimeError: If they have not been reset.
     """
-    save_state(path, _side_by_side(robots), **robots[0].notes())
+    save_state(path, _side_by_side(robots), robots[0].limits(), **robots[0].notes())
 
 
 def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
@@ -390,7 +406,8 @@ def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
         RuntimeError: If they have not been reset.
         ValueError: If the file is of another robot, other sensors, another method or another lag.
     """
-    found = load_state(path, like := _side_by_side(robots), **robots[0].notes())
+    like = _side_by_side(robots)
+    found = load_state(path, like, robots[0].limits(), **robots[0].notes())
     for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=True):
         robot.take_over(learnt)
 

@@ -1,6 +1,6 @@
 """What an agent is shown of calibrated feet: which parts, in which bounds, and what is held when."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -29,8 +29,8 @@ PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, "foot_
 
 def check_parts(parts: Sequence[str]) -> None:
     """Raise ValueError if a part does not exist, is named twice, or there is none of calibrated feet."""
-    unknown = [part for part in parts if part not in PARTS]
-    if isinstance(parts, str) or unknown or len(set(parts)) != len(parts) or not set(parts) - {RAW}:
+    named = isinstance(parts, Iterable) and not isinstance(parts, str)
+    if not named or not set(parts) <= set(PARTS) or len(set(parts)) != len(parts) or not set(parts) - {RAW}:
         raise ValueError(
             f"'show' must name parts of {PARTS}, each once, got {parts!r}; leave the wrapper out to show "
             "nothing calibrated."

@@ -102,8 +102,14 @@ def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
             (:func:`current_names`).
 
     Raises:
+        TypeError: If it is no mapping.
         ValueError: If a key is no field (the message lists the fields), or if a value is refused.
     """
+    if not isinstance(mapping, Mapping):
+        raise TypeError(
+            f"A {kind.__name__} is made of a mapping of its fields, got {mapping!r} of "
+            f"{type(mapping).__name__}."
+        )
     mapping = current_names(mapping)
     defaults = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(mapping) - set(defaults)):

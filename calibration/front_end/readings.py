@@ -103,6 +103,7 @@ class FrontEnd:
         plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
         carried: By how long each channel is carried on to now in s, shape (K,).
         kept: How many samples before the newest one are remembered.
+        limits: Least and greatest values of the leaves of a :class:`FrontState`.
     """
 
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
@@ -114,6 +115,13 @@ class FrontEnd:
         limit = setup.plausible_weights * setup.weight
         ends = (np.array([[-limit], [limit]]) - self._offset) / self._scale
         self.plausible = ends.min(axis=0), ends.max(axis=0)
+        # Twice the range, as a saved starting map may differ a little; a lost channel is made of others.
+        span, made = self.plausible[1] - self.plausible[0], limit * self._channels
+        self.limits: dict[str, tuple[Array | float, Array | float]] = {
+            "raw": (self.plausible[0] - 0.5 * span, self.plausible[1] + 0.5 * span),
+            "history": (-made, made),
+            "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
+        }
         self.carried = carried_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag

@@ -1,7 +1,6 @@
 """A fit as values that JSON can hold, and back: what a robot reads of a sensor that was calibrated before."""
 
 import dataclasses
-import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,8 @@ import numpy as np
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.calibration.state import LARGEST
+from surefoot.files import read_json
 
 FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
@@ -29,6 +30,8 @@ _CONVENTIONS = (
     "1; from there to 1.25 they are those of z / |ellipsoid z| and fade linearly to zero",
     "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
 )
+_USED = ("matrix", "offset", "response", "noise")
+
 _NAMES = {
     "matrix": "matrix_N_Nm_per_count",
     "offset": "offset_count",
@@ -104,15 +107,20 @@ def read_calibration(path: Path) -> InSituFit:
     """Read what ``surefoot calibrate ft`` wrote as JSON, to the last digit.
 
     Raises:
-        ValueError: If the file is not there, is no calibration, or one of another version.
+        ValueError: If the file is not there, is no calibration, one of another version, or holds numbers that
+            no sensor has.
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
     try:
-        given = json.loads(path.read_text(encoding="utf-8"))
+        given = read_json(path)
         if (given["format"], given["format_version"]) != (FORMAT, VERSION):
             raise ValueError(f"{given['format']} {given['format_version']}")
-        return _fit_of(given)
+        fit = _fit_of(given)
+        for field in _USED if fit.result is not FitResult.REFUSED else ():
+            if not (np.abs(getattr(fit, field)) <= LARGEST).all():
+                raise ValueError(f"'{_NAMES[field]}' holds what no sensor has")
+        return fit
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path.name}: is no {FORMAT} {VERSION}, which this surefoot reads ({error!r}); calibrate again."

@@ -6,6 +6,8 @@ more than applying the map. What was learnt of it is handed out with the next sa
 asks for: no sample has both to do, and a robot's controller waits for neither long.
 """
 
+from typing import Any
+
 import numpy as np
 
 from surefoot.calibration.arrays import Array, in_a_row
@@ -93,6 +95,12 @@ class MomentStream:
         self._covariance = np.diag((unknowns.std * self._wide) ** 2)
         self._product = ErrorProduct(setup, config, unknowns, self.tare, self._covariance)
         self._change = np.diag(unknowns.change**2)
+
+    @property
+    def limits(self) -> dict[str, tuple[Any, Any]]:
+        """Limits of the state: unknowns are of order one, offsets in body weights."""
+        most = self.setup.plausible_weights
+        return self._front_end.limits | dict.fromkeys(("mean", "given", "kept_mean"), (-most, most))
 
     def init(self, raw: Array) -> MomentState:
         """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
@@ -473,4 +481,4 @@ def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) 
         config: Options.
     """
     stream = MomentStream(setup, config or MomentFilterConfig())
-    return OnlineMethod(stream.init, stream.update, stream.retract)
+    return OnlineMethod(stream.init, stream.update, stream.retract, stream.limits)

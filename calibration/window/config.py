@@ -161,7 +161,10 @@ class WindowConfig:
         check_count(self, "every", "iterations", "standing_samples")
         if self.cutoff is not None:
             check_positive(self, "cutoff")
-        low, high = self.scale_range
+        try:
+            low, high = self.scale_range
+        except (TypeError, ValueError):
+            low = high = 0.0
         if not 0.0 < low < 1.0 < high < np.inf:
             raise ValueError(f"'scale_range' must enclose 1 and be positive, got {self.scale_range}.")
         if self.minimum_share > 1.0:

@@ -141,6 +141,12 @@ class SlidingWindow:
             cop_noise=_STANDING_COP_NOISE * repeats,
         )
 
+    @property
+    def method(self) -> OnlineMethod:
+        """The functions, and the limits of what they remember."""
+        limits = self._front_end.limits | {"theta": (self._lowest, self._highest)}
+        return OnlineMethod(self.init, self.update, limits=limits)
+
     def init(self, raw: Array) -> WindowState:
         """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         K, feet = self.setup.layout.channels, len(self.setup.layout.feet)
@@ -294,8 +300,7 @@ def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMeth
         setup: The robot.
         config: Options; the paper's conditions by default.
     """
-    method = SlidingWindow(setup, config or WindowConfig(), quasi_static=False)
-    return OnlineMethod(method.init, method.update)
+    return SlidingWindow(setup, config or WindowConfig(), quasi_static=False).method
 
 
 def quasi_static(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
@@ -309,5 +314,4 @@ def quasi_static(setup: OnlineSetup, config: WindowConfig | None = None) -> Onli
         setup: The robot.
         config: Options, the same as the sliding window's.
     """
-    method = SlidingWindow(setup, config or WindowConfig(), quasi_static=True)
-    return OnlineMethod(method.init, method.update)
+    return SlidingWindow(setup, config or WindowConfig(), quasi_static=True).method

@@ -14,6 +14,7 @@ from surefoot.envs.instrumentation.env import InstrumentedEnv
 from surefoot.envs.instrumentation.feet import pose_name, standing_pose
 from surefoot.envs.instrumentation.robot import MeasuredRobot, measure_robot
 from surefoot.envs.robots.library import ROBOTS, load_robot_spec
+from surefoot.files import atomic_path
 
 SIZE = 640, 480
 """Width and height of each of two pictures in pixels: what every model has room for."""
@@ -83,8 +84,8 @@ class FeetDrawing:
             chest = middle + np.array([0.0, 0.0, 0.5 * tall])
             views = ((chest, 2.2 * tall, -10.0), (middle, 1.5 * apart, -30.0))
             pictures = [self._picture(renderer, *view) for view in views]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.concatenate(pictures, axis=1)).save(path)
+        with atomic_path(path) as part:
+            Image.fromarray(np.concatenate(pictures, axis=1)).save(part)
 
     def _picture(
         self, renderer: Any, lookat: NDArray[np.float64], distance: float, elevation: float

@@ -13,7 +13,7 @@ from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
 from surefoot.envs.numbers import MANY, ONE, Number, Numbers
-from surefoot.envs.options import checked_range
+from surefoot.envs.options import checked_range, numbers_of
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
@@ -91,11 +91,11 @@ class NaoBalanceEnv(NaoStandEnv):
         **options: Any,
     ) -> None:
         refuse_planned_payload("NaoBalanceEnv", options)
-        bounds = tuple(float(part) for part in sway)
+        bounds = numbers_of(sway)
         if len(bounds) != 2 or not all(0.0 <= part <= LARGEST_SWAY for part in bounds):
             raise ValueError(
                 f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
-                f"over its feet; got {list(sway)}."
+                f"over its feet; got {sway!r}."
             )
         self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time

@@ -212,7 +212,10 @@ class Surprise:
         self.stand_ticks = round(self.stand_time / dt)
         self._mass = checked_range("payload_mass", payload_mass)
         self._time = checked_range("payload_time", payload_time)
-        self._boxes = np.array(payload_boxes, dtype=np.float64)
+        try:
+            self._boxes = np.array(payload_boxes, dtype=np.float64)
+        except (TypeError, ValueError):
+            self._boxes = np.zeros(0)
         if self._boxes.shape[1:] != (2, 3) or not np.isfinite(self._boxes).all() or not len(self._boxes):
             raise ValueError(
                 "'payload_boxes' must be boxes of a lowest and a highest corner in m, shape (boxes, 2, 3), "

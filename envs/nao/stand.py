@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
 from surefoot.envs.numbers import Number
-from surefoot.envs.options import positive
+from surefoot.envs.options import numbers_of, positive
 from surefoot.envs.robots.nao import FEET, place_on_ground
 
 LEG_LENGTH = 0.2029
@@ -38,11 +38,11 @@ class NaoStandEnv(NaoEnv):
     def __init__(
         self, *, sway: Sequence[float] = (0.0, 0.0), sway_period: float = 4.0, **options: Any
     ) -> None:
-        amplitude = tuple(float(part) for part in sway)
+        amplitude = numbers_of(sway)
         if len(amplitude) != 2 or not all(abs(part) <= LARGEST_SWAY for part in amplitude):
             raise ValueError(
                 f"'sway' must be amplitudes (forward, left) of at most {LARGEST_SWAY} m, which keep the "
-                f"robot over its feet; got {list(sway)}."
+                f"robot over its feet; got {sway!r}."
             )
         super().__init__(**options)
         self._sway = amplitude

@@ -13,6 +13,7 @@ from surefoot.envs.gait.route import checked_route
 from surefoot.envs.gait.swing import checked_roll
 from surefoot.envs.nao.env import COP_SCALE, NaoEnv
 from surefoot.envs.numbers import Number, Numbers
+from surefoot.envs.options import number_of
 
 VELOCITY_SCALE = 0.1
 """Error of the velocity of the centre of mass in m/s at which its reward has fallen to 1/e."""
@@ -136,13 +137,13 @@ class NaoWalkEnv(NaoPatternEnv):
         push_impulse: Sequence[float] = (0.1, 0.5),
         **options: Any,
     ) -> None:
-        timing = GaitTiming(stand_time=float(stand_time))
+        timing = GaitTiming(stand_time=number_of(stand_time))
         roll = checked_roll(foot_roll)
         if route is None:
             self.pattern = plan_walk(
-                float(speed), float(turn_rate), float(duration), timing=timing, foot_roll=roll
+                number_of(speed), number_of(turn_rate), number_of(duration), timing=timing, foot_roll=roll
             )
         else:
             legs = checked_route(route)
-            self.pattern = plan_route(legs, float(duration), timing=timing, foot_roll=roll)
+            self.pattern = plan_route(legs, number_of(duration), timing=timing, foot_roll=roll)
         super().__init__(duration=duration, push_impulse=push_impulse, **options)

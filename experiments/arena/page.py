@@ -9,7 +9,6 @@ from surefoot.experiments.arena.findings import claims_of, scenario_findings, su
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.run import ArenaResults, run_arena
 from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
@@ -22,6 +21,7 @@ from surefoot.experiments.study.page import (
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import claim_table, plural, sentence
 from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.files import atomic_path
 
 _say, _caption = Words("arena"), Words("arena", "captions")
 

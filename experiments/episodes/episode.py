@@ -21,6 +21,7 @@ from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.closed_loop import Moment, moments
 from surefoot.experiments.walks.score import rms
 from surefoot.experiments.walks.walkers import TruthTap, on_feet
+from surefoot.files import parse_json
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
 """What a repetition must bring out again to the last digit."""
@@ -73,7 +74,7 @@ class Episode:
     def from_json(cls, text: str) -> "Episode":
         """Return the episode that :meth:`to_json` wrote; ValueError if an earlier version did."""
         try:
-            return cls(**json.loads(text))
+            return cls(**parse_json(text, "This episode"))
         except TypeError as error:
             raise ValueError(f"This episode was written by another version of surefoot ({error}).") from error
 

@@ -22,9 +22,9 @@ from surefoot.experiments.episodes.tables import difference_table, failure_table
 from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.policy.tasks import task_named
-from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.study.page import ReportFigure, Section, Words, save_tables, write_page
 from surefoot.experiments.study.tables import Frame, Table
+from surefoot.files import atomic_path
 
 _say = Words("episodes")
 

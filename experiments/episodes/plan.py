@@ -4,7 +4,6 @@
 """
 
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -24,6 +23,7 @@ from surefoot.experiments.policy.controllers import Controller, controller_hash,
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
+from surefoot.files import read_toml
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
 
@@ -148,12 +148,7 @@ def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1
 
 def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
     """Return a plan from a file as in docs/sweep.md, with changed values; raise ValueError."""
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ValueError(f"{path}: no such file.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not TOML: {error}.") from error
+    given = read_toml(path)
     known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
     _known_keys(f"{path}", given, (*known, "first_seed", "scenario"))
     own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}

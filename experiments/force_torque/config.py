@@ -1,6 +1,5 @@
 """What a log of in-situ sets leaves open, as the TOML file beside it and docs/in-situ-log.md say it."""
 
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be
 from surefoot.experiments.logs.table import LogError
+from surefoot.files import read_toml
 
 SI = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY,
@@ -200,12 +200,7 @@ def read_config(path: Path) -> InSituConfig:
     """Read the TOML file, and the factory matrix that it names; LogError if it is none, or is wrong."""
     if not path.is_file():
         raise LogError(f"{path}: no such file; see docs/in-situ-log.md for what it holds.")
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except ValueError as error:
-        cure = "; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else ""
-        raise LogError(f"{path.name}: not TOML: {error}{cure}.") from None
-    config = InSituConfig.read(given, path.name)
+    config = InSituConfig.read(read_toml(path, LogError), path.name)
     factory, sensor = config.factory, config.sensor
     if factory.file is None:
         return config

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration.in_situ import InSituFit
 from surefoot.calibration.in_situ.saved import facts_of
-from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import flat
+from surefoot.files import write_text
 
 
 def write_json(fit: InSituFit, path: Path, **facts: Any) -> Path:

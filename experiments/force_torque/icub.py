@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.files import atomic_path
+from surefoot.files import atomic_path
 
 ICUB_COUNTS = 32767.0  # counts at the end of an FTSens's converter
 

@@ -5,7 +5,6 @@ file in TOML says which field is which column.
 """
 
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -20,6 +19,7 @@ from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, PACKET, c
 from surefoot.experiments.logs.settings import Number, Settings
 from surefoot.experiments.logs.table import LogError, LogTable
 from surefoot.experiments.study.tables import flat
+from surefoot.files import read_toml
 
 SUFFIXES = (".bag", ".mcap", ".db3")  # of files; a ROS 2 bag may also be a folder
 
@@ -195,11 +195,7 @@ def _read_topics(path: Path, mapping: Path) -> Topics:
             f"{path.name}: the mapping file {mapping.name} is not there; --guess prints one to begin with, "
             "and --topics names another."
         )
-    try:
-        given = tomllib.loads(mapping.read_text(encoding="utf-8-sig"))
-    except ValueError as error:
-        raise LogError(f"{mapping.name}: not TOML: {error}.") from None
-    return Topics.read(given, mapping.name)
+    return Topics.read(read_toml(mapping, LogError), mapping.name)
 
 
 @contextmanager

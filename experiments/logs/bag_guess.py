@@ -9,6 +9,8 @@ from surefoot.experiments.logs.bag import message_of, opened, whole
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.description import Description
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE
+from surefoot.experiments.logs.table import LogError
+from surefoot.files import read_json
 
 COUNTS = re.compile(r"std_msgs/msg/(Float|U?Int)\d+MultiArray")
 WRENCHES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
@@ -78,7 +80,7 @@ def _channels(message: Any) -> list[str]:
 def _names(path: Path, channels: int, walk: bool, driver: bool) -> list[str]:
     side = path.with_suffix(".json")
     if walk and side.is_file():
-        layout = Description.read(json.loads(side.read_text(encoding="utf-8")), side.name).layout
+        layout = Description.read(read_json(side, LogError), side.name).layout
         if layout.channels == channels:
             return raw_names_of(layout)
     if driver and not walk and channels == 6:

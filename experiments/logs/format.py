@@ -36,7 +36,7 @@ from surefoot.experiments.logs.contacts import contacts
 from surefoot.experiments.logs.description import Description, describe
 from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
-from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.files import atomic_path, parse_json, read_text, write_text
 
 METADATA_KEY = b"surefoot"
 MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
@@ -181,13 +181,10 @@ def _description(path: Path, table: LogTable) -> Any:
                 f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
                 "calibrations (see docs/log-format.md)."
             )
-        text = side.read_bytes()
+        text = read_text(side, LogError)
     elif text is None:
         raise LogError(
             f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
             "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
         )
-    try:
-        return json.loads(text)
-    except ValueError as error:
-        raise LogError(f"{side.name}: the description is not JSON: {error}.") from None
+    return parse_json(text, f"{side.name}: the description", LogError)

@@ -24,6 +24,7 @@ _KINDS = {
 """What files begin with that are no text."""
 
 _HEAD = 1 << 16  # bytes from which a table is judged
+_LARGEST = 1 << 32  # bytes of numbers: 60 columns at 1 kHz for two hours; a kilobyte of Parquet may hold them
 _SEPARATORS = (",", ";", "\t")
 _NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that no line of text has
 
@@ -111,7 +112,7 @@ def read_table(
         raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
     try:
         if path.suffix.lower() == ".parquet":
-            data = pq.ParquetFile(path).read()
+            data = _parquet_of(path)
         else:
             source, head = _text_of(path)
             seen = _separator_and_decimal(head, separator)
@@ -129,6 +130,18 @@ def read_table(
     if twice:
         raise LogError(f"{path.name}: column '{twice[0]}' is there twice; rename one of them.")
     return LogTable(path.name, data)
+
+
+def _parquet_of(path: Path) -> pa.Table:
+    """Read a Parquet file; LogError if it unpacks to more than a log has."""
+    with pq.ParquetFile(path) as file:
+        rows, columns = file.metadata.num_rows, file.metadata.num_columns
+        if 8 * rows * columns > _LARGEST:
+            raise LogError(
+                f"{path.name}: {rows} rows of {columns} columns unpack to more than {_LARGEST} bytes; leave "
+                "out columns that are not needed, or cut the log."
+            )
+        return file.read()
 
 
 def _text_of(path: Path) -> tuple[Any, str]:

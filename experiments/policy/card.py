@@ -18,8 +18,8 @@ from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
 from surefoot.experiments.study.figures import figure_at
-from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Frame
+from surefoot.files import write_text
 
 FIGURE, CARD, SCORES = "curve.png", "card.md", "evaluation.csv"
 

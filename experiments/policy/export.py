@@ -68,6 +68,5 @@ def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bo
         network = network_of(model, PolicyView(env, task), {"from": zip_path.name})
     finally:
         env.close()
-    path.parent.mkdir(parents=True, exist_ok=True)
     network.save(path)
     return network

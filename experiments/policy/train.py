@@ -23,7 +23,7 @@ from surefoot.experiments.policy.export import network_of
 from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.policy.view import PolicyView, make_task
-from surefoot.experiments.study.files import atomic_path, locked, write_text
+from surefoot.files import atomic_path, locked, read_json, write_text
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
@@ -134,8 +134,7 @@ class Trainer:
         if board:
             self._model.logger.close()
         network = network_of(self._model, self.view, self._notes())
-        with atomic_path(self.out / POLICY) as part:
-            network.save(part)
+        network.save(self.out / POLICY)
         self._claimed.close()
         return network
 
@@ -156,7 +155,7 @@ class Trainer:
             write_text(path, json.dumps(mine, indent=2) + "\n")
             return
         try:
-            theirs = dict(json.loads(path.read_text(encoding="utf-8")))
+            theirs = dict(read_json(path))
         except (ValueError, TypeError) as error:
             raise TrainingError(f"'{path}' is damaged: {error}; give another folder.") from error
         if theirs != mine:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
+from surefoot.files import atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

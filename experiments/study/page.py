@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, StrictUndefined
 
 import surefoot
-from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Frame, Table, Verdict, flat, plural
+from surefoot.files import atomic_path, write_text
 
 MADE = "made.json"  # beside a study's tables: its command, code and date
 

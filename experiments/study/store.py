@@ -1,22 +1,22 @@
 """A study's folder: nothing that was computed is lost, and nothing is computed twice.
 
 What came of a :class:`Case` is kept under its key, and found again while the code is the same. Every finished
-case is one line of ``journal.jsonl``, synchronised before the next: a killed process or a full disk costs the
-cases under way, a damaged line its case.
+case is one line of ``journal.jsonl``, with a digest of it, synchronised before the next: a killed process
+or a full disk costs the cases under way, a line that was damaged or edited its case.
 """
 
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from surefoot.experiments.study.files import locked, write_text
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
+from surefoot.files import locked, parse_json, read_json, stat_of_file, write_text
 
 JOURNAL, PLAN = "journal.jsonl", "study.json"
 
@@ -83,7 +83,8 @@ class Store:
             self.read()
             path = self.folder / JOURNAL
             if self.damaged:
-                write_text(path, "".join(_dump(asdict(one)) + "\n" for one in self.outcomes.values()))
+                write_text(path, "".join(_line_of(one) for one in self.outcomes.values()))
+            stat_of_file(path)
             self._journal = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             try:
                 yield self
@@ -96,11 +97,10 @@ class Store:
         journal = self.folder / JOURNAL
         for line in journal.read_bytes().splitlines() if journal.is_file() else ():
             try:
-                outcome = Outcome(**json.loads(line))
+                outcome = _outcome_of(line)
+                self.outcomes[outcome.key] = outcome
             except (ValueError, TypeError):
                 self.damaged += 1
-            else:
-                self.outcomes[outcome.key] = outcome
 
     def holds(self, case: Case, *, retry_failed: bool = True, any_version: bool = False) -> bool:
         """Return whether a case need not be run again; with ``any_version`` results of other code count."""
@@ -111,7 +111,7 @@ class Store:
 
     def add(self, outcome: Outcome) -> None:
         """Write what came of a case to the disk, or raise StudyError: the journal ends before it then."""
-        data = (_dump(asdict(outcome)) + "\n").encode()
+        data = _line_of(outcome).encode()
         with self._explained():
             size = os.fstat(self._journal).st_size
             try:
@@ -144,7 +144,7 @@ class Store:
             write_text(path, json.dumps({"plan": plan, "versions": versions}, indent=1) + "\n")
             return
         try:
-            held = json.loads(path.read_text(encoding="utf-8"))
+            held = read_json(path)
             theirs, software = dict(held["plan"]), dict(held["versions"])
         except (ValueError, KeyError, TypeError) as error:
             raise StudyError(f"'{path}' is not a study's plan ({error}); give another folder.") from error
@@ -172,6 +172,26 @@ class Store:
                 f"cannot write to '{self.folder}': {error.strerror or error}. The {len(self.outcomes)} cases "
                 "that were finished are kept; make room, or mend it, and give the same command to go on."
             ) from error
+
+
+def _line_of(outcome: Outcome) -> str:
+    """Return a line of the journal: what came of a case, and a digest of it."""
+    whole = _dump(vars(outcome))
+    return f'{whole[:-1]}, "digest": "{_digest(whole)}"}}\n'
+
+
+def _outcome_of(line: bytes) -> Outcome:
+    """Read a line, of earlier versions without a digest; ValueError or TypeError if it was changed."""
+    given = parse_json(line, JOURNAL)
+    digest = given.pop("digest", None) if isinstance(given, dict) else None
+    outcome = Outcome(**given)
+    if digest not in (None, _digest(_dump(vars(outcome)))):
+        raise ValueError("it was changed after it was written")
+    return outcome
+
+
+def _digest(text: str) -> str:
+    return sha256(text.encode()).hexdigest()[:16]
 
 
 def as_kept(data: Any) -> Any:

@@ -18,13 +18,13 @@ from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
 from surefoot.experiments.walks.replay import replay_log, starting_map
+from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
 
 

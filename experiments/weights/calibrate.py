@@ -7,8 +7,8 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.experiments.logs.table import LogError, read_table
-from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
+from surefoot.files import write_text
 
 
 def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:

@@ -3,7 +3,7 @@
 Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.calibration.checks import as_number
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, foot_device
@@ -39,6 +40,9 @@ NAO_COMPUTER: Final = ("nao-imu", "nao-encoders", "nao-wlan")
 
 ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
 """Those of a robot that computes on board."""
+
+_EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
+"""Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
 
 
 class HardwareState(NamedTuple):
@@ -114,8 +118,8 @@ class Equipment:
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
         devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
-        if severity != 1.0:
-            devices = [scaled(device, float(severity)) for device in devices]
+        if (severity := as_number("severity", severity)) != 1.0:
+            devices = [scaled(device, severity) for device in devices]
         for device in devices:
             check_wire(device, dt)
         self.instruments = Instruments(tuple(devices), drawing, dt)
@@ -127,7 +131,7 @@ class Equipment:
         self.computer = tuple(
             given if isinstance(given, str) else "custom" for given in (imu, encoders, link)
         )
-        if isinstance(faults, (str, Mapping)):
+        if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
             raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
         self._faults = [self._fault(fault) for fault in faults]
         self.broken = channel_faults(self._faults, self.instruments) if self._faults else None
@@ -413,7 +417,7 @@ def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
     Raises:
         RuntimeError: If nothing was drawn yet.
     """
-    save_state(path, _together(robots), **robots[0].notes())
+    save_state(path, _together(robots), _EMPTY, **robots[0].notes())
 
 
 def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
@@ -423,7 +427,7 @@ def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
         RuntimeError: If nothing was drawn yet.
         ValueError: If the file is of another robot, or of other sensors.
     """
-    found = load_state(path, _together(robots), **robots[0].notes())
+    found = load_state(path, _together(robots), _EMPTY, **robots[0].notes())
     for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
         robot.exchange(hardware)
 

@@ -37,7 +37,10 @@ def check_creep(config: Any) -> None:
         ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
     """
     for name in ("creep_shares", "creep_time_constants"):
-        object.__setattr__(config, name, tuple(float(value) for value in getattr(config, name)))
+        try:
+            object.__setattr__(config, name, tuple(float(value) for value in getattr(config, name)))
+        except (TypeError, ValueError):
+            require(False, config, name, "be a sequence of numbers")
     shares, times = config.creep_shares, config.creep_time_constants
     require(all(isfinite(share) for share in shares), config, "creep_shares", "be finite")
     require(

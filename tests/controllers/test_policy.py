@@ -178,7 +178,7 @@ def test_it_refuses_files_of_another_kind(tmp_path):
     np.savez(tmp_path / "bad.npz", **(good | {"sizes": np.array([4, 2, 3])}))
     refused("bad.npz': Layer 0")
     (tmp_path / "bad.npz").write_bytes(bytes(2**20 + 1))
-    refused("less than 1 MB")
+    refused("cannot be read as a policy file, an archive of arrays .*: File is not a zip file")
     assert json.loads(str(good["notes"])) == {"seed": 0}
 
 
@@ -203,7 +203,7 @@ def test_whatever_is_damaged_it_is_refused_or_read(tmp_path):
 def test_a_small_file_that_unpacks_to_a_large_one_is_refused(tmp_path):
     np.savez_compressed(tmp_path / "bomb.npz", weight_0=np.zeros(2**24))
     assert (tmp_path / "bomb.npz").stat().st_size < 2**20
-    with pytest.raises(PolicyFileError, match=r"unpacks to 134217856 bytes; a policy has less than 8388608"):
+    with pytest.raises(PolicyFileError, match=r"it unpacks to 134217856 bytes, and 8388608 are the most"):
         PolicyNetwork.load(tmp_path / "bomb.npz")
     np.save(tmp_path / "array.npy", np.zeros(3))
     with pytest.raises(PolicyFileError, match=r"cannot be read as a policy file, an archive of arrays"):

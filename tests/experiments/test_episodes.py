@@ -123,7 +123,7 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         ),
         ('scenarios = ["a"]\n[scenario.a]\nbased_on = "b"', "There is no scenario 'b'."),
         ('scenarios = ["a"]\n[scenario.a]\nenvironment = "No-v0"', "'No-v0', which is not registered"),
-        ("seeds = [", "is not TOML"),
+        ("seeds = [", "not TOML"),
         ("seeds = []", "'seeds' is empty"),
         ("severities = 3", "axes are lists"),
     ],

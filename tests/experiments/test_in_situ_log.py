@@ -561,7 +561,7 @@ def test_a_file_of_settings_may_have_a_mark_of_its_encoding(tmp_path: Path) -> N
     path.with_suffix(".toml").write_text(toml(), encoding="utf-8-sig")
     assert len(read_in_situ_log(path).sets) == 3
     path.with_suffix(".toml").write_text("# größer\n" + toml(), encoding="latin-1")
-    with pytest.raises(LogError, match=r"leg\.toml: not TOML: .*; save it as UTF-8"):
+    with pytest.raises(LogError, match=r"leg\.toml: not a text in UTF-8 .*; save it as UTF-8"):
         read_in_situ_log(path)
 
 

@@ -240,7 +240,7 @@ def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"^lonely\.csv: the description lonely\.json is not beside it"):
         read_log(tmp_path / "lonely.csv")
     write_log(log, tmp_path / "torn.csv").with_suffix(".json").write_text('{"format": ')
-    with pytest.raises(LogError, match=r"^torn\.json: the description is not JSON"):
+    with pytest.raises(LogError, match=r"^torn\.json: the description: not JSON"):
         read_log(tmp_path / "torn.csv")
     with pytest.raises(LogError, match=r"^walk\.mat: a log ends in \.parquet or \.csv; rename the file\."):
         write_log(log, tmp_path / "walk.mat")

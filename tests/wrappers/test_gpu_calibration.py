@@ -21,6 +21,7 @@ from surefoot.calibration import (
 
 warp = pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
 
+from surefoot.wrappers.gpu.batch import views  # noqa: E402
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule  # noqa: E402
 from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule  # noqa: E402
 
@@ -194,6 +195,18 @@ def test_a_saved_state_goes_on_bit_for_bit(method, log, tmp_path):
     frozen.freeze()
     other.load_state_dict(frozen.state_dict())
     assert other.frozen
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e30])
+def test_a_saved_state_with_impossible_numbers_is_refused_and_nothing_changes(value, log):
+    module, other = make(), make()
+    run(module, log, 50)
+    saved = module.state_dict()
+    before = other.state_dict()["_extra_state"]["state"]
+    views(saved["_extra_state"]["state"], module._layouts[1])["mean"][1, 2] = value
+    with pytest.raises(ValueError, match=r"none to go on with: 'mean' holds .* at \(1, 2\), and -20 to 20"):
+        other.load_state_dict(saved)
+    assert torch.equal(other.state_dict()["_extra_state"]["state"], before)
 
 
 def test_a_saved_state_of_another_calibrator_is_refused():

@@ -18,6 +18,7 @@ from torch import Tensor
 from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
+from surefoot.calibration.state import check_leaves
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of, views
@@ -159,7 +160,7 @@ class SelfCalibrationModule(BatchModule):
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
         self._options = dict(sorted(options.items()))
-        online_method(self.method, self.setup, **options)  # refuses what there is not
+        self._limits = online_method(self.method, self.setup, **options).limits
         if self.method not in _STEPS:
             raise ValueError(
                 f"Method {self.method!r} has no kernel; methods that have one: {', '.join(_STEPS)}."
@@ -272,8 +273,12 @@ class SelfCalibrationModule(BatchModule):
         """Go on, bit for bit, from what :meth:`get_extra_state` returned.
 
         Raises:
-            ValueError: If it is of another calibrator.
+            ValueError: If it is of another calibrator, or holds what no state can; nothing is changed.
         """
+        if getattr(state.get("state"), "shape", None) == self._state.shape:
+            saved = views(state["state"], self._layouts[1])
+            leaves = {name: part.cpu().numpy() for name, part in saved.items()}
+            check_leaves(leaves, self._limits, "The saved state is none to go on with")
         self._restore(self._kernel, state, self._identity())
         self.frozen = state["frozen"]
 

@@ -1,0 +1,335 @@
+"""Files: written whole or not at all, and read with limits.
+
+:func:`atomic_path` is the one writer. It fills a file beside the target and renames it into place, so that a
+full disk or a killed process costs the new file and never the old one. A rename replaces whatever bears the
+name, a device as well as a file: only regular files are replaced. The file beside the target is locked while
+it is written; one that nobody holds was left by a killed process, and the next save to the target removes it.
+
+The readers look at sizes before contents: of a file, of what an archive unpacks to, of what an array says of
+itself.
+"""
+
+import csv
+import json
+import os
+import re
+import shutil
+import stat
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import prod
+from os import PathLike
+from pathlib import Path
+from secrets import token_hex
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+AnyPath = str | PathLike[str]
+
+LARGEST_TEXT = 2**26
+"""Size in bytes beyond which a text is none of ours: a description, a plan, a motion of an hour."""
+
+DEEPEST = 64
+"""Levels of nesting beyond which data are none of ours, whose formats have less than ten."""
+
+_DOTTED = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+"""A key in TOML of more parts; the parser's time grows with the square of their number."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+_OWN = 50
+"""Letters of a target's name in the name of the file beside it: at most 255 bytes with all that follows."""
+
+
+@contextmanager
+def atomic_path(path: AnyPath) -> Iterator[Path]:
+    """Lend a name beside a file, and rename what was written into place, or remove it.
+
+    Folders are made. A link is followed: what it leads to is replaced.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ValueError: If something else than a regular file bears the name.
+        OSError: If it cannot be written; the old file is as it was.
+    """
+    target = Path(os.path.realpath(_as_path(path)))
+    there = stat_of_file(path)
+    if there is not None and not os.access(target, os.W_OK):
+        raise PermissionError(f"'{path}' is write-protected: nothing was written.")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    start = f".{target.stem[:_OWN]}."
+    for left in target.parent.iterdir():
+        if left.name.startswith(start) and left.name.endswith(f".part{target.suffix}"):
+            _remove_left(left)
+    part = target.with_name(f"{start}{token_hex(4)}.part{target.suffix}")
+    file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        _lock(file)
+        yield part
+        with part.open("rb+") as written:
+            os.fsync(written.fileno())
+        if there is not None:
+            shutil.copymode(target, part)
+        if sys.platform == "win32":
+            os.close(file)
+            file = -1
+        part.replace(target)
+    finally:
+        if file >= 0:
+            os.close(file)
+        part.unlink(missing_ok=True)
+
+
+def write_text(path: AnyPath, text: str) -> None:
+    """Write a text file atomically, in UTF-8; errors as of :func:`atomic_path`."""
+    with atomic_path(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def locked(folder: Path, refusal: Exception) -> Iterator[None]:
+    """Keep others, who get ``refusal``, out of a folder while this process lives, where the system can."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if _lock(file) is False:
+            raise refusal
+        yield
+    finally:
+        os.close(file)
+
+
+def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
+    """Return what is known of a regular file, ``None`` if there is none; ValueError if it is no such."""
+    try:
+        there = os.stat(_as_path(path))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    for is_one, kind in _KINDS:
+        if is_one(there.st_mode):
+            raise refusal(f"'{path}' is {kind} and no regular file; give the path of a file.")
+    return there
+
+
+def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
+    """Return a text file in UTF-8, with or without a byte order mark.
+
+    Args:
+        path: The file.
+        refusal: The error to raise.
+
+    Raises:
+        ValueError: Or ``refusal``, if there is no such file, no regular one, a larger one than
+            :data:`LARGEST_TEXT`, or no text in UTF-8.
+    """
+    target = Path(_as_path(path))
+    name = target.name or str(path)
+    there = stat_of_file(path, refusal)
+    if there is None:
+        raise refusal(f"{path}: no such file.")
+    if there.st_size > LARGEST_TEXT:
+        raise refusal(f"{name}: has {there.st_size} bytes; a text file has at most {LARGEST_TEXT}.")
+    try:
+        return target.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise refusal(f"{name}: not a text in UTF-8 ({error}); save it as UTF-8.") from None
+
+
+def read_json(path: AnyPath, refusal: type[ValueError] = ValueError) -> Any:
+    """Return what a JSON file holds; errors as of :func:`read_text`, and if it is no JSON."""
+    return parse_json(read_text(path, refusal), Path(path).name, refusal)
+
+
+def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueError) -> Any:
+    """Return what a JSON text holds.
+
+    Args:
+        text: The text.
+        name: What messages call it.
+        refusal: The error to raise.
+
+    Raises:
+        ValueError: Or ``refusal``, if it is no JSON, or nested more than :data:`DEEPEST` levels deep.
+    """
+    try:
+        return _shallow(json.loads(text))
+    except (ValueError, RecursionError) as error:
+        raise refusal(f"{name}: not JSON: {_said(error)}.") from None
+
+
+def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str, Any]:
+    """Return what a TOML file holds; errors as of :func:`read_text`, and if it is no TOML."""
+    text = read_text(path, refusal)
+    try:
+        if _DOTTED.search(text):
+            raise RecursionError
+        found: dict[str, Any] = _shallow(tomllib.loads(text))
+    except (ValueError, RecursionError) as error:
+        raise refusal(f"{Path(path).name}: not TOML: {_said(error)}.") from None
+    return found
+
+
+def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str, NDArray[np.float64]]:
+    """Return the columns of a CSV file of finite numbers by their names, shape (rows,) each.
+
+    Args:
+        path: The file.
+        wanted: Names of columns that must be there.
+        cure: What messages advise, such as ``"write it with ..."``.
+
+    Raises:
+        ValueError: As of :func:`read_text`; if a column is missing or there twice, a row is longer or
+            shorter than the names, or a cell is no finite number.
+    """
+
+    def refusal(message: str) -> ValueError:
+        return ValueError(f"{path}{message}; {cure}.")
+
+    text = read_text(path)
+    try:
+        names, *rows = csv.reader(text.splitlines())
+    except (ValueError, csv.Error):
+        raise refusal(": not a table: it needs a line of column names") from None
+    if missing := [column for column in wanted if column not in names]:
+        raise refusal(f" lacks the columns {missing}")
+    if len(set(names)) < len(names):
+        raise refusal(" has a column twice")
+    for line, row in enumerate(rows, 2):
+        if len(row) != len(names):
+            raise refusal(f": line {line} has {len(row)} cells for {len(names)} columns")
+    try:
+        table = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    except ValueError as error:
+        raise refusal(f": {error}") from None
+    if not np.isfinite(table).all():
+        line, column = np.argwhere(~np.isfinite(table))[0]
+        raise refusal(f": column '{names[column]}' is not finite in line {line + 2}")
+    return dict(zip(names, table.T, strict=True))
+
+
+def read_arrays(path: AnyPath, largest: int) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an ``.npz`` by their names; nothing in it is executed.
+
+    Args:
+        path: The file.
+        largest: Bytes that all arrays together may unpack to; more is refused before any is unpacked.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no regular file, no archive of plain arrays, or one that unpacks to more.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    with _archive(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+        if size > largest:
+            raise ValueError(f"it unpacks to {size} bytes, and {largest} are the most")
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in found:
+                raise ValueError(f"'{name}' is there twice")
+            found[name] = _array_of(archive, member, name)
+    return found
+
+
+def names_in_archive(path: AnyPath) -> list[str]:
+    """Return the names of the files in an archive; errors as of :func:`read_arrays`."""
+    with _archive(path) as archive:
+        return archive.namelist()
+
+
+@contextmanager
+def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
+    """Open an archive; what goes wrong inside is a ValueError that names it."""
+    target = Path(_as_path(path))
+    if stat_of_file(path) is None:
+        raise FileNotFoundError(f"{path}: no such file.")
+    with target.open("rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                yield archive
+        except Exception as error:  # Whatever a damaged archive raises.
+            raise ValueError(f"'{path}' is no archive of arrays, or damaged: {_said(error)}.") from error
+
+
+def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
+    """Return one array, if it is as large as it says."""
+    read_header = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    with archive.open(member) as file:
+        shape, _, dtype = read_header[np.lib.format.read_magic(file)](file)
+        if dtype.hasobject or prod(shape) * dtype.itemsize != member.file_size - file.tell():
+            raise ValueError(f"'{name}' is no array, or not of the size that it says")
+    with archive.open(member) as file:
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def _as_path(path: Any) -> str:
+    """Return a path as a str; TypeError for what is none, such as an int: the number of an open file."""
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"A path must be a str or a Path, got {path!r} of {type(path).__name__}.")
+    if "\0" in (text := os.fspath(path)):
+        raise ValueError(f"{text!r} cannot be the name of a file.")
+    return text
+
+
+def _lock(file: int) -> bool | None:
+    """Lock an open file until it is closed: True, False if another has it, ``None`` where nobody can."""
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None  # A file system without locks.
+    return True
+
+
+def _remove_left(part: Path) -> None:
+    """Remove a file that a killed process was writing; leave one that is being written."""
+    try:
+        if sys.platform == "win32":
+            part.unlink()  # Refused while it is open.
+            return
+        file = os.open(part, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return
+    try:
+        if _lock(file):
+            part.unlink(missing_ok=True)
+    finally:
+        os.close(file)
+
+
+def _shallow(data: Any) -> Any:
+    """Return data that are not nested too deep for whoever walks through them."""
+    level = [data]
+    for _ in range(DEEPEST):
+        inner = [list(one.values()) if isinstance(one, dict) else one for one in level]
+        level = [part for one in inner if isinstance(one, list) for part in one]
+        if not level:
+            return data
+    raise RecursionError
+
+
+def _said(error: Exception) -> str:
+    """Return what an error says, in one line."""
+    if isinstance(error, RecursionError):
+        return f"it is nested more than {DEEPEST} levels deep"
+    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
