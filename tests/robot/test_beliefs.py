@@ -279,7 +279,7 @@ def test_links_decide_how_late_a_reference_is(make_bare) -> None:
         env = SelfCalibration(FootSensors(make_bare(), link=link), "none")
         late[link.delay] = env.reset(seed=0)[1]["surefoot"]["lag"]
     assert late[0.02] == 4
-    assert late[0.05] == 7
+    assert late[0.05] == 6
     assert late[0.0] == 4
 
 

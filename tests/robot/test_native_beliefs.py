@@ -286,7 +286,10 @@ def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library, mon
 
 
 def test_what_does_not_fit_is_found(library):
-    tree, timing = ROBOTS["nao"]().tree(), {"window": 1, "period": 0.01, "dt": 0.0125}
+    tree, timing = (
+        ROBOTS["nao"]().tree(),
+        {"window": 1, "joined": 1, "gravity": 9.81, "period": 0.01, "dt": 0.0125},
+    )
     sizes = {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
 
     def fits(timing, **changes):

@@ -220,7 +220,7 @@ def test_a_late_link_has_brought_packets_when_an_episode_begins(link: dict[str, 
 
 
 def test_a_reference_is_of_the_moment_at_which_late_ankle_sensors_were_read(make_bare) -> None:
-    sensors = FootSensors(make_bare(), ForceTorque(wire=Wire(delay=0.03)))
+    sensors = FootSensors(make_bare(), ForceTorque(wire=Wire(delay=0.03), averaged=False))
     env = SelfCalibration(sensors)
     env.reset(seed=0)
     env.step(STILL)
