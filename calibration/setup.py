@@ -38,8 +38,14 @@ def method_name(name: str) -> str:
     return today
 
 
-class OnlineMethod(NamedTuple):
-    """An online calibrator of one robot as pure functions.
+class _Functions(NamedTuple):
+    init: Callable[[Array], Any]
+    update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
+    retract: Callable[[Any], Any]
+
+
+class OnlineMethod(_Functions):
+    """An online calibrator of one robot as pure functions: three of them, when it is unpacked.
 
     Attributes:
         init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading whose values do not matter.
@@ -51,10 +57,19 @@ class OnlineMethod(NamedTuple):
             saved state beyond them is refused (:func:`surefoot.calibration.state.load_state`).
     """
 
-    init: Callable[[Array], Any]
-    update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
-    retract: Callable[[Any], Any] = lambda state: state
-    limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({})
+    limits: Mapping[str, tuple[Any, Any]]
+
+    def __new__(
+        cls,
+        init: Callable[[Array], Any],
+        update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]],
+        retract: Callable[[Any], Any] = lambda state: state,
+        limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({}),
+    ) -> "OnlineMethod":
+        """Keep the functions as a tuple, and the limits beside it."""
+        self = super().__new__(cls, init, update, retract)
+        self.limits = limits
+        return self
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -82,8 +82,8 @@ def find_feet(
     """
     if names is None:
         return _guess(model, data)
-    if isinstance(names, str) or not isinstance(names, Sequence):
-        raise TypeError(f"'feet' must be a sequence of names of bodies, such as ('foot',); got {names!r}.")
+    if isinstance(names, str):
+        raise TypeError(f"'feet' must be a sequence of names of bodies, such as ({names!r},); got a string.")
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     if not names or len(set(names)) != len(names) or not set(names) <= set(bodies):
         raise ValueError(
