@@ -209,7 +209,7 @@ def test_the_logger_is_told_of_the_error_its_standard_deviation_and_flags(tmp_pa
             return out
 
     feet = VecFootSensors(
-        DummyVecEnv(_functions(duration=3.0)), faults=["at t=0.05 s cell left/2 spikes"], fresh=True
+        DummyVecEnv(_functions(duration=3.0)), faults=["at t=0.05 s cell left/2 drops 60 %"], fresh=True
     )
     told = _logged(VecNormalize(VecMonitor(Kept(feet))), tmp_path, 40)
     assert len(seen) == 40 * ROBOTS
