@@ -78,6 +78,7 @@ class CalibrationSetup:
     Attributes:
         start: The map to start from.
         layout: The feet and their channels.
+        ages: How old readings of each channel are on average when they are taken, in s, shape (K,).
         errors: How wrong the robots are about themselves.
 
     Raises:
@@ -112,9 +113,9 @@ class CalibrationSetup:
                 f"{owner.replace('SelfCalibration', 'FootSensors')} alone."
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
+        self.ages = instruments.ages
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
         usual = {
-            "age": instruments.ages.tolist(),
             "gravity": drawing.gravity,
             "force_threshold": contact_force(drawing.weight),
         }
@@ -133,9 +134,10 @@ class CalibrationSetup:
 
     def calibrator(self, mass: float, initial: Parameters | None, dt: float, lag: int) -> FootCalibrator:
         """Make a calibrator; arguments as of :class:`~surefoot.calibration.FootCalibrator`."""
-        return FootCalibrator(
-            self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **self.options
-        )
+        # What is handed out is of the last step, of which ideal cells give the mean: of its middle.
+        age = np.maximum(self.ages - 0.5 * dt, 0.0)
+        options = {"age": age.tolist()} | self.options
+        return FootCalibrator(self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **options)
 
     def view(self) -> FootView:
         """Make what shows the feet of one robot."""

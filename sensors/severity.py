@@ -148,6 +148,7 @@ IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "full_scale_force",
             "full_scale_torque",
             "resolution_force",
+            "averaged",
             "resolution_torque",
         ),
         StrainGauges: (

@@ -102,7 +102,7 @@ def test_cells_in_the_air_feel_their_plate(seed):
 
 def test_both_on_one_foot_feel_each_their_own():
     moved, _ = motion(3)
-    felt = DistalMasses(BOTH, DT, N).felt(flat(moved)).reshape(2, 10)
+    felt = DistalMasses(BOTH, 9.81, DT, N).felt(flat(moved)).reshape(2, 10)
     np.testing.assert_allclose(
         felt[:, :4], DistalMasses(CELLS, 9.81, DT, N).felt(flat(moved)).reshape(2, 4), atol=1e-12
     )
@@ -116,7 +116,7 @@ def test_at_level_rest_there_is_nothing_to_feel(layout):
     moved, _ = motion(0, tilt=0.0)
     rest = {name: np.broadcast_to(values[:1], values.shape) for name, values in moved.items()}
     rest["acceleration"] = np.zeros((N, 3))
-    masses = DistalMasses(layout, DT, N)
+    masses = DistalMasses(layout, 9.81, DT, N)
     assert masses.matter
     np.testing.assert_allclose(masses.felt(flat(rest)), 0.0, atol=1e-9)
     np.testing.assert_allclose(masses.total(flat(rest), np.zeros((N, 3))), 0.0, atol=1e-9)
@@ -167,10 +167,10 @@ def newton_euler(layout, moved, sole_acceleration, origin):
 def test_the_feet_lack_what_newton_and_euler_ask_for(layout, tilt, seed):
     moved, sole_acceleration = motion(seed, tilt)
     origin = moved["com"] * (1.0, 1.0, 0.0) + 0.05
-    total = DistalMasses(layout, DT, N).total(flat(moved), origin)
+    total = DistalMasses(layout, 9.81, DT, N).total(flat(moved), origin)
     np.testing.assert_allclose(total, newton_euler(layout, moved, sole_acceleration, origin), atol=1e-9)
 
 
 def test_a_weightless_plate_does_not_matter():
     bare = FeetLayout((FootLayout.load_cells("plate", CORNERS),))
-    assert not DistalMasses(bare, DT, N).matter
+    assert not DistalMasses(bare, 9.81, DT, N).matter

@@ -224,7 +224,7 @@ def test_a_reference_is_of_the_moment_at_which_late_ankle_sensors_were_read(make
     env = SelfCalibration(sensors)
     env.reset(seed=0)
     env.step(STILL)
-    np.testing.assert_array_equal(env.calibrator.setup.age, np.full(12, 0.03))
+    np.testing.assert_array_equal(env.calibrator.setup.age, np.full(12, 0.03 - 0.5 * sensors.telemetry.dt))
     late = env.robot.late * sensors.telemetry.dt
     assert env.robot.reference_time == pytest.approx(sensors.time - late - 0.03)
 
