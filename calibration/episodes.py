@@ -20,6 +20,8 @@ from surefoot.calibration.baselines import TareState
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.state import MomentState
+from surefoot.calibration.momentum.motion import Track
+from surefoot.calibration.momentum.state import MomentumState
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
 
@@ -38,6 +40,8 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
             *("step", "mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
             *("kept_mean", "kept_covariance", "noise", "misfit", "rate", "unproven"),
         ),
+        MomentumState: (*("time", "belief", "drifted", "noise", "tare", "published", "covariance", "kept"),),
+        Track: (),
         ChannelState: (
             *("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),
         ),

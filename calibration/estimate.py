@@ -58,6 +58,9 @@ class Flag(IntFlag):
     SATURATED = 16384
     """The reading stays at an end of its range: the channel is out while it does."""
 
+    HELD = 32768
+    """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
+
 
 class Estimate(NamedTuple):
     """Calibrated readings of one sample; a replay of N samples has N first in each field.
@@ -89,6 +92,9 @@ class Estimate(NamedTuple):
             (K, K); ``None`` where there is one scale a channel.
         cop_measured: Centre of pressure of the forces as they were read, in m, shape (2,), NaN where they
             have none; ``cop`` itself where readings have no age.
+        undetermined: Share of each scale's variance at the start that the data have left, from 0 to 1, shape
+            (K,): where it is 1, the scale is the starting map's; or ``None``.
+        contact_probability: Probability that a foot bears load, shape (2,), or ``None``.
     """
 
     force: Array
@@ -108,3 +114,5 @@ class Estimate(NamedTuple):
     nis_rows: Array | None = None
     matrix: Array | None = None
     cop_measured: Array | None = None
+    undetermined: Array | None = None
+    contact_probability: Array | None = None

@@ -19,7 +19,7 @@ from surefoot.calibration.native import (
 )
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
@@ -112,13 +112,17 @@ class FootCalibrator:
         self._state = kept
 
     def update(
-        self, raw: ArrayLike, reference: Reference | ReferenceRecord, dt: float | None = None
+        self,
+        raw: ArrayLike,
+        reference: Reference | MomentumReference | ReferenceRecord,
+        dt: float | None = None,
     ) -> Estimate:
         """Take in one sample.
 
         Args:
             raw: Readings, shape (K,). NaN: no sample arrived.
-            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record.
+            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record; method
+                ``"momentum"`` takes a :class:`~surefoot.calibration.MomentumReference` as well.
             dt: Time since the last sample in s; the nominal one by default.
 
         Returns:
