@@ -65,14 +65,14 @@ class MomentumConfig:
     delay_std: float = 0.005
     """How late the robot's clock is thought to be against its feet's, in s: a packet's jitter."""
 
-    velocity_noise: float = 0.02
-    """Standard deviation of a block's mean level velocity in m/s. Rolling soles make it 1 to 2 cm/s for
-    velocity increments that stance legs pull within a second; it is learnt if it is more."""
+    velocity_noise: float = 0.01
+    """Standard deviation of a block's mean level velocity in m/s, from block to block: what velocity increments
+    show that stance legs pull within a second. Rolling soles make it 1 to 2 cm/s; more is learnt."""
 
-    vertical_noise: float = 0.005
+    vertical_noise: float = 0.003
     """The same of the vertical velocity, which soles on level ground show better."""
 
-    momentum_noise: float = 0.002
+    momentum_noise: float = 0.001
     """Standard deviation of a block's mean angular momentum by the mass, in m^2/s."""
 
     ripple: float = 0.5

@@ -46,7 +46,7 @@ from surefoot.calibration.momentum.state import (
     SampleColumns,
     TareState,
 )
-from surefoot.calibration.momentum.tare import Tare
+from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
@@ -75,8 +75,8 @@ is believed; and the squared surprise of which more counts no more (three standa
 LEAST_READ = 0.25
 """Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
 
-HELD_CHANCE = 0.5
-"""Chance of being held from which on it is said."""
+HELD_CHANCE = 0.9
+"""Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
 
 
 class MomentumFilter:
@@ -357,7 +357,7 @@ class MomentumFilter:
             undetermined=state.published.undetermined,
             contact_probability=contact_probability(
                 estimate.vgrf, sample.rows[:, 0], learnt, sample.force,
-                self.config.tare_noise * setup.weight, setup.weight,
+                self.config.tare_noise * np.sqrt(NOISE_TIME / setup.dt) * setup.weight, setup.weight,
             ),
         )  # fmt: skip
 

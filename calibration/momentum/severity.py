@@ -22,7 +22,8 @@ SEVERITIES = (0.04, 0.2, 1.0, 3.0)
 """How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
 
 LIKELY = (0.04, 0.08, 0.78, 0.1)
-"""How likely each of them is before anything was seen: a few directions that happen to agree are no proof of\ngood sensors, and a swing shows eight offsets at once."""
+"""How likely each of them is before anything was seen: a few directions that happen to agree are no proof of
+good sensors, and a swing shows eight offsets at once."""
 
 LEAST_SHARE = 1e-12
 """Least share of its variance that anything is known to: less is rounding."""

@@ -30,9 +30,10 @@ the squared surprise, in expected ones, of which more counts no more (three stan
 LEAP = 5.0
 """Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
 
-LARGEST_LOAD = 0.2
-"""Mean reading of a channel, and of a foot, in body weights by the starting map, from which on a foot is not
-in the air after all: seven stated offsets."""
+LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
+"""Mean reading of a channel, and sum of a foot's, in body weights by the starting map, from which on a foot
+is not in the air after all: three offsets of sensors three times as bad as stated, and less than half of what
+a foot bears that stands."""
 
 
 class Tare:
@@ -84,7 +85,7 @@ class Tare:
         reading = block.force[sure, channels].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
         total = abs(float((reading / self._unit[channels]).sum()))
-        in_air = not large.any() and total <= LARGEST_LOAD
+        in_air = not large.any() and total <= LARGEST_SUM
         return reading, float(block.dt[sure].sum()) * in_air
 
     def _tare(

@@ -1,4 +1,4 @@
-"""A robot on eight cells whose momentum is exact: forces are what its motion asks for, interval by interval."""
+"""A robot on eight cells whose momentum is exact: its motion asks for the forces, interval by interval."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Errors:
     def stated(cls) -> "Errors":
         """Those that the filter is told of, in W and m/s; noise of beliefs is white from sample to sample."""
         root = np.sqrt(0.1 / DT)
-        return cls(0.12, 0.03, 0.02, 0.02, 1e-3, 0.003, 0.02 * root, 0.005 * root, 0.002 * root)
+        return cls(0.12, 0.03, 0.02, 0.02, 1e-3, 0.003, 0.01 * root, 0.003 * root, 0.001 * root)
 
 
 class Motion(NamedTuple):
@@ -80,7 +80,7 @@ def move(
     cop = np.column_stack([-torque[:, 1], torque[:, 0]]) / force[:, 2:]
     soles = np.tile([[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]], (n, 1, 1))
     step = (time // 0.5).astype(int) % 4
-    share = np.clip(0.5 + (cop[:, 1] - 0.0) / 0.1, 0.1, 0.9)
+    share = np.clip(0.5 + cop[:, 1] / 0.1, 0.1, 0.9)
     share = np.column_stack([share, 1.0 - share])
     air = np.zeros((n, 2), bool)
     if walking:
@@ -92,10 +92,7 @@ def move(
     drift = rng.normal(size=(2, n, 8)).cumsum(axis=1) * np.sqrt(DT / 60.0)
     a = 1.0 + errors.scale * rng.normal(size=8) + errors.scale_drift * drift[0]
     zero = WEIGHT * (errors.offset * rng.normal(size=8) - errors.offset_drift * drift[1])
-    # F = a (F0 + u) + b, so that F0 = (F - b) / a - u.
-    read = (cells - WEIGHT * 0.0 - zero) / a + WEIGHT * errors.noise * np.sqrt(0.2 / DT) * rng.normal(
-        size=cells.shape
-    )
+    read = (cells - zero) / a + WEIGHT * errors.noise * np.sqrt(0.2 / DT) * rng.normal(size=cells.shape)
     belief = MomentumReference(
         com=com + errors.com * np.append(rng.normal(size=2), 0.0),
         com_velocity=velocity
