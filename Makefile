@@ -12,13 +12,24 @@ ifeq ($(shell uname -s)$(DISPLAY),Linux)
 export MUJOCO_GL ?= egl
 endif
 
-.PHONY: demo test slow results check style types pyright imports format docs wheel-test wheels release-check linkcheck clean
+.PHONY: demo test slow core lowest results check style types pyright imports format docs wheel-test wheels release-check linkcheck clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
 
 test: $(VENV)/.dev
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" $(PYTEST)
+
+# What runs on a robot, with what a robot has: NumPy and SciPy; and pytest and hypothesis.
+CORE := build/core
+core: $(CORE)/.made
+	$(CORE)/bin/pytest -n auto --dist loadfile -m "not slow" tests/calibration tests/sensors $(PYTEST)
+
+# The oldest versions that pyproject.toml names. What warns there are old packages, of others newer than they know.
+LOWEST := build/lowest
+LOWEST_TESTS ?= tests/wrappers tests/experiments
+lowest: $(LOWEST)/.made
+	$(LOWEST)/bin/pytest -n auto --dist loadfile -m "not slow" -o filterwarnings=default $(LOWEST_TESTS) $(PYTEST)
 
 # All studies and their tables in docs: three quarters of an hour on two cores; what is finished is not run again. More
 # walks, rigs and episodes make narrower intervals.
@@ -115,21 +126,47 @@ release-check: wheels
 	rm -rf build/sdist
 	! grep -n OWNER pyproject.toml  # the repository's address is to be set
 
-$(BIN)/python:
+%/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "surefoot needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade pip
+	$(PYTHON) -m venv $*
+	$*/bin/pip install --quiet --upgrade pip
+
+# pip installs, by the user's configuration. INSTALLER=uv takes a seventh of its time, but leaves torch to pip, whose
+# configuration says which build of it.
+UV := build/uv/bin/uv
+$(UV): | build/uv/bin/python
+	build/uv/bin/pip install --quiet uv
+torch_by_pip = $(1)/bin/pip install --quiet --no-compile -c constraints.txt torch
+ifeq ($(INSTALLER),uv)
+install = $(UV) pip install --quiet --python $(1)/bin/python
+before_install = $(torch_by_pip)
+NEEDS_UV := $(UV)
+else
+install = $(1)/bin/pip install --quiet
+endif
 
 # An install with [dev] serves the demo as well.
 NATIVE := setup.py surefoot/native/build.py $(wildcard */native/*.[ch])
-$(VENV)/.demo: pyproject.toml constraints.txt $(NATIVE) | $(BIN)/python
-	test -e $(VENV)/.dev || $(BIN)/pip install --quiet -c constraints.txt -e '.[experiments]'
+SOURCES := pyproject.toml constraints.txt $(NATIVE)
+$(VENV)/.demo: $(SOURCES) | $(BIN)/python $(NEEDS_UV)
+	test -e $(VENV)/.dev || $(call install,$(VENV)) -c constraints.txt -e '.[experiments]'
 	touch $@
 
-$(VENV)/.dev: pyproject.toml constraints.txt $(NATIVE) | $(BIN)/python
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+$(VENV)/.dev: $(SOURCES) | $(BIN)/python $(NEEDS_UV)
+	$(call before_install,$(VENV))
+	$(call install,$(VENV)) -c constraints.txt -e '.[dev]'
 	touch $@ $(VENV)/.demo
+
+$(CORE)/.made: $(SOURCES) | $(CORE)/bin/python $(NEEDS_UV)
+	$(call install,$(CORE)) -c constraints.txt -e '.[test]'
+	touch $@
+
+$(LOWEST)/.made: $(SOURCES) | $(LOWEST)/bin/python $(UV)
+	$(call torch_by_pip,$(LOWEST))
+	$(UV) pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+		-e '.[rl,icub,robots,experiments,ros,view,test]'
+	touch $@
 
 clean:
 	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -8,7 +8,7 @@ one, of single cells, and how errors agree with the covariance claimed (1 is rig
 
 A robot of its owner's, Unitree's G1 by a published policy, comes from the folder that the variable
 ``SUREFOOT_STRANGERS`` names (``g1_policy.py`` beside it); without it, its scenes are left out. Cells are
-read as means over a control step, as converters integrate. ``--start bench`` takes cells with a perfect map
+the usual ones of a robot's size. ``--start bench`` takes cells with a perfect map
 that drift a tenth as fast, ``triple`` three times as bad ones, untold.
 """
 
@@ -25,17 +25,14 @@ from typing import Any, NamedTuple
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import gymnasium as gym
-import mujoco
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
-from surefoot.envs.instrumentation.env import InstrumentedEnv
-from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.robot.sensing.instruments import CellsUnderFeet
-from surefoot.sensors import LoadCells, scaled, sized
+from surefoot.robot.sensing.instruments import usual_cells
+from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 Floats = NDArray[np.float64]
@@ -112,6 +109,7 @@ class Stream(NamedTuple):
         initial: The map to start from.
         dt: Time between samples in s.
         lag: By how many samples references are late.
+        age: Mean age of a reading in s.
         raw: Readings, shape (N, K).
         accelerations: References, N first in each field.
         momenta: The same as momentum.
@@ -127,6 +125,7 @@ class Stream(NamedTuple):
     initial: Parameters
     dt: float
     lag: int
+    age: Any
     raw: Floats
     accelerations: Reference
     momenta: MomentumReference
@@ -137,55 +136,13 @@ class Stream(NamedTuple):
     fell: bool
 
 
-class EverySubstep(gym.Wrapper[Any, Any, Any, Any]):
-    """A robot whose environment steps the simulation once, for a control step of many: all truth is there."""
-
-    def __init__(self, env: InstrumentedEnv, substeps: int) -> None:
-        super().__init__(env)
-        self._watched, self._substeps = env, substeps
-        self.drawing, self.joint_names, self.dt = env.drawing, env.joint_names, substeps * env.dt
-        self.truth = env.truth
-
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Start an episode, of whose state all rows are."""
-        found = self.env.reset(**options)
-        rows = np.repeat(self._watched.truth.rows, self._substeps, axis=0)
-        self.truth = FeetTruth(rows, self._watched.truth.layout)
-        return found
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the simulation by all substeps of a control step."""
-        rows = []
-        for _ in range(self._substeps):
-            found = self.env.step(action)
-            rows.append(self._watched.truth.rows)
-        self.truth = FeetTruth(np.concatenate(rows), self._watched.truth.layout)
-        return (*found[:4], {"surefoot": {"truth": {}}})
-
-
 def g1_by_policy(policy: str) -> gym.Env[Any, Any]:
     """Make the G1 that walks by a published policy."""
     sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
-    from g1_policy import FEET, HOME, G1Walk
+    from g1_policy import G1Walk
 
-    class OneSubstep(G1Walk):
-        """The same, whose torques follow the held targets one substep at a time."""
-
-        def __init__(self, name: str) -> None:
-            super().__init__(name)
-            self.frame_skip = 1
-
-        def step(self, action: Any) -> Any:
-            target = HOME + 0.25 * np.asarray(action, float)
-            at, moves = self.data.qpos[self.at], self.data.qvel[self.moves]
-            torque = self.policy.kp * (target - at) - self.policy.kd * moves
-            self.data.ctrl[self.motors] = np.clip(torque, -self.limit, self.limit)
-            mujoco.mj_step(self.model, self.data)
-            return np.zeros(64), 0.0, bool(self.data.qpos[2] < 0.4), False, {}
-
-    watched = InstrumentedEnv(OneSubstep(policy), feet=FEET)
-    watched.tells = False
-    return EverySubstep(watched, 10)
+    walker: gym.Env[Any, Any] = G1Walk(policy)
+    return walker
 
 
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
@@ -203,38 +160,37 @@ def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     return env, lambda time: still
 
 
-def cells_of(start: str, weight: float) -> LoadCells:
-    """Return the cells of a start, of the robot's size."""
-    cells = sized(LoadCells(rate=None), weight)
+def cells_of(start: str, usual: LoadCells) -> LoadCells:
+    """Return the cells of a start."""
     if start == "bench":
-        drift = {name: 0.1 * getattr(cells, name) for name in ("scale_drift", "offset_drift")}
-        return replace(cells, initial_scale_std=0.0, initial_offset_std=0.0, **drift)
-    return scaled(cells, 3.0) if start == "triple" else cells
+        drift = {name: 0.1 * getattr(usual, name) for name in ("scale_drift", "offset_drift")}
+        return replace(usual, initial_scale_std=0.0, initial_offset_std=0.0, **drift)
+    return scaled(usual, 3.0) if start == "triple" else usual
 
 
 def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION) -> Stream:
     """Play a scene once."""
-    # The devices in C read instants.
-    os.environ["SUREFOOT_NATIVE"] = "0"
-    CellsUnderFeet.load = staticmethod(lambda truth: truth.force_cell.mean(axis=0, keepdims=True))  # type: ignore
     scene = SCENES[name]
     base, act = make(scene)
-    weight = float(base.get_wrapper_attr("drawing").weight)
-    sensors = FootSensors(base, cells_of(start, weight))
+    feet = ("left_ankle_roll_link", "right_ankle_roll_link") if name.startswith("g1") else None
+    usual = usual_cells(FootSensors(base, feet=feet).source.drawing)
+    assert isinstance(usual, LoadCells)
+    sensors = FootSensors(base, cells_of(start, usual), feet=feet)
     env = SelfCalibration(sensors, "momentum")
     env.reset(seed=seed)
     robot, source, core = env.robot, sensors.source, sensors.robot
     model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
     torso, rows, dt = model.body(source.drawing.torso).id, [], float(source.dt)
-    rng, fell = np.random.default_rng([7, seed]), False
+    fell, weight = False, source.drawing.weight
     for k in range(round(seconds / dt)):
-        data.xfrc_applied[torso, :3] = _outside(scene, k * dt, dt, weight, rng)
+        data.xfrc_applied[torso, :3] = _outside(scene, k * dt, weight)
         _, _, fell, over, _ = env.step(act(k * dt))
         truth = source.truth
         rows.append(
             (
                 core.raw.copy(), robot.beliefs.beliefs.believed, robot.reference,
-                truth.force_cell.mean(axis=0), core.true_parameters(), truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy(),
+                sensors.instruments.force(truth), core.true_parameters(), truth.position_sole[-1].copy(),
+                truth.R_world_sole[-1].copy(),
             )
         )  # fmt: skip
         if fell or over:
@@ -242,13 +198,13 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     raw, accelerations, momenta, force, true, sole, R = zip(*rows, strict=True)
     return Stream(
         layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
-        raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
+        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
         momenta=_stacked(MomentumReference, momenta), force=np.stack(force), true=_stacked(Parameters, true),
         sole=np.stack(sole), R=np.stack(R), fell=fell,
     )  # fmt: skip
 
 
-def _outside(scene: Scene, time: float, dt: float, weight: float, rng: np.random.Generator) -> Floats:
+def _outside(scene: Scene, time: float, weight: float) -> Floats:
     """Return what acts on the torso from outside, in N."""
     since, left = time - HELD_FROM, HELD_FROM + HELD_FOR - time
     force = np.zeros(3)
@@ -277,7 +233,14 @@ def play(one: Stream, method: str, **options: Any) -> Iterator[Any]:
     beliefs: Any = one.momenta if method == "momentum" else one.accelerations
     name = "momentum" if method == "integrated" else method
     calibrator = FootCalibrator(
-        one.layout, name, mass=one.mass, initial=one.initial, dt=one.dt, lag=one.lag, **options
+        one.layout,
+        name,
+        mass=one.mass,
+        initial=one.initial,
+        dt=one.dt,
+        lag=one.lag,
+        age=one.age,
+        **options,
     )
     for k, raw in enumerate(one.raw):
         yield calibrator.update(raw, type(beliefs)(*(part[k] for part in beliefs)))

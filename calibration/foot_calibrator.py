@@ -19,7 +19,7 @@ from surefoot.calibration.native import (
 )
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import MomentumReference, Reference
+from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
@@ -41,8 +41,8 @@ class FootCalibrator:
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
             telemetry that comes 20 ms late, 0 without delay.
-        options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
-            method.
+        options: ``gravity`` in m/s^2 where it is not 9.81, and further fields of
+            :class:`~surefoot.calibration.online.OnlineSetup` and options of the method.
 
     Raises:
         ValueError: If the method or an option does not exist, or a value has no meaning.
@@ -216,6 +216,8 @@ class FootCalibrator:
             **({"unknowns": "F = a (F0 + o)"} if self.method == "moment" else {}),
             "channels": " ".join(setup.layout.channel_names),
             "mass": repr(float(setup.mass)),
+            # Files of earlier versions do not name it.
+            **({"gravity": repr(float(setup.gravity))} if setup.gravity != GRAVITY else {}),
             "dt": repr(float(setup.dt)),
             "lag": str(int(setup.lag)),
             **{f"initial.{name}": str(np.asarray(part, dtype=np.float64).tolist()) for name, part in maps},

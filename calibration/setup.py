@@ -69,6 +69,9 @@ class OnlineSetup:
     """How many samples ago the foot sample was taken that a reference describes. The CoP paper's telemetry
     comes 20 ms late, which is between one and two samples at 80 Hz; 0 on a robot without that delay."""
 
+    gravity: float = GRAVITY
+    """Acceleration of free fall where the robot is, in m/s^2: that of its world in a simulation."""
+
     foot_length: float | None = None
     """Length in m that errors of the centre of pressure are measured by; by default the cells' extent."""
 
@@ -85,7 +88,7 @@ class OnlineSetup:
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
-        check_positive(self, "mass", "dt", "plausible_weights")
+        check_positive(self, "mass", "dt", "gravity", "plausible_weights")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
             raise TypeError(
@@ -121,7 +124,7 @@ class OnlineSetup:
     @property
     def weight(self) -> float:
         """The robot's weight in N."""
-        return self.mass * GRAVITY
+        return self.mass * self.gravity
 
     @property
     def length(self) -> float:
@@ -148,7 +151,7 @@ def setup_from_options(
 
     Without an initial map readings are taken for newtons.
     """
-    own = {"foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
+    own = {"gravity", "foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
     setup = OnlineSetup(
         layout=layout,
         mass=mass,

@@ -144,6 +144,9 @@ class QuietStanding:
     cop_noise: float = 1e-3
     """Noise of one sample's centre of pressure against the centre of mass in m."""
 
+    gravity: float = GRAVITY
+    """Acceleration of free fall in m/s^2."""
+
     mass_error: float = 0.005
     """Error of the believed mass as a share of it; all samples have it in common."""
 
@@ -152,7 +155,7 @@ class QuietStanding:
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
-        positive = ("mass", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
+        positive = ("mass", "gravity", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
         check_positive(self, *positive, "force_noise", "cop_noise")
         check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
         check_count(self, "minimum_samples")
@@ -256,14 +259,14 @@ class QuietStanding:
         force = self.start.force(raw)
         beliefs = (reference.com, reference.position_sole, reference.R_level_sole)
         measured = (reference.accelerometer, reference.gyroscope)
-        return bool((np.abs(force) <= PLAUSIBLE_WEIGHTS * self.mass * GRAVITY).all()) and all(
+        return bool((np.abs(force) <= PLAUSIBLE_WEIGHTS * self.mass * self.gravity).all()) and all(
             bool((np.abs(part) <= LARGEST_REFERENCE).all()) for part in (*beliefs, *measured)
         )
 
     def _still(self, reference: Reference) -> bool:
         """Return whether the robot is at rest by its IMU."""
         specific, rate = np.linalg.norm(reference.accelerometer), np.linalg.norm(reference.gyroscope)
-        return bool(abs(specific - GRAVITY) < self.acceleration_threshold and rate < self.rate_threshold)
+        return bool(abs(specific - self.gravity) < self.acceleration_threshold and rate < self.rate_threshold)
 
     def _rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, bool]:
         """Return a sample as whitened rows J u = y, and whether it is in contact.
@@ -271,7 +274,7 @@ class QuietStanding:
         Returns:
             J (3, 2 K + 3), y (3,), and whether the total force exceeds the threshold.
         """
-        weight, force = self.mass * GRAVITY, self.start.force(raw)
+        weight, force = self.mass * self.gravity, self.start.force(raw)
         about_com = reference.position_sole - np.append(reference.com[:2], 0.0)
         by_channel = moment_rows(self.layout, about_com, reference.R_level_sole).sum(axis=0)
         total = by_channel @ force

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from surefoot.envs.biped import BipedEnv
@@ -37,8 +37,8 @@ RECORD = ("sensordata", "qvel")
 class BatchVectorEnv(SyncVectorEnv):
     """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
 
-    Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in its ``NEXT_STEP`` mode. What
-    a robot's own environment has can be asked for by ``get_attr``, as it is now; what is set there by
+    Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in each of its autoreset modes.
+    What a robot's own environment has can be asked for by ``get_attr``, as it is now; what is set there by
     ``set_attr`` counts from its next episode on.
 
     A robot whose simulation diverges stands still until its step is over, where a lone one would start again
@@ -48,10 +48,13 @@ class BatchVectorEnv(SyncVectorEnv):
         task: A subclass of :class:`BipedEnv`.
         num_envs: Number of robots N.
         threads: Number of threads that step MuJoCo; 0 for one a core.
+        autoreset_mode: When a robot whose episode is over is reset: in the next step, in the same one (with
+            ``"final_obs"`` and ``"final_info"`` in the infos), or never but by ``reset``.
         **options: Of the task.
 
     Attributes:
         robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
+        ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
         ImportError: If this MuJoCo has no ``mujoco.batch``, which came with 3.17.
@@ -59,7 +62,15 @@ class BatchVectorEnv(SyncVectorEnv):
 
     envs: list[BipedEnv]  # type: ignore[assignment]
 
-    def __init__(self, task: type[BipedEnv], num_envs: int = 1, *, threads: int = 0, **options: Any) -> None:
+    def __init__(
+        self,
+        task: type[BipedEnv],
+        num_envs: int = 1,
+        *,
+        threads: int = 0,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        **options: Any,
+    ) -> None:
         try:
             from mujoco.batch import Batch
         except ImportError as error:
@@ -68,7 +79,8 @@ class BatchVectorEnv(SyncVectorEnv):
                 "MuJoCo 3.17 or later, or make the environments with vectorization_mode='sync'."
             ) from error
         check_render_mode(options.get("render_mode"), ["rgb_array"])
-        super().__init__([partial(task, **options)] * num_envs)
+        super().__init__([partial(task, **options)] * num_envs, autoreset_mode=autoreset_mode)
+        self.ended: dict[int, SimpleNamespace] = {}
         first = self.envs[0]
         self._substeps, model = first._substeps, first.model
         self._rows = np.empty((num_envs, self._substeps, model.nsensordata))
@@ -99,18 +111,26 @@ class BatchVectorEnv(SyncVectorEnv):
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Step all robots; those whose episode is over are reset instead.
+        """Step all robots; in the mode ``NEXT_STEP`` those whose episode is over are reset instead.
 
         Args:
             actions: Residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
 
         Raises:
             ValueError: If the actions have another shape or are not finite.
-            gymnasium.error.ResetNeeded: If the environment has not been reset.
+            gymnasium.error.ResetNeeded: If the environment has not been reset, or, in the mode ``DISABLED``,
+                robots whose episode is over have not.
         """
-        robots, starting, stepping = self.robots, self._autoreset_envs, ~self._autoreset_envs
+        robots, over, mode = self.robots, self._autoreset_envs, self.autoreset_mode
         if robots._tick is None:
             raise ResetNeeded("Call reset() before the first step().")
+        if mode is AutoresetMode.DISABLED and over.any():
+            raise ResetNeeded(
+                f"The episodes of robots {np.flatnonzero(over).tolist()} are over, and autoreset_mode is "
+                'DISABLED; call reset(options={"reset_mask": terminations | truncations}) first.'
+            )
+        starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+        stepping = ~starting
         residual = robots._checked(actions, (self.num_envs,))
         prepares = np.array([env.prelude.playing for env in self.envs])
         residual[(robots._tick < robots._quiet_ticks) & ~prepares] = 0.0
@@ -130,20 +150,26 @@ class BatchVectorEnv(SyncVectorEnv):
             self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
 
         if who is not None:
-            for i in np.flatnonzero(starting).tolist():
-                self.envs[i].reset()
-            self._begin(starting)
-        observation, truth = self._observe()
-        terms = robots._reward(truth, residual)
+            self._restart(starting)
+        observation, pressed, truth = self._observe()
+        terms = robots._pay(pressed, residual)
         rewards = np.where(stepping, sum(terms.values()), 0.0)
         terminated = robots._fallen() & stepping
         truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)
-        self._autoreset_envs = terminated | truncated
+        self._autoreset_envs = done = terminated | truncated
+        infos: dict[str, Any] = {}
+        self.ended = {}
+        if mode is AutoresetMode.SAME_STEP and done.any():
+            finals = np.full(self.num_envs, None)
+            for i in np.flatnonzero(done).tolist():
+                finals[i] = {key: part[i].copy() for key, part in observation.items()}
+                self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
+            last = {"final_obs": finals, "final_info": _told(truth, terms, done, done)}
+            infos, stepping = _masked(last, done), ~done
+            self._restart(done)
+            observation, *_, truth = self._observe()
         everyone = np.ones(self.num_envs, dtype=bool)
-        infos = {"surefoot": {"truth": _masked(truth, everyone), "_truth": everyone}, "_surefoot": everyone}
-        if stepping.any():
-            infos |= _masked({name: np.where(stepping, term, 0.0) for name, term in terms.items()}, stepping)
-        return observation, rewards, terminated, truncated, infos
+        return observation, rewards, terminated, truncated, infos | _told(truth, terms, everyone, stepping)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
@@ -154,6 +180,12 @@ class BatchVectorEnv(SyncVectorEnv):
         """Draw each robot: a frame (height, width, 3) of each."""
         self._share()
         return super().render()
+
+    def _restart(self, starting: NDArray[np.bool_]) -> None:
+        """Reset robots."""
+        for i in np.flatnonzero(starting).tolist():
+            self.envs[i].reset()
+        self._begin(starting)
 
     def _begin(self, starting: NDArray[np.bool_]) -> None:
         """Take over the robots whose own environments have just been reset."""
@@ -191,27 +223,54 @@ class BatchVectorEnv(SyncVectorEnv):
         if changed:
             self._batch.set_models([env.model for env in self.envs])
 
-    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]]]:
-        observation, truth = self.robots._observe(self._rows, self._qvel[:, -2])
-        return {key: observation[key] for key in self.single_observation_space}, truth  # type: ignore
+    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+        observation, *truth = self.robots._observe(self._rows, self._qvel[:, -2])
+        return {key: observation[key] for key in self.single_observation_space}, *truth  # type: ignore
 
     def _share(self) -> None:
         """Bring the robots' own environments to where the robots are now."""
         robots = self.robots
         if robots._tick is None:
             return
-        commanded: Any = robots.command
         for i, env in enumerate(self.envs):
             self._batch.get_data(i, env.data)
             mujoco.mj_forward(env.model, env.data)
             env._tick, env._target = int(robots._tick[i]), robots._target[i].copy()
-            env.command = Command._make(part[i].copy() for part in commanded)
-            env.truth = env._read(self._rows[i].copy())
+            env.command, env.truth = self._command_of(i), self._truth_of(i)
+
+    def _command_of(self, robot: int) -> Command:
+        commanded: Any = self.robots.command
+        return Command._make(part[robot].copy() for part in commanded)
+
+    def _truth_of(self, robot: int) -> Any:
+        return self.envs[robot]._read(self._rows[robot].copy())
 
 
-def _masked(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Put beside each array which robots it is of, as Gymnasium's infos do."""
-    return arrays | {f"_{name}": mask for name in arrays}
+def _told(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
+    """Gather infos of robots as Gymnasium does.
+
+    Args:
+        truth: What happened, with all robots in front.
+        terms: Terms of the reward, likewise.
+        seen: Robots whose truth is told, shape (N,).
+        paid: Robots whose terms are, shape (N,).
+    """
+    told = _masked({"surefoot": _masked({"truth": _masked(_of(truth, seen), seen)}, seen)}, seen)
+    return told | (_masked(_of(terms, paid), paid) if paid.any() else {})
+
+
+def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Return arrays with 0 for robots outside a mask."""
+    kept = {}
+    for name, array in arrays.items():
+        robots = mask.reshape(-1, *[1] * (np.ndim(array) - 1))
+        kept[name] = np.where(robots, array, np.zeros((), np.asarray(array).dtype))
+    return kept
+
+
+def _masked(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Put beside each part which robots it is of, as Gymnasium's infos do."""
+    return parts | {f"_{name}": mask for name in parts}
 
 
 exercise = partial(BatchVectorEnv, ExerciseEnv)

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
+from surefoot.envs.instrumentation.truth import mean_truth
 from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import FeetObserver, Observation, Places
 from surefoot.envs.options import checked_action, positive
@@ -115,8 +116,14 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         raise NotImplementedError
 
+    def _pay(self, pressed: dict[str, Any], residual: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the terms of a reward, each 0 where a simulation that blew up makes it no number."""
+        where = self._numbers.where
+        terms = self._reward(pressed, residual)
+        return {name: where(abs(term) < np.inf, term, 0.0) for name, term in terms.items()}
+
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         """Return the terms of a step's reward, which is their sum, by name."""
         raise NotImplementedError
@@ -125,12 +132,12 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return whether the robot has fallen."""
         raise NotImplementedError
 
-    def _paid_cop(self, truth: dict[str, NDArray[np.float64]], width: float) -> Number:
+    def _paid_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
         """Return exp(-(e / width)^2), e the distance of the CoP from its reference in m; 0 without a CoP."""
         m = self._numbers
-        (x, y), (reference_x, reference_y) = m.parts(truth["cop_world"]), m.parts(self.command.cop)
+        (x, y), (reference_x, reference_y) = m.parts(pressed["cop_world"]), m.parts(self.command.cop)
         x, y = x - reference_x, y - reference_y
-        return m.where(truth["cop_valid"][..., 0], m.exp(-(x * x + y * y) / width**2), 0.0)
+        return m.where(pressed["cop_valid"][..., 0], m.exp(-(x * x + y * y) / width**2), 0.0)
 
     def _effort(self, action: NDArray[np.float64]) -> Number:
         """Return what an action costs: -0.1 times its mean square."""
@@ -150,12 +157,17 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _observe(
         self, rows: NDArray[np.float64], qvel: NDArray[np.float64]
-    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
-        """Take in a control step: sensor data, shape (..., S, columns), and ``qvel`` of its last row."""
+    ) -> tuple[Observation, dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+        """Take in a control step: sensor data, shape (..., S, columns), and ``qvel`` of its last row.
+
+        Returns:
+            The observation and the centre of pressure of the last row, and the truth for ``info``.
+        """
         self.truth = self._read(rows)
         last = rows[..., -1, :]
         self._row = self._numbers.parts(last)
-        return self._observer.observe(last, self._row, qvel, self.command)
+        observation, pressed = self._observer.observe(last, self._row, qvel, self.command)
+        return observation, pressed, mean_truth(rows, self._places.feet, self._numbers)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -178,7 +190,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         mujoco.mj_forward(self.model, self.data)
         self._observer.reset()
         rows = np.tile(self.data.sensordata, (self._substeps, 1))
-        observation, truth = self._observe(rows, self.data.qvel)
+        observation, _, truth = self._observe(rows, self.data.qvel)
         return observation, {"surefoot": {"truth": truth}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -215,8 +227,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         mj_step(model, data)
         rows[-1] = sensordata
 
-        observation, truth = self._observe(rows, qvel)
-        terms = self._reward(truth, residual)
+        observation, pressed, truth = self._observe(rows, qvel)
+        terms = self._pay(pressed, residual)
         truncated = self._steps is not None and self._tick >= self._steps
         info = {"surefoot": {"truth": truth}, **terms}
         return observation, sum(terms.values()), self._fallen(), truncated, info

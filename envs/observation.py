@@ -3,7 +3,6 @@
 Everything is made from the last row of the control step's sensor data, for one robot or for many.
 """
 
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, turned
-from surefoot.envs.instrumentation.truth import pressed
+from surefoot.envs.instrumentation.truth import FootPlaces, centres, pressed
 from surefoot.envs.numbers import ONE, Number, Numbers
 
 Observation = dict[str, NDArray[Any]]
@@ -24,43 +23,23 @@ COP_BOUND: Final = 1.0
 
 
 class Places(NamedTuple):
-    """Where in a row of sensor data things are that are shown: of each foot, the first of its numbers.
+    """Where in a row of sensor data things are that are shown: of each, the first of its numbers.
 
     Attributes:
-        contact: Force, torque and the place at which they act, in the world (9 numbers).
-        up: 1 if they are the ground's on the robot, -1 if the robot's on the ground.
-        position_sole: Origin of the sole frame in the world (3).
-        axes_sole: Its axes one after another (9).
-        axes_torso: The torso's (9).
+        feet: What the feet feel.
+        axes_torso: The torso's axes one after another (9).
         position_torso: Its origin (3).
         gyroscope: Its angular velocity in its own axes (3).
-        com: Centre of mass (3).
         joints: Angles of the J hinge joints.
         joint_dofs: Where their speeds are in ``qvel``.
-        force_cell: Makes forces of the cells in N, shape (..., 8), of a row and of the wrenches at the soles,
-            shape (..., 12).
     """
 
-    contact: tuple[int, int]
-    up: float
-    position_sole: tuple[int, int]
-    axes_sole: tuple[int, int]
+    feet: FootPlaces
     axes_torso: int
     position_torso: int
     gyroscope: int
-    com: int
     joints: slice
     joint_dofs: NDArray[np.intp]
-    force_cell: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-
-    def level(self, row: Any, m: Numbers) -> tuple[Number, Number, Number]:
-        """Return where the level frame of the true soles is (x, y) in m, and its heading in rad."""
-        (left, right), (i, j) = self.position_sole, self.axes_sole
-        return (
-            0.5 * (row[left] + row[right]),
-            0.5 * (row[left + 1] + row[right + 1]),
-            m.atan2(row[i + 1] + row[j + 1], row[i] + row[j]),
-        )
 
 
 class FeetObserver:
@@ -107,7 +86,7 @@ class FeetObserver:
                 "foot_force": spaces.Box(-force_bound, force_bound, (8,), dtype=np.float32),
                 "cop_foot": spaces.Box(-COP_BOUND, COP_BOUND, (2, 2), dtype=np.float32),
                 "cop": spaces.Box(-COP_BOUND, COP_BOUND, (2,), dtype=np.float32),
-                "cop_valid": spaces.MultiBinary(3),
+                "cop_valid": spaces.Box(0.0, 1.0, (3,), np.float32),
             }
         )
         self._cop: list[list[Number]] = [[0.0, 0.0] for _ in range(3)]
@@ -129,30 +108,23 @@ class FeetObserver:
             command: What the robot commands at its end.
 
         Returns:
-            The observation, and the truth at the control rate for ``info``.
+            The observation, and the centre of pressure of that instant, of which rewards are made:
+            ``cop_world`` (..., 2) m and ``cop_valid`` (..., 3).
         """
-        m, places = self.numbers, self._places
+        m, places = self.numbers, self._places.feet
         feet = [
             [*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]]
             for i, j, k in zip(places.contact, places.position_sole, places.axes_sole, strict=True)
         ]
-        wrench, vgrf, ((x, y), *cop_foot), valid = pressed(feet, places.up, m)
+        wrench, common = pressed(feet, places.up)
+        (x, y), *cop_foot, valid = centres(wrench, common, places.flat, m)
         middle_x, middle_y, heading = places.level(row, m)
         level = turned(x - middle_x, y - middle_y, heading, m)
         for there, place, held in zip(valid, (level, *cop_foot), self._cop, strict=True):
             held[0], held[1] = m.where(there, place[0], held[0]), m.where(there, place[1], held[1])
 
-        wrench_sole = m.array(wrench)
-        force_cell = places.force_cell(last, wrench_sole.reshape(*last.shape[:-1], 12))
-        truth = {
-            "force_cell": force_cell,
-            "vgrf": m.array(vgrf),
-            "cop_world": m.array([x, y]),
-            "cop_foot": m.array(cop_foot),
-            "cop_valid": m.array(valid),
-            "com": last[..., places.com : places.com + 3].copy(),
-            "wrench_sole": wrench_sole,
-        }
+        assert places.force_cell is not None
+        force_cell = places.force_cell(last, m.array(wrench).reshape(*last.shape[:-1], 12))
         force = force_cell.astype(np.float32)
         np.maximum(force, -self._force_bound, out=force)
         np.minimum(force, self._force_bound, out=force)
@@ -161,8 +133,8 @@ class FeetObserver:
             "foot_force": force,
             "cop_foot": m.array([_bounded(place, m) for place in self._cop[1:]], dtype=np.float32),
             "cop": m.array(_bounded(self._cop[0], m), dtype=np.float32),
-            "cop_valid": m.array(valid, dtype=np.int8),
-        }, truth
+            "cop_valid": m.array(valid, dtype=np.float32),
+        }, {"cop_world": m.array([x, y]), "cop_valid": m.array(valid)}
 
     def _state(
         self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command

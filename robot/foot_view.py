@@ -60,6 +60,7 @@ class FootView:
         layout: The feet and their channels.
         mass: Mass that the robot believes it has in kg, for the bounds.
         flaw: Why the feet have no centres of pressure, or empty.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         spaces: The space of each part that is calibrated.
@@ -79,20 +80,21 @@ class FootView:
         layout: FeetLayout,
         mass: float,
         flaw: str = "",
+        gravity: float = GRAVITY,
     ) -> None:
         check_parts(parts)
         self.parts = tuple(part for part in parts if part != RAW)
         self.flawed = bool(flaw)
         channels, feet = layout.channels, len(layout.feet)
-        force = max(FORCE_BOUND, 5.0 * mass * GRAVITY)
-        self.force_bound, self.weight = force, mass * GRAVITY
+        force = max(FORCE_BOUND, 5.0 * mass * gravity)
+        self.force_bound, self.weight = force, mass * gravity
         box = spaces.Box
         self.every: dict[str, spaces.Space[Any]] = {
             "foot_force": box(-force, force, (channels,), np.float32),
             "foot_load": box(-force / self.weight, force / self.weight, (channels,), np.float32),
             "cop_foot": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
             "cop": box(-COP_BOUND, COP_BOUND, (2,), np.float32),
-            "cop_valid": spaces.MultiBinary(1 + feet),
+            "cop_valid": box(0.0, 1.0, (1 + feet,), np.float32),
             "wrench": box(-force, force, (feet, 6), np.float32),
             "vgrf": box(-force, force, (feet,), np.float32),
             "foot_force_std": box(0.0, force, (channels,), np.float32),
@@ -148,7 +150,7 @@ class FootView:
             case "cop":
                 return held[..., 4:6].astype(np.float32)
             case "cop_valid":
-                return valid.astype(np.int8)
+                return valid.astype(np.float32)
             case "cop_std":
                 return held[..., 6:].astype(np.float32)
             case "foot_flags":

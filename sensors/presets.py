@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import radians
 from typing import Any, Final, TypeVar
 
 from surefoot.names import check_new_name, plain_name
@@ -133,8 +134,9 @@ PERFECT_FORCE_TORQUE = ForceTorque(
     scale_drift=0.0,
     offset_drift_force=0.0,
     offset_drift_torque=0.0,
+    averaged=False,
 )
-"""Sensors that report the true wrench, in N and N m."""
+"""Sensors that report the true wrench at the instant they are read, in N and N m."""
 
 ICUB_FTSENS_LEG = StrainGauges()
 """The old FTSens in an iCub's leg, number 39."""
@@ -167,6 +169,18 @@ PERFECT_STRAIN_GAUGES = StrainGauges(
 NAO_IMU = Imu()
 """Accelerometer and gyroscope of a NAO V5."""
 
+ONBOARD_IMU = Imu(
+    accelerometer_noise=175e-6 * 9.81,
+    gyroscope_noise=radians(0.014),
+    accelerometer_resolution=12.0 * 9.81 / 2.0**15,
+    gyroscope_resolution=radians(2000.0) / 2.0**15,
+    accelerometer_range=12.0 * 9.81,
+    gyroscope_range=radians(2000.0),
+)
+"""The IMU of a humanoid of today, by the data sheet of a chip that is common there (Bosch BMI088: noise of
+175 ug and 0.014 degrees/s per sqrt(Hz), 16 bits, ranges of 12 g and 2000 degrees/s); biases as a NAO's, after
+the usual zeroing."""
+
 PERFECT_IMU = Imu(
     accelerometer_noise=0.0,
     gyroscope_noise=0.0,
@@ -184,6 +198,13 @@ PERFECT_IMU = Imu(
 
 NAO_ENCODERS = Encoders()
 """The 12-bit joint encoders of a NAO."""
+
+ONBOARD_ENCODERS = Encoders(bits=14)
+"""Magnetic encoders of 14 bits on the joints' own axes, as in today's humanoids."""
+
+ONBOARD_LINK = Link(rate=500.0, delay=0.002, jitter=0.0002)
+"""The motors' bus of a humanoid whose policy runs on board: 500 packets/s, one packet late, as Unitree's
+low-level state comes."""
 
 NAO_LINK = Link()
 """NAOqi over a wireless network: 100 packets/s, 20 +- 4 ms late."""
@@ -208,10 +229,19 @@ PRESETS: dict[type, dict[str, Any]] = {
     },
     Imu: {
         "nao-imu": NAO_IMU,
+        "onboard-imu": ONBOARD_IMU,
         "perfect": PERFECT_IMU,
     },
-    Encoders: {"nao-encoders": NAO_ENCODERS, "perfect": Encoders(bits=0, bias_std=0.0, noise_std=0.0)},
-    Link: {"nao-wlan": NAO_LINK, "perfect": Link(rate=None, delay=0.0, jitter=0.0)},
+    Encoders: {
+        "nao-encoders": NAO_ENCODERS,
+        "onboard-encoders": ONBOARD_ENCODERS,
+        "perfect": Encoders(bits=0, bias_std=0.0, noise_std=0.0),
+    },
+    Link: {
+        "nao-wlan": NAO_LINK,
+        "onboard-500hz": ONBOARD_LINK,
+        "perfect": Link(rate=None, delay=0.0, jitter=0.0),
+    },
 }
 """Every preset by the class of its configuration and its name; :func:`register_preset` adds to it."""
 

@@ -51,9 +51,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             cells of ``"hx711-load-cells"``, or larger ones of their kind for a robot that is too heavy for
             these (:func:`~surefoot.sensors.sized`).
         ankles: Six-axis sensors besides load cells, likewise; ``None`` for none.
-        imu: The IMU, likewise.
-        encoders: The joint encoders, likewise.
-        link: The link over which encoders and IMU reach the host, likewise.
+        imu: The IMU, likewise; ``None`` for what suits the robot: ``"nao-imu"`` if one of its joints is a
+            NAO's ``"LHipYawPitch"``, else ``"onboard-imu"``.
+        encoders: The joint encoders, likewise: ``"nao-encoders"`` or ``"onboard-encoders"``.
+        link: The link over which encoders and IMU reach the host, likewise: ``"nao-wlan"``, 100 packets/s
+            20 ms late, or ``"onboard-500hz"``, 2 ms late.
         severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`.
         faults: What breaks when, on the clock of the power-up: words such as ``"at t=12 s cell left/2 dies"``
             (:func:`~surefoot.sensors.parse_fault`), :class:`~surefoot.sensors.Fault` or mappings of its
@@ -81,9 +83,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
         ankles: str | Mapping[str, Any] | FootDevice | None = None,
-        imu: str | Mapping[str, Any] | Imu = "nao-imu",
-        encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
-        link: str | Mapping[str, Any] | Link = "nao-wlan",
+        imu: str | Mapping[str, Any] | Imu | None = None,
+        encoders: str | Mapping[str, Any] | Encoders | None = None,
+        link: str | Mapping[str, Any] | Link | None = None,
         severity: float = 1.0,
         faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         fresh: bool = False,
@@ -111,7 +113,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         assert source is not None
         self.source: Source = source
         dt, joints = float(source.dt), source.joint_names
-        equipment = Equipment("FootSensors", source.drawing, joints, dt, **options)
+        seldom = getattr(source, "seldom", False)
+        equipment = Equipment("FootSensors", source.drawing, joints, dt, **options, seldom=seldom)
         self.instruments = equipment.instruments
         check_order("FootSensors", self.env, source)
         shown: Any = self.env.observation_space
@@ -147,13 +150,16 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return self._show(observation) if seen is None else seen, info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment and read the sensors."""
+        """Step the environment and read the sensors; no sample arrives of a simulation that blew up."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         truth, robot = self.source.truth, self.robot
         before, self._clock = self._clock, truth.time.item(-1)
-        if before is not None:
-            check_clock("FootSensors", self.env, self._clock - before, robot.telemetry.dt)
+        blown_up = before is not None and check_clock(
+            "FootSensors", self.env, self._clock - before, robot.telemetry.dt, self.source
+        )
         seen = robot.step(truth, observation)
+        if blown_up:
+            robot.raw[:] = np.nan
         if seen is None:
             seen = self._show(observation)
         return seen, reward, terminated, truncated, info

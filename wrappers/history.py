@@ -83,6 +83,4 @@ def _stacked(space: spaces.Space[Any], samples: int) -> spaces.Space[Any]:
     if isinstance(space, spaces.Box):
         low, high = (np.repeat(end[None], samples, axis=0) for end in (space.low, space.high))
         return spaces.Box(low, high, dtype=space.dtype)
-    if isinstance(space, spaces.MultiBinary):
-        return spaces.MultiBinary((samples, *space.shape))
-    raise TypeError(f"SampleHistory stacks Box and MultiBinary spaces, got {space}.")
+    raise TypeError(f"SampleHistory stacks Box spaces, got {space}.")

@@ -18,6 +18,13 @@ Sensors = TypeVar("Sensors")
 CLOCK_TOLERANCE = 0.01
 """Error of a step's duration, as a share of dt, from which rates would be wrong."""
 
+_BLOWN_UP = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+"""What MuJoCo notes of a state that is no number, or too large; a reset wipes it out."""
+
 FRESH_OR_KEPT = ("fresh", "keep")
 
 
@@ -30,6 +37,7 @@ class Source(Protocol):
         joint_names: The J hinge joints.
         dt: Duration of a control step in s.
         model: The simulated robot.
+        data: Its state.
     """
 
     truth: Any
@@ -37,6 +45,7 @@ class Source(Protocol):
     joint_names: tuple[str, ...]
     dt: float
     model: mujoco.MjModel
+    data: mujoco.MjData
 
 
 def find_source(env: gym.Env[Any, Any]) -> Source | None:
@@ -133,21 +142,31 @@ def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
     return space.spaces.get("state") if isinstance(space, spaces.Dict) else None
 
 
-def check_clock(owner: str, env: Any, passed: float, dt: float) -> None:
+def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = None) -> bool:
     """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong.
+
+    A simulation that blew up is another matter: MuJoCo puts it back to its start by itself, and goes on.
 
     Args:
         owner: The wrapper that reads one sample a step, for messages.
         env: What it goes around.
         passed: By how much simulated time went on in s.
         dt: Duration of a step in s.
+        source: What simulates the robot.
+
+    Returns:
+        Whether the simulation blew up.
     """
+    late = not abs(passed - dt) <= CLOCK_TOLERANCE * dt
+    if late and source is not None and any(source.data.warning[kind].number for kind in _BLOWN_UP):
+        return True
     if abs(passed - dt) > CLOCK_TOLERANCE * dt:
         raise RuntimeError(
             f"A step of {env} took {passed:g} s of simulated time, but its dt is {dt:g} s; put whatever "
             f"repeats or skips steps, or resets by itself, around {owner}, and give an environment of your "
             "own the attribute 'dt' or 'frame_skip'."
         )
+    return late
 
 
 def split_options(

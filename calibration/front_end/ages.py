@@ -1,10 +1,11 @@
-r"""Forces of now, from readings that are some milliseconds old.
+r"""Forces of the last control step, from readings that are some milliseconds old.
 
 A chip on its own clock is read up to a conversion late, and a filter or a wire adds to that. The mean age
 :math:`\alpha` of its readings is known from data sheets; the phase of its clock is not. A force is carried on
-with the slope that it had over the last :math:`n = 3` samples,
+to the middle of the last step, of which ideal cells give the mean, with the slope that it had over the last
+:math:`n = 3` samples,
 
-.. math:: \delta_i = \alpha_i \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
+.. math:: \delta_i = \max(\alpha_i - \Delta t / 2, 0) \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
 
 The feet's vertical force stays as it was read. While a robot shifts its weight the sum hardly changes, and
 what slope it has is mostly that chips are read at different moments. With :math:`v_i` what a newton on a
@@ -30,8 +31,8 @@ _LONGEST = 4.0
 
 def carried_time(setup: OnlineSetup) -> NDArray[np.float64]:
     """Return by how long each channel is carried on in s, shape (K,)."""
-    age = np.asarray(setup.age, dtype=np.float64)
-    return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
+    time = np.maximum(np.asarray(setup.age, dtype=np.float64) - 0.5 * setup.dt, 0.0)
+    return np.minimum(time, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
 
 
 def as_read(setup: OnlineSetup) -> OnlineSetup:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.checks import check_shape
 from surefoot.calibration.cop import level_rows
-from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 LARGEST_REFERENCE = 1e6
@@ -83,6 +83,7 @@ class Motions:
         self._taken = (Reference, MomentumReference) if momentum else (Reference,)
         self._feet, self._wrench_map = len(setup.layout.feet), setup.layout.wrench_map
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
+        self._gravity = setup.gravity
         self._reach = LARGEST_REACH * setup.length
         self.columns = MotionColumns.of(self._feet)
         self.shapes: dict[str, tuple[int, ...]] = {
@@ -163,7 +164,7 @@ class Motions:
             rate_x, rate_y, _ = motion[columns.angular_momentum_rate]
             # The lower sole is on the ground whatever the robot believes of its contacts.
             lever = mass * (com[2] - soles[:, 2].min())
-            vgrf = mass * (az + GRAVITY)  # Eq. 9
+            vgrf = mass * (az + self._gravity)  # Eq. 9
             moment = np.array([lever * ax + rate_y, lever * ay - rate_x])
             cop = com[:2] - moment / (vgrf if vgrf > self._threshold else self._weight)  # Eqs. 10, 11
         near = (np.abs(soles[:, :2] - cop) <= self._reach).all()

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.reference import GRAVITY
 
 _LIGHTEST = 1e-3
 """Mass in kg below a sensor from which on its inertia is worth computing."""
@@ -28,6 +27,7 @@ class DistalMasses:
 
     Args:
         layout: The feet.
+        gravity: Acceleration of free fall in m/s^2.
         dt: Time between samples in s.
         spans: Numbers of samples that accelerations will be asked over.
 
@@ -35,12 +35,13 @@ class DistalMasses:
         matter: Whether there are any.
     """
 
-    def __init__(self, layout: FeetLayout, dt: float, *spans: int) -> None:
+    def __init__(self, layout: FeetLayout, gravity: float, dt: float, *spans: int) -> None:
         parts = [
             (foot_index, where.start, sensor)
             for foot_index, (foot, where) in enumerate(zip(layout.feet, layout.slices, strict=True))
             for sensor in foot.sensors
         ]
+        self._gravity = gravity
         self.matter = any(sensor.mass_below > _LIGHTEST for *_, sensor in parts)
         self._motion = MotionColumns.of(len(layout.feet))
         self._foot_of = [foot for foot, _, _ in parts]
@@ -109,7 +110,7 @@ class DistalMasses:
         sole = bend + acceleration.mean(axis=0)
         parts = []
         for foot, mass, center in zip(self._foot_of, self._mass, self._com, strict=True):
-            force = mass * (sole[foot] + GRAVITY * (_UP - middle[foot] @ _UP))
+            force = mass * (sole[foot] + self._gravity * (_UP - middle[foot] @ _UP))
             parts.append(np.concatenate([force, np.cross(middle[foot] @ center, force)]))
         return parts, middle
 

@@ -11,7 +11,6 @@ from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
-from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
 
 _LEAST_LOAD = 0.1
@@ -42,6 +41,7 @@ class NewtonEuler:
         self._feet, self._channels = len(layout.feet), layout.channels
         self._motion = MotionColumns.of(self._feet)
         self._weight, self._length, self._dt = setup.weight, setup.length, setup.dt
+        self._gravity = setup.gravity
         self._groups = config.every // config.average
         self._passes = min(PASSES, config.settle)
         # A row helps only if every foot sees it.
@@ -52,7 +52,7 @@ class NewtonEuler:
         self._moment_x, self._moment_y = self._seen.index(_MX), self._seen.index(_MY)
         noise = np.repeat([config.force_noise, config.cop_noise / setup.length], 3)[self._seen]
         self._scale = np.repeat([1.0 / setup.weight, 1.0 / (setup.weight * setup.length)], 3)[self._seen]
-        self._distal = DistalMasses(layout, setup.dt, config.every, config.span)
+        self._distal = DistalMasses(layout, setup.gravity, setup.dt, config.every, config.span)
         self._side = np.where(layout.foot_of_channel[unknowns.out] == 0, 1.0, -1.0) * (self._feet > 1)
         self._shift_x, self._shift_y = _shifts(self._seen)
         self._bias_force, self._bias_moment = _acceleration_columns(self._seen)
@@ -186,7 +186,7 @@ class NewtonEuler:
 
     def _asked(self, acceleration: Array, rate: Array, height: Array) -> Array:
         """Return the right-hand sides: the wrench that the motion asks for, below the centre of mass."""
-        (x, y, z), spin = acceleration.T / GRAVITY, rate.T / (self._weight * self._length)
+        (x, y, z), spin = acceleration.T / self._gravity, rate.T / (self._weight * self._length)
         wrench = [x, y, z + 1.0, spin[0] - height * y, spin[1] + height * x, spin[2]]
         return np.column_stack([wrench[row] for row in self._seen])
 

@@ -26,7 +26,7 @@ class Parity:
 
     def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
         self.unknowns, self.config = unknowns, config
-        self._distal = DistalMasses(setup.layout, setup.dt, config.span)
+        self._distal = DistalMasses(setup.layout, setup.gravity, setup.dt, config.span)
         scale = np.repeat([1.0, 1.0 / setup.length], 3)[None, :, None]
         parity = (_differences(setup.layout) * scale / setup.weight).reshape(-1, setup.layout.channels)
         parity = parity[(parity != 0.0).any(axis=1)]

@@ -32,7 +32,7 @@ class Tare:
         layout = setup.layout
         self.unknowns, self.config = unknowns, config
         self._weight = setup.weight
-        self._distal = DistalMasses(layout, setup.dt, config.span)
+        self._distal = DistalMasses(layout, setup.gravity, setup.dt, config.span)
         self.by_channel = np.eye(len(layout.feet))[:, layout.foot_of_channel]
         self._vertical = layout.wrench_map[:, _UP]
         self._offsets = np.eye(layout.channels, unknowns.size, unknowns.offset.start)

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
 
 _UP = 2
@@ -101,7 +100,7 @@ class Unknowns:
         self.std[self.offset] = config.offset_std
         self.std[self.com] = config.com_std / setup.length
         self.std[self.mass] = config.mass_std
-        self.std[self.acceleration] = config.acceleration_std / GRAVITY
+        self.std[self.acceleration] = config.acceleration_std / setup.gravity
         self.std[self.delay] = config.delay_std
         self.std[self.sole] = config.sole_std / setup.length
         self.start[self.blur] = self.std[self.blur] = min((config.blur / setup.dt) ** 2, _WIDEST_BLUR)

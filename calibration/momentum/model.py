@@ -18,7 +18,6 @@ from surefoot.calibration.cop import level_rows
 from surefoot.calibration.momentum.columns import SHEAR, Columns
 from surefoot.calibration.momentum.config import MomentumConfig
 from surefoot.calibration.momentum.state import Block
-from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
 
 LEAST_LOAD = 0.2
@@ -67,7 +66,7 @@ class Model:
     """
 
     def __init__(self, setup: OnlineSetup, config: MomentumConfig, columns: Columns) -> None:
-        self._columns, self._wrench_map = columns, setup.layout.wrench_map
+        self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
         self._shear = columns.components == SHEAR
         self._order = _ORDER[int(self._shear)]
         self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
@@ -93,7 +92,7 @@ class Model:
         force = a * felt + b
         point, load = self._point(force, sole, rotation, dt)
         unit = self._of_channels(sole - point, rotation)
-        gravity, along = self._gravity(com - point)
+        gravity, along = self._weigh(com - point)
         heading = _heading(rotation)
         summed = np.einsum("nck,nk->nc", unit, force)
         velocity = block.velocity.mean(axis=0)
@@ -157,7 +156,7 @@ class Model:
             transition[at + 1, at + 4], transition[at + 2, at + 3] = z, -z
             transition[at + 5, at + 4], transition[at + 5, at + 3] = -x, y
         else:
-            added[at + 1], added[at + 2] = z * velocity[1] / GRAVITY, -z * velocity[0] / GRAVITY
+            added[at + 1], added[at + 2] = z * velocity[1] / self._gravity, -z * velocity[0] / self._gravity
         return transition, added
 
     def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> tuple[Array, float]:
@@ -179,7 +178,7 @@ class Model:
         components: Array = np.concatenate([force, torque], axis=-2).sum(axis=1)[:, self._order]
         return components
 
-    def _gravity(self, arm: Array) -> tuple[Array, Array]:
+    def _weigh(self, arm: Array) -> tuple[Array, Array]:
         """Return the components of the weight, shape (n, C), and how they change with its error d (C, 2)."""
         components = np.zeros((len(arm), self._columns.components))
         components[:, 0], components[:, 1], components[:, 2] = -1.0, -arm[:, 1], arm[:, 0]
@@ -190,7 +189,7 @@ class Model:
     def _measure(self, block: Block, point: Array) -> tuple[Array, Array]:
         """Return the momentum by the robot's motion, shape (n, C), and its stated variance, shape (C, C)."""
         arm, velocity = block.end - point, block.velocity
-        components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / GRAVITY
+        components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / self._gravity
         x, y, z = arm.mean(axis=0).tolist()
         turned = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         noise = np.zeros((6, 6))
@@ -199,7 +198,7 @@ class Model:
         noise[:3, 3:] = noise[3:, :3].T
         noise[3:, 3:] = (turned * self._velocity) @ turned.T + self._spin * np.eye(3)
         order = self._order
-        return components[:, order], noise[np.ix_(order, order)] / GRAVITY**2
+        return components[:, order], noise[np.ix_(order, order)] / self._gravity**2
 
 
 def force_and_wrench(components: int) -> Array:

@@ -150,6 +150,7 @@ def _robot(front: FrontEnd) -> dict[str, Any]:
         "dt": setup.dt,
         "weight": setup.weight,
         "mass": setup.mass,
+        "gravity": setup.gravity,
         "length": setup.length,
         "reach": front.motions._reach,
         "force_threshold": setup.force_threshold,

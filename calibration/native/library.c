@@ -75,7 +75,7 @@ static const place places[] = {
     C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
     C_INT(sensors), C_INT(parities), C_INT(pairs), C_INT(keep_every),
     C_INT(distal_matters), C_INT(talks), C_INT(talk_to), C_INT(talk_from), C_INT(foot_of_channel), C_INT(cells), C_INT(together), C_INT(first),
-    C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(length),
+    C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length),
     C_REAL(reach), C_REAL(force_threshold), C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
     C_REAL(highest), C_REAL(wrench_map), C_REAL(unit), C_REAL(start), C_REAL(first_variance),
     C_REAL(walk), C_REAL(learnt), C_REAL(sure), C_REAL(change), C_REAL(stated), C_REAL(row_scale),
@@ -137,12 +137,13 @@ static const place places[] = {
     M_REAL(anchor), M_REAL(axis), M_REAL(zero), M_REAL(mass), M_REAL(com), M_REAL(inertia),
     M_REAL(position_site), M_REAL(R_body_site),
 
-    PLACE(timing, averaged, "int"), PLACE(timing, needed, "int"), PLACE(timing, window, "int"),
-    PLACE(timing, dt, "real"), PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
+    PLACE(timing, averaged, "int"), PLACE(timing, joined, "int"), PLACE(timing, needed, "int"),
+    PLACE(timing, window, "int"), PLACE(timing, dt, "real"), PLACE(timing, gravity, "real"),
+    PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
 
     B_REAL(ring), B_REAL(angle), B_REAL(accelerometer), B_REAL(gyroscope), B_REAL(forward), B_REAL(up),
     B_REAL(spin), B_REAL(spin_bias), B_REAL(force_bias), B_REAL(lean), B_REAL(highest),
-    PLACE(beliefs, clock, "double"), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
+    PLACE(beliefs, clock, "double"), B_REAL(sum), B_WHOLE(parts), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
     B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
@@ -157,8 +158,7 @@ static const place places[] = {
     PLACE(view, flawed, "int"),
 
     SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
-    SHOWN(foot_force_std), SHOWN(cop_std), PLACE(shown, foot_flags, "int"),
-    PLACE(shown, cop_valid, "small"),
+    SHOWN(foot_force_std), SHOWN(cop_std), SHOWN(cop_valid), PLACE(shown, foot_flags, "int"),
 
     WHOLE_OF(told), {"told", "belief", "", offsetof(sf_told, belief), sizeof(sf_belief)},
     {"told", "estimate", "", offsetof(sf_told, estimate), sizeof(sf_estimate)},

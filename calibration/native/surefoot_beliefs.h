@@ -66,7 +66,7 @@ enum {
 #define SF_TILT_TIME ((sf_real)0.3)
 #define SF_SPIN_BIAS_TIME ((sf_real)3.0)
 #define SF_REST_TIME ((sf_real)10.0)
-#define SF_FREE_FALL ((sf_real)0.5 * SF_GRAVITY)
+#define SF_FREE_FALL ((sf_real)0.5) /* of gravity */
 #define SF_SOLE_HEIGHT ((sf_real)0.003)
 #define SF_SLOPE 3
 #define SF_FURTHEST 8.0
@@ -77,7 +77,7 @@ enum {
 #define SF_DOWN ((sf_real)0.003)
 #define SF_FLAT ((sf_real)0.03)
 #define SF_COS_FLAT (1 - (sf_real)0.5 * SF_FLAT * SF_FLAT)
-#define SF_LEANING ((sf_real)0.4 * SF_GRAVITY)
+#define SF_LEANING ((sf_real)0.4) /* of gravity */
 #define SF_LEAN_TIME ((sf_real)0.25)
 #define SF_LARGEST_FORCE_BIAS ((sf_real)1.5)
 #define SF_LOWEST ((sf_real)0.7)
@@ -102,8 +102,9 @@ typedef struct {
 /* When packets leave and samples are taken. */
 typedef struct {
     int averaged;         /* whether a sample of the IMU is the mean since the packet before */
+    int joined;           /* how many packets become one, of which the period is */
     int needed, window;   /* contacts.planned_window: for how long a plan must have held, and what is kept */
-    sf_real dt;           /* time between samples of the feet in s */
+    sf_real dt, gravity;  /* time between samples of the feet in s; m/s^2 */
     double period, delay; /* time between packets and their mean delay in s */
 } sf_timing;
 
@@ -114,7 +115,8 @@ typedef struct {
     sf_real forward[3], up[3], spin[3], spin_bias[3], force_bias[3];
     sf_real lean[3], highest;
     double clock; /* time in s on the host's clock at which packet 0 left */
-    sf_whole number, seen, run, count;
+    sf_real sum[6]; /* of the IMU over the packets that are being joined */
+    sf_whole number, seen, run, count, parts;
     sf_whole planned[SF_PLANNED * 4], found[4], upright; /* samples: left and right stance, then swing */
 } sf_beliefs;
 
@@ -139,6 +141,8 @@ SF_API void sf_unit_vector(sf_real *a) {
     sf_real square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], by = 1 / sf_sqrt(square);
     for (int i = 0; square > 0 && i < 3; i++) a[i] *= by;
 }
+
+SF_API sf_real sf_power2(sf_real a) { return a * a; }
 
 SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]; }
 
@@ -289,10 +293,10 @@ SF_API void sf_odometry_turn(const sf_timing *t, sf_beliefs *s, const sf_real *s
     sf_cross(R + 3, s->up, s->forward);
     sf_copy(R + 6, s->up, 3);
 
-    if (sf_square(force) > SF_FREE_FALL * SF_FREE_FALL) {
+    if (sf_square(force) > sf_power2(SF_FREE_FALL * t->gravity)) {
         share = sf_max(first, period / SF_REST_TIME);
         for (int k = 0; k < 3; k++)
-            s->force_bias[k] += share * (force[k] - SF_GRAVITY * s->up[k] - s->force_bias[k]);
+            s->force_bias[k] += share * (force[k] - t->gravity * s->up[k] - s->force_bias[k]);
     }
 }
 
@@ -334,7 +338,7 @@ SF_API void sf_differentiate(const sf_timing *t, sf_beliefs *s, sf_whole number)
         row[SF_ROW_ACCELERATION + k] = row[SF_ROW_FORCE + k] + bent / (period * period);
         row[SF_ROW_RATE + k] = (after[SF_ROW_MOMENTUM + k] - before[SF_ROW_MOMENTUM + k]) / (2 * period);
     }
-    row[SF_ROW_ACCELERATION + 2] -= SF_GRAVITY;
+    row[SF_ROW_ACCELERATION + 2] -= t->gravity;
 }
 
 /* Whether all are numbers that a robot can have measured. */
@@ -350,6 +354,24 @@ SF_API void sf_beliefs_init(sf_beliefs *s) {
     s->forward[0] = s->up[2] = 1;
 }
 
+/* Beliefs._combine: add a packet to those that become one; whether that is whole, with the means in s->sum. */
+SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_real *accelerometer,
+                   const sf_real *gyroscope) {
+    sf_whole part = number % t->joined;
+    if (part == 0) {
+        s->parts = 0;
+        memset(s->sum, 0, sizeof s->sum);
+    }
+    if (part != s->parts) {
+        s->parts = t->joined;
+        return 0;
+    }
+    for (int k = 0; k < 3; k++) s->sum[k] += accelerometer[k], s->sum[3 + k] += gyroscope[k];
+    if (++s->parts < t->joined) return 0;
+    for (int k = 0; k < 6; k++) s->sum[k] /= (sf_real)t->joined;
+    return 1;
+}
+
 /* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e6, is a lost one.
 
    number: of the packet; those that get lost or come twice leave a gap. arrival: on the host's clock in s.
@@ -359,6 +381,10 @@ SF_API void sf_beliefs_packet(const sf_model *m, const sf_timing *t, sf_beliefs 
                               const sf_real *gyroscope) {
     if (!sf_measured(angle, m->hinges) || !sf_measured(accelerometer, 3) || !sf_measured(gyroscope, 3))
         return;
+    if (t->joined > 1) {
+        if (!sf_join(t, s, number, accelerometer, gyroscope)) return;
+        number /= t->joined, accelerometer = s->sum, gyroscope = s->sum + 3;
+    }
     double left = arrival - t->delay - (double)number * t->period;
     int first = s->seen == 0;
     s->seen++;
@@ -481,10 +507,10 @@ SF_API void sf_plan_at(const sf_timing *t, sf_beliefs *s, const unsigned char *p
 }
 
 /* Kinematics.at: which feet surely stood, or surely swung, by where they were. */
-SF_API void sf_kinematics_at(sf_beliefs *s, sf_belief *belief) {
+SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
     sf_reference *r = &belief->reference;
     sf_real low = sf_min(r->position_sole[2], r->position_sole[5]);
-    int carried = sf_square(belief->accelerometer) > SF_FREE_FALL * SF_FREE_FALL;
+    int carried = sf_square(belief->accelerometer) > sf_power2(SF_FREE_FALL * t->gravity);
     for (int foot = 0; foot < 2; foot++) {
         sf_real height = r->position_sole[3 * foot + 2] - low;
         int down = carried && height < SF_DOWN && r->R_level_sole[9 * foot + 8] > SF_COS_FLAT;
@@ -506,7 +532,7 @@ SF_API int sf_upright_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
     for (int k = 0; k < 3; k++) s->lean[k] += share * (r->com_acceleration[k] - s->lean[k]);
     height = r->com[2] - sf_min(r->position_sole[2], r->position_sole[5]);
     s->highest = sf_max(s->highest, height);
-    upright = sf_square(s->lean) < SF_LEANING * SF_LEANING &&
+    upright = sf_square(s->lean) < sf_power2(SF_LEANING * t->gravity) &&
               sf_square(s->force_bias) < SF_LARGEST_FORCE_BIAS * SF_LARGEST_FORCE_BIAS &&
               height > SF_LOWEST * s->highest;
     belief->fell = s->upright && !upright;
@@ -532,14 +558,14 @@ SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, co
     memcpy(out->reference.stance, sure, 2);
     memcpy(out->reference.swing, sure + 2, 2);
     if (!sf_upright_at(t, s, out)) sf_nothing(out);
-    else if (!planned) sf_kinematics_at(s, out);
+    else if (!planned) sf_kinematics_at(t, s, out);
 }
 
 /* Whether a model and timing that come from elsewhere lie within the arrays. */
 SF_API int sf_beliefs_fit(const sf_model *m, const sf_timing *t) {
     sf_real mass = 0;
     int fit = m->bodies >= 1 && m->bodies <= SF_BODIES && m->hinges >= 0 && m->hinges <= SF_HINGES &&
-              t->window >= 1 && t->window <= SF_PLANNED && t->period > 0 && t->dt > 0 &&
+              t->window >= 1 && t->window <= SF_PLANNED && t->joined >= 1 && t->period > 0 && t->dt > 0 &&
               SF_PACKETS > SF_SLOPE;
     for (int i = 0; fit && i < m->bodies; i++) {
         fit = i == 0 || (m->parent[i] >= 0 && m->parent[i] < i);

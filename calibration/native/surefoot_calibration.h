@@ -118,7 +118,6 @@ enum { SF_COM = 0, SF_ACCELERATION = 3, SF_RATE = 6, SF_ACCELEROMETER = 9, SF_GY
 enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 
 /* Constants of the Python modules, by their names there. */
-#define SF_GRAVITY ((sf_real)9.81)
 #define SF_LONGEST_GAP 5.0
 #define SF_SLOPE_SAMPLES 3
 #define SF_LARGEST_REFERENCE ((sf_real)1e6)
@@ -202,7 +201,7 @@ typedef struct {
     int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
     int first[SF_PAIRS], second[SF_PAIRS]; /* cells that may be exchanged */
     int foot_of_sensor[SF_SENSORS];
-    sf_real dt, weight, mass, length, reach, force_threshold;
+    sf_real dt, weight, mass, gravity, length, reach, force_threshold;
     sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
@@ -574,7 +573,7 @@ SF_API sf_real sf_ground_height(const sf_config *c, const sf_real *motion) {
    returns whether a robot can do that at all. */
 SF_API int sf_ground(const sf_config *c, const sf_real *motion, int quasi_static, sf_real asked[3]) {
     const sf_real *com = motion + SF_COM, *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
-    sf_real vgrf = quasi_static ? c->weight : c->mass * (acceleration[2] + SF_GRAVITY),
+    sf_real vgrf = quasi_static ? c->weight : c->mass * (acceleration[2] + c->gravity),
             safe = vgrf > c->force_threshold ? vgrf : c->weight;
     sf_real height = c->mass * (com[2] - sf_ground_height(c, motion));
     int near = 1;
@@ -783,7 +782,7 @@ SF_API void sf_distal_wrenches(const sf_config *c, const sf_block *b, int begin,
             for (int i = 0; i < 3; i++) sole[i] += (at[i] - motion[SF_COM + i]) * curve[t];
         }
         for (int i = 0; i < 3; i++)
-            wrench[i] = c->sensor_mass[p] * (sole[i] + SF_GRAVITY * ((sf_real)(i == 2) - R[3 * i + 2]));
+            wrench[i] = c->sensor_mass[p] * (sole[i] + c->gravity * ((sf_real)(i == 2) - R[3 * i + 2]));
         sf_turn(arm, R, c->sensor_com + 3 * p);
         sf_cross(wrench + 3, arm, wrench);
     }
@@ -861,10 +860,10 @@ SF_API void sf_wrench_rows(const sf_config *c, const sf_real *motion, sf_real *r
 /* NewtonEuler._asked: the wrench that the motion asks for, below the centre of mass, shape (kinds,). */
 SF_API void sf_asked(const sf_config *c, const sf_real *motion, sf_real height, sf_real *asked) {
     const sf_real *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
-    sf_real lever = c->weight * c->length, x = acceleration[0] / SF_GRAVITY, y = acceleration[1] / SF_GRAVITY;
+    sf_real lever = c->weight * c->length, x = acceleration[0] / c->gravity, y = acceleration[1] / c->gravity;
     int six = c->kinds == 6;
     sf_real *three = asked + (six ? 2 : 0);
-    three[0] = acceleration[2] / SF_GRAVITY + 1;
+    three[0] = acceleration[2] / c->gravity + 1;
     three[1] = rate[0] / lever - height * y;
     three[2] = rate[1] / lever + height * x;
     if (six) {

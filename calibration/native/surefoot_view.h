@@ -25,9 +25,8 @@ typedef struct {
 /* The parts of an observation, by their names there. */
 typedef struct {
     float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[4], cop[2], wrench[12], vgrf[2];
-    float foot_force_std[SF_CHANNELS], cop_std[2];
+    float foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[3];
     int foot_flags[SF_CHANNELS];
-    signed char cop_valid[3];
 } sf_shown;
 
 SF_API sf_real sf_bounded(sf_real value, sf_real bound) { return sf_clip(value, -bound, bound); }

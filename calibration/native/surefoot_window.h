@@ -123,7 +123,7 @@ SF_API void sf_stand(const sf_config *c, const sf_window_config *w, const sf_fro
         total[i] = sf_dot(rows + i * K, force, K);
     }
     quiet = total[0] > c->force_threshold &&
-            sf_fabs(sf_length(front->motion + SF_ACCELEROMETER) - SF_GRAVITY) < w->acceleration_threshold &&
+            sf_fabs(sf_length(front->motion + SF_ACCELEROMETER) - c->gravity) < w->acceleration_threshold &&
             sf_length(front->motion + SF_GYROSCOPE) < w->rate_threshold;
     s->gated += !quiet;
     s->samples += quiet;

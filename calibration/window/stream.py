@@ -129,6 +129,7 @@ class SlidingWindow:
         self._standing = QuietStanding(
             layout=setup.layout,
             mass=setup.mass,
+            gravity=setup.gravity,
             start=Parameters(np.ones(K), np.zeros(K)),
             warm_up=config.standing_warm_up,
             duration=config.standing_duration,

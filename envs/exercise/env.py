@@ -1,7 +1,6 @@
 """A humanoid with flat feet sways, squats and lifts its feet: what a robot does to calibrate them."""
 
 from collections.abc import Sequence
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +17,7 @@ from surefoot.envs.exercise.balance import AnkleBalance
 from surefoot.envs.exercise.motion import Motion, plan_motion
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.envs.instrumentation.spec import Instrumentation
-from surefoot.envs.instrumentation.truth import FeetTruth
+from surefoot.envs.instrumentation.truth import FeetTruth, foot_places
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation, Places
 from surefoot.envs.options import check_render_mode, checked_range, positive
@@ -177,18 +176,18 @@ class ExerciseEnv(BipedEnv):
 
     def _observe(
         self, rows: NDArray[np.float64], qvel: NDArray[np.float64]
-    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
+    ) -> tuple[Observation, dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
         seen = super()._observe(rows, qvel)
         # The ankles answer what the last step ended with.
         self._correction = self._balance.correction(self.truth, self.command)
         return seen
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(truth, self._cop_width),
+            "reward_cop": self._paid_cop(pressed, self._cop_width),
             "reward_action": self._effort(action),
         }
 
@@ -227,29 +226,16 @@ class ExerciseEnv(BipedEnv):
 def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
     """Return where in the sensor data of a robot with two feet things are that are shown."""
     layout, start = instrumentation.layout, instrumentation.columns(model).start
-    left, right = start, start + FootColumns.width
-    torso = right + FootColumns.width
+    torso = start + FootColumns.width * len(layout.feet)
     joints = torso + TorsoColumns.width
     return Places(
-        contact=(left + FootColumns.contact.start, right + FootColumns.contact.start),
-        up=-1.0,
-        position_sole=(left + FootColumns.position_sole.start, right + FootColumns.position_sole.start),
-        axes_sole=(left + FootColumns.axes_sole.start, right + FootColumns.axes_sole.start),
+        foot_places(layout, start),
         axes_torso=torso + TorsoColumns.axes.start,
         position_torso=torso + TorsoColumns.position.start,
         gyroscope=torso + TorsoColumns.gyroscope.start,
-        com=torso + TorsoColumns.com.start,
         joints=slice(joints, joints + len(layout.joint_names)),
         joint_dofs=np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names]),
-        force_cell=partial(_shared, layout.force_of_wrench),
     )
-
-
-def _shared(
-    shares: NDArray[np.float64], last: NDArray[np.float64], wrench: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    force: NDArray[np.float64] = (wrench[..., None, :] @ shares)[..., 0, :]
-    return force
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:

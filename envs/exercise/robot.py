@@ -73,7 +73,7 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool 
     if boxes and spec.meshes:
         full = spec.copy().compile()
         usual: Any = {"cells": None, "margin": 0.005, "prefix": "surefoot/"}
-        made = make(spec, full, feet, soles=False, boxes=True, forced=True, **usual)
+        made = make(spec, full, feet, soles=False, boxes=True, samples=1, **usual)
         assert made.instrumentation is not None
         assert made.model is not None
         instrumentation, model = made.instrumentation, made.model

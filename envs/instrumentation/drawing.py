@@ -53,7 +53,8 @@ class RobotDrawing:
         torso: Name of the body that floats.
         imu: Name of the IMU's site, which sits on the torso.
         soles: Names of the F soles' sites, the left one first.
-        feet: What messages call the feet.
+        feet: Names of the feet's bodies.
+        sides: What channels and messages call the feet.
         joint_names: The J hinge joints of the skeleton in model order.
         position_cell_sole: Places of the load cells in the sole frames in m, shape (F, 4, 3); None without.
         flaw: Why there are no cells, or empty.
@@ -66,6 +67,7 @@ class RobotDrawing:
     imu: str
     soles: tuple[str, ...]
     feet: tuple[str, ...]
+    sides: tuple[str, ...]
     joint_names: tuple[str, ...]
     position_cell_sole: NDArray[np.float64] | None
     flaw: str
@@ -74,9 +76,14 @@ class RobotDrawing:
 
     @functools.cached_property
     def weight(self) -> float:
-        """Weight of all that hangs on the torso in N, at 9.81 m/s^2."""
+        """Weight of all that hangs on the torso in its world in N."""
         model = self.spec().compile()
-        return 9.81 * float(model.body_subtreemass[model.body(self.torso).id])
+        return self.gravity * float(model.body_subtreemass[model.body(self.torso).id])
+
+    @functools.cached_property
+    def gravity(self) -> float:
+        """Acceleration of free fall in the robot's world in m/s^2."""
+        return float(np.linalg.norm(self.spec().option.gravity))
 
     def spec(self) -> mujoco.MjSpec:
         """Read the skeleton afresh, to perturb in memory and then ``compile()``."""
@@ -97,7 +104,8 @@ def draw_nao() -> RobotDrawing:
         torso="torso",
         imu="imu",
         soles=soles,
-        feet=FEET,
+        feet=tuple(sites[sole][0] for sole in soles),
+        sides=FEET,
         joint_names=hinge_joint_names(model),
         position_cell_sole=cell_positions(model),
         flaw="",
@@ -134,7 +142,8 @@ def draw_robot(
         masses.append(float(model.body_subtreemass[body]))
         coms.append(foot.R_foot_sole.T @ (com_foot - foot.position_sole_foot))
     places = [cells for cells in layout.cells if cells is not None]
-    number = len(layout.feet)
+    feet = tuple(foot.body for foot in layout.feet)
+    number = len(feet)
     has_cells = len(places) == number
     # The plate over the cells has no mass.
     plates = BelowSensor(
@@ -145,7 +154,8 @@ def draw_robot(
         torso=layout.torso,
         imu=imu,
         soles=tuple(sites)[1:],
-        feet=FEET if number == 2 else tuple(foot.body for foot in layout.feet),
+        feet=feet,
+        sides=FEET if number == 2 else feet,
         joint_names=layout.joint_names,
         position_cell_sole=np.pad(np.array(places), ((0, 0), (0, 0), (0, 1))) if has_cells else None,
         flaw=layout.flaw,

@@ -1,5 +1,6 @@
 """Any MuJoCo environment with sensors in its feet: the same episodes, and the truth besides."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from copy import copy
 from pathlib import Path
@@ -15,26 +16,23 @@ from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
 from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
-from surefoot.envs.instrumentation.truth import step_truth
+from surefoot.envs.instrumentation.trial import find_notice
+from surefoot.envs.instrumentation.truth import foot_places, mean_truth
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Any MuJoCo environment of a robot with feet, with the truth about them beside it.
 
     Observation, reward and termination stay the environment's, bit for bit. Sensors are put into its model
-    (``unwrapped.model`` and ``unwrapped.data`` are replaced) where nothing that it may look up by number
-    changes thereby; else, or without a description of the model, the same quantities are computed beside it.
-    :attr:`untouched` says why. After a step, sensors have what was at the start of its last substep, and
-    what is computed beside has its end; both have the state that a reset chose.
+    (``unwrapped.model`` and ``unwrapped.data`` are replaced), behind its own, if it does not notice: copies
+    of it are stepped with and without them, and must show the same to the last bit
+    (:func:`~surefoot.envs.instrumentation.trial.find_notice`). Then every substep of a control step is read,
+    from MuJoCo's own history of the sensors. An environment that would notice, or has no description of
+    its model, stays as it is; the same quantities are computed beside it, **once a control step**, at its
+    end. :attr:`untouched` says why, and a warning says so once.
 
-    ``info["surefoot"]["truth"]`` holds ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N,
-    ``cop_world`` (2) m, ``cop_foot`` (F, 2) m, ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m, as arrays
-    of their own; ``cop_valid`` (1 + F) says which centres of pressure there are, the common one first, and
-    the others are 0.
-
-    An environment that shows ``data.cacc``, ``cfrc_int``, ``cfrc_ext``, ``subtree_linvel`` or
-    ``subtree_angmom`` without ever computing them reads numbers there instead of zeros after a step; give it
-    ``in_place=False``.
+    ``info["surefoot"]["truth"]`` holds means over the control step, see
+    :func:`~surefoot.envs.instrumentation.truth.mean_truth`.
 
     Args:
         env: An environment whose ``unwrapped`` has ``model`` and ``data``, such as Gymnasium's ``MujocoEnv``.
@@ -53,13 +51,16 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         prefix: What the names of added sites and sensors begin with.
 
     Attributes:
-        truth: What the feet felt, with a leading axis of one row.
+        truth: What the feet felt in each of the S substeps of the last control step, a row each; a single row
+            where it is computed beside the environment. After a reset all are of the state that it chose.
         tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
         drawing: What the robot's maker hands out.
         joint_names: The hinge joints that encoders measure.
         instrumentation: The instrumented description, which copies share; None for a model that was left
             alone.
         untouched: Why the model was left alone; empty if it was not.
+        seldom: Whether only one of several substeps of a control step is read; calibrators then take feet for
+            noisier.
 
     Environments of dm_control, which hold their robot as ``unwrapped.physics``, are never changed: the same
     quantities are computed beside them.
@@ -69,6 +70,10 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             ``soles`` name no feet.
         ValueError: If feet cannot be found, a body does not exist, names are taken, cells are asked for on a
             foot without area, or the description is of another robot.
+
+    Warns:
+        UserWarning: If the feet are read only once a control step of several substeps, though nobody asked
+            for that (``in_place=False``).
     """
 
     def __init__(
@@ -126,31 +131,39 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         elif description is not None:
             forced = bool(soles or in_place)
             boxes = not (getattr(env, "render_mode", None) if visuals is None else visuals)
-            made = make(description, base.model, feet, soles=soles, boxes=boxes, forced=forced, **given)
+            samples = count_substeps(base)
+            made = make(description, base.model, feet, soles=soles, boxes=boxes, samples=samples, **given)
             if made.different and (spec is not None or forced):
                 raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
             holder = find_holder(env)
             if holder and forced:
                 raise ValueError(f"The environment's model cannot be replaced: {_held(holder)}.")
-            self.untouched = made.obstacle
-            if made.different:
+            if made.model is None:
                 self.untouched = f"its file is of another robot: {made.different}"
             elif holder:
                 self.untouched = _held(holder)
-            elif made.model is not None:
-                self.instrumentation = made.instrumentation
-                swap_in(base, copy(made.model))
+            else:
+                self.untouched = "" if forced else find_notice(env, made.model)
+                self.instrumentation = None if self.untouched else made.instrumentation
+                chosen = made.boxed if self.untouched else made.model
+                if chosen is not None:
+                    swap_in(base, copy(chosen))
         self._reader: SensorReader | FeetReader
+        self.seldom = False
         if self.instrumentation is not None:
-            self._reader = SensorReader(base.model, base.data, self.instrumentation)
+            self._reader = SensorReader(base.model, base.data, self.instrumentation, samples)
             self.drawing: RobotDrawing = self.instrumentation.drawing
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
             self.drawing = self._reader.drawing
+            self.seldom = count_substeps(base) > 1
+            if self.seldom and in_place is not False:
+                warnings.warn(_aliased(env, self.untouched, count_substeps(base)), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
+        self._places = foot_places(self.truth.layout)
         self.tells = True
 
     def __getstate__(self) -> dict[str, Any]:
@@ -182,9 +195,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     @property
     def dt(self) -> float:
         """Duration of a step in s."""
-        base = self._base
-        skipped: float = getattr(base, "frame_skip", 1)
-        return float(base.dt if hasattr(base, "dt") else self._model.opt.timestep * skipped)
+        return step_duration(self._base)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -209,7 +220,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return observation, reward, terminated, truncated, self._with_truth(info)
 
     def _with_truth(self, info: dict[str, Any]) -> dict[str, Any]:
-        return {**info, "surefoot": {"truth": step_truth(self.truth)}} if self.tells else info
+        told = {"truth": mean_truth(self.truth.rows, self._places)} if self.tells else None
+        return info if told is None else {**info, "surefoot": told}
 
     def _refuse_another(self) -> None:
         """Raise RuntimeError if the robot that is watched is not simulated any more."""
@@ -218,6 +230,25 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 f"{type(self._base).__name__} made itself another model or data at a reset, so that its feet "
                 "are not watched any more; wrap it anew, or let it change its model's numbers instead."
             )
+
+
+def step_duration(base: Any) -> float:
+    """Return how long a control step of an innermost environment lasts in s."""
+    skipped: float = getattr(base, "frame_skip", 1)
+    return float(base.dt if hasattr(base, "dt") else base.model.opt.timestep * skipped)
+
+
+def count_substeps(base: Any) -> int:
+    """Count the simulation's steps in a control step of an innermost environment."""
+    return max(1, round(step_duration(base) / float(base.model.opt.timestep)))
+
+
+def _aliased(env: Any, reason: str, substeps: int) -> str:
+    """Say that feet are read too seldom."""
+    return (
+        f"The feet of {env} are read once a control step, at its end, and not in each of its {substeps} "
+        f"substeps ({reason}): contact forces that change within a step are aliased; real sensors average."
+    )
 
 
 def _check_types(cells: Any, soles: Any) -> None:

@@ -2,19 +2,37 @@
 
 import re
 from collections.abc import Sequence
+from copy import copy
 from typing import Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.geometry import below, bodies_that_touch, colliding
+from surefoot.envs.instrumentation.geometry import below, bodies_that_touch, colliding, lowest_points
 
 STANDING: Final = ("home", "stand", "standing")
 """Names of keyframes in which a robot stands; the first that a model has is taken, else its zero pose."""
 
 SAME_HEIGHT: Final = 0.1
 """Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
+
+BEARS: Final = 0.015
+"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1.4 cm
+on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
+
+SHORT: Final = 0.5
+"""Greatest distance of a foot's bodies, a share of the torso's height: of a robot that lies, all bodies are
+on the ground."""
+
+SETTLING: Final = 0.15
+"""Time in s in which a robot that is put on the ground comes to rest; its load is averaged as long again."""
+
+HELD: Final = 1e4
+"""Inertia in kg m^2 that holds a joint meanwhile: a humanoid's weight turns it by less than a milliradian."""
+
+MOST_OF: Final = 0.95
+"""Least share of the weight on feet that were guessed; half of what a toe or heel bears that was missed."""
 
 UPRIGHT: Final = 0.5
 """Least height of the torso above the feet as a share of its distance from them, of a robot that stands."""
@@ -42,9 +60,11 @@ def find_feet(
 ) -> tuple[int, ...]:
     """Find the bodies of the feet: those that are named, or the two lowest leaves that can touch the ground.
 
-    A leaf without a joint belongs to the body that it is welded to if nothing of that body can touch: a sole
-    plate is part of its foot. The left one of two comes first, by its name (left, l_, L...) or else by its
-    place.
+    A foot is a body and all that hangs on it. From a leaf that can touch it reaches up to the highest body
+    that stands on the ground as well: a heel above its toes, or the first of several bodies that are welded
+    together. A body without a joint belongs to the body that it is welded to if nothing of that can touch: a
+    sole plate is part of its foot. The left one of two comes first, by its name (left, l_, L...) or else by
+    its place.
 
     Args:
         model: The robot.
@@ -57,7 +77,8 @@ def find_feet(
     Raises:
         TypeError: If ``names`` is a single name.
         ValueError: If a body does not exist, is named twice or hangs on another foot, the feet hang on
-            different robots, no pair of feet can be found, or the robot does not stand on them.
+            different robots, no pair of feet can be found, the robot does not stand on them, or feet that
+            were guessed do not bear its weight.
     """
     if names is None:
         return _guess(model, data)
@@ -94,44 +115,125 @@ _KEYFRAME: Final = (
 
 
 def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
-    can_touch = colliding(model)
-    leaves = _leaves(model, can_touch)
+    height = lowest_points(model, data)
+    feet = _candidates(model, data, height)
     why = "none of them can touch anything (contype, conaffinity and contact pairs)."
-    if leaves:
-        height = np.array([_lowest(model, data, body, can_touch) for body in leaves])
-        torso = data.xpos[model.body_rootid[leaves[int(np.argmin(height))]]][2]
+    if feet:
+        lowest = np.array([height[below(model, body)].min() for body in feet])
+        torso = data.xpos[model.body_rootid[feet[int(np.argmin(lowest))]]][2]
         # A leaf that is the whole robot, such as a ball, is no foot.
-        near = SAME_HEIGHT * max(float(torso - height.min()), 1e-3)
-        low = height < height.min() + near
-        pair = [
-            body for body, is_low in zip(leaves, low, strict=True) if is_low and model.body_parentid[body]
-        ]
+        near = SAME_HEIGHT * max(float(torso - lowest.min()), 1e-3)
+        low = lowest < lowest.min() + near
+        pair = [body for body, is_low in zip(feet, low, strict=True) if is_low and model.body_parentid[body]]
         ordered = _left_first(model, data, pair) if len(pair) == 2 else ()
-        why = _doubt(model, data, pair, ordered, can_touch, near)
+        why = _doubt(model, data, pair, ordered, height, near)
         if not why:
+            _check_weight(model, data, ordered, height)
             return ordered
     raise ValueError(
         f"No left and right foot could be found among the model's lowest leaves: {why} "
-        f"Leaves that can touch the ground: {_names(model, leaves)}; all bodies that can: "
+        f"Leaves that can touch the ground: {_names(model, feet)}; all bodies that can: "
         f"{bodies_that_touch(model)}."
     )
 
 
-def _leaves(model: mujoco.MjModel, can_touch: NDArray[np.bool_]) -> list[int]:
-    """List the leaves that can touch, each as the body to which it is welded if that cannot."""
-    touching = np.bincount(model.geom_bodyid[can_touch], minlength=model.nbody) > 0
-    parents = set(model.body_parentid[1:].tolist())
-    leaves = []
-    for leaf in range(1, model.nbody):
-        if leaf not in parents and touching[leaf]:
-            foot = leaf
-            while model.body_jntnum[foot] == 0 and not touching[model.body_parentid[foot]]:
-                foot = int(model.body_parentid[foot])
-                if foot == 0:
-                    break
-            if foot:
-                leaves.append(foot)
-    return sorted(set(leaves))
+def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: NDArray[np.float64]) -> list[int]:
+    """List the bodies that may be feet, each with all that hangs on it.
+
+    Args:
+        model: The robot.
+        data: The pose in which it stands.
+        height: Lowest point of each body that can touch in m, inf of others, shape (nbody,).
+    """
+    touching = np.isfinite(height)
+    feet = set()
+    for leaf in np.flatnonzero(touching[1:]) + 1:
+        root, hanging = int(model.body_rootid[leaf]), below(model, int(leaf))
+        # A torso is no foot where nothing else can touch.
+        if (touching & hanging).sum() > 1 or (leaf == root and hanging.sum() > 1):
+            continue
+        tall = max(float(data.xpos[root][2] - height[leaf]), 0.0)
+        foot = body = int(leaf)
+        while (body := int(model.body_parentid[body])) not in (0, root):
+            near = np.linalg.norm(data.xpos[body] - data.xpos[leaf]) < SHORT * tall
+            if near and height[body] < height[leaf] + BEARS * tall:
+                foot = body
+        while foot and model.body_jntnum[foot] == 0 and not touching[model.body_parentid[foot]]:
+            foot = int(model.body_parentid[foot])
+        if foot:
+            feet.add(foot)
+    return sorted(foot for foot in feet if not any(below(model, other)[foot] for other in feet - {foot}))
+
+
+def _check_weight(
+    model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[int, ...], height: NDArray[np.float64]
+) -> None:
+    """Raise ValueError if a robot that is put on the ground with its joints held does not rest on its feet.
+
+    Nothing is checked where nothing carries it: without a floor, or of a robot that cannot sink.
+    """
+    root = int(model.body_rootid[feet[0]])
+    robot = below(model, root)
+    held = copy(model)
+    sinks = _vertical_joint(model, data, root)
+    place = data.xpos[list(feet)].mean(axis=0)
+    place[2] = lowest = float(height[robot].min())
+    floor = _floor(model, data, robot, place)
+    if sinks is None or floor is None:
+        return
+    moving = robot[model.dof_bodyid] & (model.dof_bodyid != root)
+    held.dof_armature[moving] = HELD
+    held.jnt_stiffness[robot[model.jnt_bodyid]] = 0.0
+    held.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    tried = mujoco.MjData(held)
+    tried.qpos[:] = data.qpos
+    tried.qpos[sinks] -= lowest - floor
+    on_feet = np.any([below(model, foot) for foot in feet], axis=0)
+    load, wrench, steps = np.zeros(2), np.zeros(6), round(SETTLING / held.opt.timestep)
+    for step in range(2 * steps):
+        mujoco.mj_step(held, tried)
+        for k in range(tried.ncon if step >= steps else 0):
+            geoms = tried.contact.geom[k]
+            first, second = model.geom_bodyid[geoms] * (geoms >= 0)
+            if robot[first] == robot[second]:
+                continue
+            mujoco.mj_contactForce(held, tried, k, wrench)
+            up = (1.0 if robot[second] else -1.0) * float(wrench[:3] @ tried.contact.frame[k][2::3])
+            load += up * np.array([1.0, on_feet[first] or on_feet[second]])
+    everything, borne = load / steps
+    weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+    if everything > 0.5 * weight and borne < MOST_OF * everything:
+        names = " and ".join(f"'{name}'" for name in _names(model, list(feet)))
+        raise ValueError(
+            f"{names} look like the feet, but put on the ground in its {pose_name(model)} the robot, which "
+            f"weighs {weight:.1f} N, has {borne:.1f} N on them. Name its feet: feet=(left, right)."
+        )
+
+
+def _vertical_joint(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> int | None:
+    """Return which number of ``qpos`` moves a robot straight up; None if none does."""
+    first = int(model.body_jntadr[root])
+    for joint in range(first, first + int(model.body_jntnum[root])):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            return int(model.jnt_qposadr[joint]) + 2
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and data.xaxis[joint][2] > 0.99:
+            return int(model.jnt_qposadr[joint])
+    return None
+
+
+def _floor(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: NDArray[np.bool_], place: NDArray[np.float64]
+) -> float | None:
+    """Find the height in m of the highest fixed horizontal plane, or of what else lies below a place."""
+    fixed = colliding(model) & (model.body_weldid[model.geom_bodyid] == 0) & ~robot[model.geom_bodyid]
+    planes = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (data.geom_xmat[:, 8] > 0.99)
+    if planes.any():
+        return float(data.geom_xpos[planes][:, 2].max())
+    if not fixed.any():
+        return None
+    hit, above = np.full(1, -1, dtype=np.int32), place + np.array([0.0, 0.0, 0.5])
+    down = mujoco.mj_ray(model, data, above, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
+    return float(above[2] - down) if hit[0] >= 0 and fixed[hit[0]] else None
 
 
 def _doubt(
@@ -139,7 +241,7 @@ def _doubt(
     data: mujoco.MjData,
     pair: list[int],
     ordered: tuple[int, ...],
-    can_touch: NDArray[np.bool_],
+    height: NDArray[np.float64],
     near: float,
 ) -> str:
     """Return why the lowest leaves are not the two feet of a robot that stands, and what to do."""
@@ -170,11 +272,10 @@ def _doubt(
         )
     if not ordered:
         return f"{names} do not lie side by side, and their names tell no left and right. {name_them}"
-    deepest = min(_lowest(model, data, body, can_touch) for body in pair)
-    geoms = np.flatnonzero(can_touch & robot[model.geom_bodyid])
-    lowest = geoms[np.argmin(data.geom_xpos[geoms][:, 2])]
-    if data.geom_xpos[lowest][2] < deepest - near:
-        other = model.body(int(model.geom_bodyid[lowest])).name
+    deepest = min(height[below(model, body)].min() for body in pair)
+    lowest = int(np.argmin(np.where(robot, height, np.inf)))
+    if height[lowest] < deepest - near:
+        other = model.body(lowest).name
         return f"'{other}' is lower than {names}. {name_them}"
     places = data.xpos[robot]
     left, right = data.xpos[list(ordered)]
@@ -210,15 +311,13 @@ def pose_name(model: mujoco.MjModel) -> str:
     return next((f"keyframe '{name}'" for name in STANDING if name in named), "zero pose")
 
 
-def _lowest(model: mujoco.MjModel, data: mujoco.MjData, body: int, can_touch: NDArray[np.bool_]) -> float:
-    """Find the lowest centre of what can touch of a body and of what hangs on it, in m."""
-    geoms = can_touch & below(model, body)[model.geom_bodyid]
-    return float(data.geom_xpos[geoms][:, 2].min())
-
-
 def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
     """Order a pair as left and right, by names before places; empty if neither decides."""
-    sides = [_side(model.body(body).name) for body in pair]
+    names = [model.body(body).name for body in pair]
+    sides = [_side(name) for name in names]
+    differ = [a + b for a, b in zip(*names, strict=False) if a != b]
+    if len(names[0]) == len(names[1]) and len(differ) == 1 and differ[0].lower() in ("lr", "rl"):
+        sides = [1, -1] if differ[0][0].lower() == "l" else [-1, 1]
     if set(sides) in ({1, -1}, {1, 0}, {-1, 0}):
         return tuple(pair) if sides[0] > sides[1] else tuple(reversed(pair))
     root = int(model.body_rootid[pair[0]])

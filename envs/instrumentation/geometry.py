@@ -36,6 +36,13 @@ THINNEST: Final = 0.005
 """Spread in m below which the points of a foot lie on one line."""
 
 
+_SHAPES: Final = tuple(
+    getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    for kind in ("BOX", "MESH", "CYLINDER", "CAPSULE", "ELLIPSOID", "SPHERE")
+)
+"""Kinds of geoms of which :func:`_bearing_points` knows the points."""
+
+
 @dataclass(frozen=True, eq=False)
 class FootGeometry:
     """One foot, measured.
@@ -151,6 +158,24 @@ def bodies_that_touch(model: mujoco.MjModel) -> list[str]:
     """Return the names of moving bodies of which a geom can touch anything, in model order."""
     bodies = sorted(set(model.geom_bodyid[colliding(model)].tolist()) - {0})
     return [model.body(body).name for body in bodies]
+
+
+def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+    """Find the lowest point of each body that can touch in m, shape (nbody,); inf of one that cannot.
+
+    Of geoms without a shape of their own, such as planes, it is the centre.
+    """
+    lowest = np.full(model.nbody, np.inf)
+    for geom in np.flatnonzero(colliding(model)):
+        shaped = mujoco.mjtGeom(int(model.geom_type[geom])) in _SHAPES
+        points = (
+            _bearing_points(model, data, int(geom), np.array([0.0, 0.0, 1.0]))
+            if shaped
+            else data.geom_xpos[geom : geom + 1]
+        )
+        body = model.geom_bodyid[geom]
+        lowest[body] = min(lowest[body], points[:, 2].min())
+    return lowest
 
 
 def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:

@@ -22,7 +22,6 @@ from surefoot.envs.instrumentation.swap import (
     differing_array,
     find_difference,
     fingerprint,
-    why_not_in_place,
 )
 
 MOST_KEPT: Final = 4
@@ -35,15 +34,15 @@ class Made:
 
     Attributes:
         different: Why the description is of another robot; empty if it is not.
-        obstacle: Why sensors would be seen by such an environment; empty if they would not.
-        model: The instrumented robot; with an obstacle the bare one with boxes for meshes, or None.
-        instrumentation: What was added; None with an obstacle.
+        model: The instrumented robot.
+        instrumentation: What was added.
+        boxed: The bare robot with boxes for meshes, if it has any that are only seen.
     """
 
     different: str = ""
-    obstacle: str = ""
     model: mujoco.MjModel | None = None
     instrumentation: Instrumentation | None = None
+    boxed: mujoco.MjModel | None = None
 
 
 _KEPT: dict[tuple[Any, ...], Made] = {}
@@ -56,7 +55,6 @@ def make(
     *,
     soles: bool | Mapping[str, Sequence[float]],
     boxes: bool,
-    forced: bool,
     **given: Any,
 ) -> Made:
     """Make the instrumented robot with an environment's own numbers, or take that of another like it.
@@ -67,16 +65,15 @@ def make(
         feet: Names of the feet's bodies; None to guess.
         soles: Flat soles, as of :class:`~surefoot.envs.InstrumentedEnv`.
         boxes: Whether meshes that are only seen become boxes.
-        forced: Whether sensors are put in whatever may see them.
         **given: Options of :func:`~surefoot.envs.instrumentation.spec.instrument_as`.
     """
     if isinstance(description, mujoco.MjSpec):
-        return _make(description.copy(), bare, feet, soles, boxes, forced, given)
+        return _make(description.copy(), bare, feet, soles, boxes, given)
     cells = {body: np.asarray(places).tolist() for body, places in (given["cells"] or {}).items()}
-    options = repr((feet, soles, boxes, forced, {**given, "cells": cells}))
+    options = repr((feet, soles, boxes, {**given, "cells": cells}))
     key = (str(description.resolve()), description.stat().st_mtime_ns, options, fingerprint(bare))
     if key not in _KEPT:
-        made = _make(mujoco.MjSpec.from_file(str(description)), bare, feet, soles, boxes, forced, given)
+        made = _make(mujoco.MjSpec.from_file(str(description)), bare, feet, soles, boxes, given)
         while len(_KEPT) >= MOST_KEPT:
             del _KEPT[next(iter(_KEPT))]
         _KEPT[key] = made
@@ -89,7 +86,6 @@ def _make(
     feet: Sequence[str] | None,
     soles: bool | Mapping[str, Sequence[float]],
     boxes: bool,
-    forced: bool,
     given: dict[str, Any],
 ) -> Made:
     prefix = given["prefix"]
@@ -120,7 +116,4 @@ def _make(
     made = instrument_as(description, measured, feet, **given)
     model = made.spec.compile()
     carry_over(bare, model, prefix)
-    obstacle = "" if forced else why_not_in_place(bare, model, prefix)
-    if obstacle:
-        return Made(obstacle=obstacle, model=measured if boxes else None)
-    return Made(model=model, instrumentation=made)
+    return Made(model=model, instrumentation=made, boxed=measured if boxes else None)

@@ -1,7 +1,7 @@
 """The rows of a robot: read from sensors in its model, or computed beside the simulation from a copy."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import mujoco
@@ -13,6 +13,7 @@ from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns, encoders, measure_robot
 from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
+from surefoot.envs.instrumentation.swap import sensors_off
 from surefoot.envs.instrumentation.truth import FeetTruth
 
 Array = NDArray[np.float64]
@@ -23,47 +24,112 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 class SensorReader:
     """Reads the sensors that were added to a model, and keeps them still where they would be seen.
 
+    MuJoCo keeps each sensor's last S values in a ring (``data.history``), with a row's time in its clock's
+    column. It evaluates sensors at the beginning of a substep: forces, accelerations and contacts are then
+    those that act in it. Angles and gyroscope are moved on to its end, where the next substep begins, and the
+    last ones are taken from the state.
+
     Args:
         model: The instrumented robot.
         data: Its state.
         instrumentation: What was added.
+        samples: Number S of substeps in a control step.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, instrumentation: Instrumentation) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        instrumentation: Instrumentation,
+        samples: int,
+    ) -> None:
         columns = instrumentation.columns(model)
         first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
         self._model, self._data, self._layout = model, data, instrumentation.layout
-        self._instrumentation = instrumentation
-        self._row = data.sensordata[None, columns]
+        self._instrumentation, self._samples = instrumentation, samples
+        self._sensed = data.sensordata[columns]
         self._scratch = mujoco.MjData(model)
-        self._scratch_row = self._scratch.sensordata[None, columns]
+        self._scratch_row = self._scratch.sensordata[columns]
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
-        self._stages = model.sensor_needstage[first:]
-        self._stages_on = self._stages.copy()
+        self._first = first
+        feet, joints = FootColumns.width * len(self._layout.feet), len(self._layout.joint_names)
+        self._gyroscope = slice(feet + TorsoColumns.gyroscope.start, feet + TorsoColumns.gyroscope.stop)
+        self._joints = slice(feet + TorsoColumns.width, feet + TorsoColumns.width + joints)
+        torso = model.body(self._layout.torso).id
+        self._encoders = model.jnt_qposadr[list(encoders(model, torso))]
+        joint = model.body_jntadr[torso]
+        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        spin = model.jnt_dofadr[joint] + 3 if free else 0
+        self._spin = slice(spin, spin + 3) if free else None
+        if samples > 1:
+            self._cursor = data.history[model.sensor_historyadr[first] + 1 :][:1]
+            self._places = self._places_in_ring(first)
+        self._read_until = data.time
+
+    def _places_in_ring(self, first: int) -> NDArray[np.intp]:
+        """Find where in the history each number of each row lies, shape (S, columns), the ring's start first.
+
+        A sensor's part is two numbers of MuJoCo's own, the S times and the S values.
+        """
+        model, count = self._model, self._samples
+        sensors = range(first, model.nsensor)
+        start = [int(model.sensor_historyadr[i]) + 2 + count for i in sensors]
+        places = np.concatenate(
+            [
+                at + model.sensor_dim[i] * np.arange(count)[:, None] + np.arange(model.sensor_dim[i])
+                for i, at in zip(sensors, start, strict=True)
+            ],
+            axis=1,
+        )
+        for ends in (self._gyroscope, self._joints):
+            places[:, ends] = np.roll(places[:, ends], -1, axis=0)
+        return places.astype(np.intp)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Rows are views of MuJoCo's own arrays, which copies would lose.
-        return SensorReader, (self._model, self._data, self._instrumentation)
+        return SensorReader, (self._model, self._data, self._instrumentation, self._samples)
 
     def after_step(self) -> FeetTruth:
-        """Read what was at the beginning of the last substep, shape (1, ...)."""
-        return FeetTruth(self._row, self._layout)
+        """Read the substeps of the last control step, shape (S, ...)."""
+        data, before = self._data, self._read_until
+        self._read_until = now = data.time
+        if self._samples == 1:
+            rows = self._sensed[None].copy()
+        else:
+            rows = data.history.take(self._places)
+            newest = int(self._cursor[0])
+            if newest != self._samples - 1:
+                rows = np.roll(rows, -newest - 1, axis=0)
+        rows[-1, self._joints] = data.qpos[self._encoders]
+        if self._spin is not None:
+            rows[-1, self._gyroscope] = data.qvel[self._spin]
+        h = self._model.opt.timestep
+        if abs(now - before - self._samples * h) > 0.5 * h:
+            return self._after_other_step(rows, round((now - before if now > before else now) / h))
+        return FeetTruth(rows, self._layout)
+
+    def _after_other_step(self, rows: Array, fresh: int) -> FeetTruth:
+        """Read a control step of another number of substeps: of fewer ones the first stands for those before.
+
+        Time goes back where MuJoCo resets a simulation that has blown up.
+        """
+        if fresh < 1:
+            return self.now()
+        fresh = min(fresh, len(rows))
+        rows[: len(rows) - fresh] = rows[len(rows) - fresh]
+        return FeetTruth(rows, self._layout)
 
     def now(self) -> FeetTruth:
-        """Read what is in the present state, of which a copy is evaluated, shape (1, ...)."""
+        """Read what is in the present state, of which a copy is evaluated, in each of S equal rows."""
         mujoco.mj_getState(self._model, self._data, self._state, _STATE)
         mujoco.mj_setState(self._model, self._scratch, self._state, _STATE)
         mujoco.mj_forward(self._model, self._scratch)
-        return FeetTruth(self._scratch_row, self._layout)
+        self._read_until = self._data.time
+        return FeetTruth(np.tile(self._scratch_row, (self._samples, 1)), self._layout)
 
-    @contextmanager
-    def still(self) -> Iterator[None]:
-        """Leave the sensors out meanwhile: some make MuJoCo compute what is zero without them."""
-        self._stages[:] = 0
-        try:
-            yield
-        finally:
-            self._stages[:] = self._stages_on
+    def still(self) -> AbstractContextManager[None]:
+        """Leave the sensors out meanwhile, as a reset of the environment does not know them."""
+        return sensors_off(self._model, self._first)
 
 
 class FeetReader:

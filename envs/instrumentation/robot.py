@@ -97,7 +97,8 @@ def measure_robot(
 
     Raises:
         TypeError: If ``feet`` is a single name.
-        ValueError: If feet cannot be found, cannot touch or have no name, or a layout is wrong.
+        ValueError: If feet cannot be found, cannot touch or have no name, a layout is wrong, or gravity
+            does not point along -z.
     """
     bodies = find_feet(model, data, feet)
     geometry = tuple(measure_foot(model, data, body) for body in bodies)
@@ -107,6 +108,12 @@ def measure_robot(
     if unnamed or not torso:
         raise ValueError(
             f"The torso and the feet need names: give the bodies {unnamed or ['torso']} one each."
+        )
+    *level, down = model.opt.gravity
+    if not down < 0.0 or np.linalg.norm(level) > 1e-6 * -down:
+        raise ValueError(
+            f"Gravity must point down the world's z axis, got {model.opt.gravity.tolist()} m/s^2: level feet "
+            "and what they carry would not be known. Tilt the ground instead of gravity."
         )
     places = _places(geometry, cells or {}, margin)
     return MeasuredRobot(

@@ -85,7 +85,7 @@ class Instrumentation:
 
     def read_rows(self, model: mujoco.MjModel, sensordata: NDArray[np.float64]) -> FeetTruth:
         """Read sensor data that was recorded, shape (..., nsensordata)."""
-        return FeetTruth(sensordata[..., self.columns(model)], self.layout)
+        return FeetTruth(sensordata[..., self.columns(model)].copy(), self.layout)
 
     def columns(self, model: mujoco.MjModel) -> slice:
         """Find where the sensors that were added lie in the sensor data of a model.
@@ -109,6 +109,7 @@ def instrument(
     cells: Mapping[str, ArrayLike] | None = None,
     margin: float = 0.005,
     prefix: str = "surefoot/",
+    samples: int = 1,
 ) -> Instrumentation:
     """Put force and torque sensors into a robot's ankles, and sensors of its motion into its torso.
 
@@ -126,6 +127,8 @@ def instrument(
             on the sole.
         margin: How far these are drawn in from the rectangle's edges in m.
         prefix: What the names of added sites and sensors begin with.
+        samples: How many of its last substeps the simulation keeps of each added sensor (MuJoCo's
+            ``nsample``), for who reads all of them once a control step.
 
     Returns:
         The instrumented robot, and how to read it.
@@ -145,7 +148,7 @@ def instrument(
     own = spec.copy()
     for joint, compiled in zip(own.joints, checked.joints, strict=True):
         joint.name = joint_name(model, compiled.id)
-    return instrument_as(own, model, feet, cells=cells, margin=margin, prefix=prefix)
+    return instrument_as(own, model, feet, cells=cells, margin=margin, prefix=prefix, samples=samples)
 
 
 def instrument_as(
@@ -156,10 +159,12 @@ def instrument_as(
     cells: Mapping[str, ArrayLike] | None,
     margin: float,
     prefix: str,
+    samples: int,
 ) -> Instrumentation:
     """Put sensors into a specification, which is changed, of a robot that is measured in compiled form."""
     data = standing_pose(model)
     layout = measure_robot(model, data, feet, cells, margin)
+    own_sensors = len(spec.sensors)
     refuse_taken({sensor.name for sensor in spec.sensors} | {site.name for site in spec.sites}, prefix)
     own_imu = find_imu(model, layout.torso)
     drawing = draw_robot(model, data, layout, imu=own_imu, prefix=prefix)
@@ -177,6 +182,9 @@ def instrument_as(
             objname=joint,
         )
     spec.add_sensor(name=f"{prefix}time", type=mujoco.mjtSensor.mjSENS_CLOCK)
+    if samples > 1:
+        for sensor in spec.sensors[own_sensors:]:
+            sensor.nsample = samples
     return Instrumentation(spec, layout, drawing, f"{prefix}{layout.feet[0].body}_ankle_force")
 
 

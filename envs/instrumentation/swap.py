@@ -1,6 +1,7 @@
 """How an instrumented model takes the place of the one that an environment made."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -165,15 +166,6 @@ def fingerprint(model: mujoco.MjModel) -> bytes:
     return digest.digest()
 
 
-def why_not_in_place(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
-    """Return what an environment may look up by number that would change; empty if nothing does."""
-    if old.nsensor:
-        return "the model has sensors of its own, and the environment may read all sensor data at once"
-    if not np.array_equal(_kept(new, prefix)["site"], np.arange(old.nsite)):
-        return "added sites would change the numbers of the model's own, by which the environment may ask"
-    return ""
-
-
 def find_holder(env: gym.Env[Any, Any]) -> str:
     """Return an attribute, besides the usual ones, that points into the model or its data; empty without."""
     base: Any = env.unwrapped
@@ -201,10 +193,12 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
     """
     old, before = env.model, env.data
     data = mujoco.MjData(new)
-    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    # Added sensors have a history behind that of the environment's own sensors and motors.
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION.value & ~mujoco.mjtState.mjSTATE_HISTORY.value
     state = np.empty(mujoco.mj_stateSize(old, kind))
     mujoco.mj_getState(old, before, state, kind)
     mujoco.mj_setState(new, data, state, kind)
+    data.history[: before.history.size] = before.history
     # What was derived from the state goes along: some environments look at it before they step.
     for name, value in _public(before):
         if isinstance(value, np.ndarray) and value.size:
@@ -212,6 +206,18 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
             if target.shape == value.shape:
                 target[...] = value
     put_in(env, new, data)
+
+
+@contextmanager
+def sensors_off(model: mujoco.MjModel, first: int) -> Iterator[None]:
+    """Leave sensors from a number on out meanwhile: some make MuJoCo compute what is zero without them."""
+    stages = model.sensor_needstage[first:]
+    on = stages.copy()
+    stages[:] = 0
+    try:
+        yield
+    finally:
+        stages[:] = on
 
 
 def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:

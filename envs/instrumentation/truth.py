@@ -1,21 +1,23 @@
 """What an instrumented robot's sensors measure of its feet; signs and frames are defined here.
 
-A row holds what MuJoCo's sensors measured at one instant: after a step, that at its beginning. MuJoCo's force
-and torque sensors measure what the parent exerts on the child, its contact sensor what the first body exerts
-on the other; both change sign, so that all wrenches here go up into the robot.
+A row is a substep: the forces that acted in it and the poses at its beginning, and, where all substeps of a
+control step are read, angles and gyroscope at its end. MuJoCo's force and torque sensors measure what the
+parent exerts on the child, its contact sensor what the first body exerts on the other; both change sign, so
+that all wrenches here go up into the robot.
 
 The cells are springs under a massless plate that covers the sole (:class:`SolePlate`): they
 share what the ground exerts, and their centre of pressure is that of the contacts.
 """
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property
 from itertools import chain
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.envs.command import turned
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
 from surefoot.envs.numbers import ONE, Number, Numbers
 
@@ -47,15 +49,15 @@ class SensedColumns(NamedTuple):
 
 
 class FeetTruth:
-    """What F feet and the torso felt at one instant, or at many; its arrays are not to be changed.
+    """What F feet and the torso felt in one substep, or in many; its arrays are not to be changed.
 
     Args:
-        rows: Readings, shape (..., 27 F + 28 + J); they are copied.
+        rows: Readings, shape (..., 27 F + 28 + J); they are kept and not copied.
         layout: The robot, in whose order the columns are.
     """
 
     def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
-        self.rows = rows.copy()
+        self.rows = rows
         self.layout = layout
         self._end = FootColumns.width * len(layout.feet)
 
@@ -254,42 +256,43 @@ def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
     ]
 
 
-class Pressed(NamedTuple):
-    """What the ground does to F feet, in plain numbers of one robot or columns of many.
+def pressed(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
+    """Find what the ground does to feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
 
-    Attributes:
-        wrench: Wrenches at and in the sole frames in N and N m, (F, 6).
-        vgrf: Vertical forces in the world in N, (F).
-        cop: Centres of pressure in m, (1 + F, 2): of all feet in the world, then in each foot's sole frame;
-            0 where there is none.
-        valid: Which of these there are, (1 + F).
+    Returns:
+        Wrenches at and in the sole frames in N and N m, (F, 6); and of all feet together the load in N and
+        the moments about the world's x and y at the height of the contacts in N m, (3).
     """
-
-    wrench: list[list[Number]]
-    vgrf: list[Number]
-    cop: list[list[Number]]
-    valid: list[Any]
-
-
-def pressed(feet: Sequence[Sequence[Number]], up: float, m: Numbers = ONE) -> Pressed:
-    """Find what the ground does to feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21)."""
-    where = m.where
-    wrench, vgrf, cop, valid = [], [], [], []
-    load = moment_x = moment_y = 0.0
+    wrench, load, moment_x, moment_y = [], 0.0, 0.0, 0.0
     for foot in feet:
-        wrench.append(own := wrench_at_sole(foot, up))
-        vgrf.append(fz := 0.0 + up * foot[2])
-        load = load + fz
+        wrench.append(wrench_at_sole(foot, up))
+        load = load + (fz := up * foot[2])
         moment_x = moment_x + up * foot[3] + foot[7] * fz
         moment_y = moment_y + up * foot[4] - foot[6] * fz
-        valid.append(enough := own[2] > CONTACT_FORCE)
-        safe = where(enough, own[2], 1.0)
-        cop.append([where(enough, -own[4] / safe, 0.0), where(enough, own[3] / safe, 0.0)])
-    enough = load > CONTACT_FORCE
-    safe = where(enough, load, 1.0)
-    cop.insert(0, [where(enough, -moment_y / safe, 0.0), where(enough, moment_x / safe, 0.0)])
-    valid.insert(0, enough)
-    return Pressed(wrench, vgrf, cop, valid)
+    return wrench, [load, moment_x, moment_y]
+
+
+def centres(
+    wrench: Sequence[Sequence[Number]], common: Sequence[Number], flat: Sequence[bool], m: Numbers = ONE
+) -> list[Any]:
+    """Find the centres of pressure of :func:`pressed` feet.
+
+    Args:
+        wrench: Wrenches at the soles, (F, 6).
+        common: Load and moments of all feet together, (3).
+        flat: Which feet have an area, (F).
+        m: Whether there is one robot, or many.
+
+    Returns:
+        The centre of all feet in the world and those of each foot in its sole's frame in m, 0 where there is
+        none, (1 + F, 2); last, which of these there are, (1 + F).
+    """
+    found, valid = [], []
+    for (fz, mx, my), area in zip((common, *(foot[2:5] for foot in wrench)), (True, *flat), strict=True):
+        valid.append(enough := (fz > CONTACT_FORCE) & area)
+        safe = m.where(enough, fz, 1.0)
+        found.append([m.where(enough, -my / safe, 0.0), m.where(enough, mx / safe, 0.0)])
+    return [*found, valid]
 
 
 def _rotation(axes: Array) -> Array:
@@ -333,35 +336,134 @@ def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)
 
 
-def step_truth(truth: FeetTruth) -> dict[str, Array]:
-    """Return what ``info`` holds of a step, as arrays of their own, of a single row of shape (1, ...).
+class FootPlaces(NamedTuple):
+    """Where in a row of sensor data things are that feet feel: of each foot, the first of its numbers.
 
-    ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
-    (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
+    Attributes:
+        ankle: Force and torque at the ankle, of the robot on the foot (6 numbers).
+        contact: Force, torque and the place at which they act, in the world (9).
+        up: 1 if these are the ground's on the robot, -1 if the robot's on the ground.
+        position_sole: Origin of the sole frame in the world (3).
+        axes_sole: Its axes one after another (9).
+        com: Centre of mass of the robot (3); one for all feet.
+        force_cell: Makes forces of the cells in N, shape (..., 4 F), of a row and of the wrenches at the
+            soles, shape (..., 6 F); None where a foot has no area.
+        flat: Which feet have an area, (F).
     """
-    layout, row = truth.layout, truth.rows[-1].tolist()
-    feet = len(layout.feet)
-    end = FootColumns.width * feet
-    wrench, vgrf, cop, valid = pressed(
-        [row[at : at + 21] for at in range(_START, end, FootColumns.width)], -1.0
+
+    ankle: tuple[int, ...]
+    contact: tuple[int, ...]
+    up: float
+    position_sole: tuple[int, ...]
+    axes_sole: tuple[int, ...]
+    com: int
+    force_cell: Callable[[Array, Array], Array] | None
+    flat: tuple[bool, ...]
+
+    def level(self, row: Any, m: Numbers = ONE) -> tuple[Number, Number, Number]:
+        """Return where the level frame of two soles is (x, y) in m, and its heading in rad."""
+        (left, right), (i, j) = self.position_sole, self.axes_sole
+        return (
+            0.5 * (row[left] + row[right]),
+            0.5 * (row[left + 1] + row[right + 1]),
+            m.atan2(row[i + 1] + row[j + 1], row[i] + row[j]),
+        )
+
+
+@cache
+def _columns(places: FootPlaces) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return the columns that :func:`mean_truth` takes out of rows.
+
+    Returns:
+        Of each foot, shape (F, 8, 3): force; torque; place twice, origin twice and force twice, their axes as
+        the two products of a cross product take them. Of each foot the axes of the sole, (F, 3, 3), and the
+        wrench at the ankle, (F, 6).
+    """
+    force, origin, axis, ankle = (
+        np.array(starts, dtype=np.intp)[:, None] + np.arange(6)
+        for starts in (places.contact, places.position_sole, places.axes_sole, places.ankle)
     )
-    for number, foot in enumerate(layout.feet, 1):
-        if foot.flaw:
-            cop[number], valid[number] = [0.0, 0.0], False
-    com = end + TorsoColumns.com.start
+    place, early, late = force[:, :3] + 6, [1, 2, 0], [2, 0, 1]
+    factors = (place[:, early], place[:, late], origin[:, early], origin[:, late])
+    parts = np.stack([force[:, :3], force[:, 3:], *factors, force[:, late], force[:, early]], axis=1)
+    return parts, axis[:, None, :3] + 3 * np.arange(3)[:, None], ankle
+
+
+def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, NDArray[Any]]:
+    """Return what ``info`` holds of a control step: means over its substeps, as ideal cells give them.
+
+    Args:
+        rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
+        places: What the columns are.
+        m: Whether there is one robot, or many.
+
+    Returns:
+        Arrays of their own: ``force_cell`` (..., 4 F) N where all feet have an area; ``vgrf`` (..., F) N;
+        ``cop_world`` (..., 2) m, ``cop_foot`` (..., F, 2) m in the soles' frames and, of two feet, ``cop``
+        (..., 2) m in the level frame midway between them; ``cop_valid`` (..., 1 + F), which of these there
+        are, the common one first (the others are 0); ``com`` (..., 3) m; ``wrench_sole`` and
+        ``wrench_ankle`` (..., F, 6) N and N m.
+    """
+    feet, share, up = len(places.contact), 1.0 / rows.shape[-2], places.up
+    of_feet, of_axes, of_ankles = _columns(places)
+    row = np.add.reduce(rows, axis=-2) * share
+    parts = rows.take(of_feet, axis=-1)
+    # Of the common centre of pressure, at the height of the contacts: y and x of place times load.
+    spread = np.add.reduce(parts[..., 2, ::2] * parts[..., 0, 2:], axis=(-3, -2))
+    products = (parts[..., 2:4, :] - parts[..., 4:6, :]) * parts[..., 6:, :]
+    parts[..., 1, :] += products[..., 0, :] - products[..., 1, :]
+    felt = parts[..., :2, :] @ rows.take(of_axes, axis=-1).swapaxes(-1, -2)
+    wrench = np.add.reduce(felt, axis=-4) * (up * share)
+    wrench_sole = wrench.reshape(*wrench.shape[:-2], 6)
+
+    own, (y_load, x_load) = m.parts(row), m.parts(spread * share)
+    load = [0.0 + up * own[at + 2] for at in places.contact]
+    moment_x = up * (sum(own[at + 3] for at in places.contact) + y_load)
+    moment_y = up * (sum(own[at + 4] for at in places.contact) - x_load)
+    common = sum(load), moment_x, moment_y
+    (x, y), *cop_foot, valid = centres(m.parts(wrench_sole), common, places.flat, m)
+    level = [0.0, 0.0]
+    if feet == 2:
+        middle_x, middle_y, heading = places.level(own, m)
+        level = turned(x - middle_x, y - middle_y, heading, m)
+        level = [m.where(valid[0], part, 0.0) for part in level]
     # One array is faster than many.
-    numbers = np.array([*vgrf, *chain.from_iterable(cop), *row[com : com + 3], *chain.from_iterable(wrench)])
-    wrench_sole = numbers[3 * feet + 5 :]
-    cells = {}
-    if not layout.flaw:
-        cells["force_cell"] = wrench_sole @ layout.force_of_wrench
-        # Load cells are read next, and ask for the same.
-        truth.wrench_sole = wrench_sole.reshape(1, feet, 6).copy()
-    return cells | {
-        "vgrf": numbers[:feet],
-        "cop_world": numbers[feet : feet + 2],
-        "cop_foot": numbers[feet + 2 : 3 * feet + 2].reshape(feet, 2),
-        "cop_valid": np.array(valid),
-        "com": numbers[3 * feet + 2 : 3 * feet + 5],
-        "wrench_sole": wrench_sole.reshape(feet, 6),
+    numbers = m.array([*load, x, y, *level, *chain.from_iterable(cop_foot)])
+    truth = {
+        "vgrf": numbers[..., :feet],
+        "cop_world": numbers[..., feet : feet + 2],
+        "cop_foot": numbers[..., feet + 4 :].reshape(*numbers.shape[:-1], feet, 2),
+        "cop_valid": m.array(valid),
+        "com": row[..., places.com : places.com + 3],
+        "wrench_sole": wrench_sole,
+        "wrench_ankle": -row.take(of_ankles, axis=-1),
     }
+    if feet == 2:
+        truth["cop"] = numbers[..., feet + 2 : feet + 4]
+    if places.force_cell is not None:
+        truth["force_cell"] = places.force_cell(row, wrench_sole.reshape(*row.shape[:-1], -1))
+    return truth
+
+
+def foot_places(layout: MeasuredRobot, start: int = 0) -> FootPlaces:
+    """Return where the feet's columns are in rows of an instrumented robot, which begin at ``start``."""
+
+    def each(part: slice) -> tuple[int, ...]:
+        return tuple(start + FootColumns.width * foot + part.start for foot in range(len(layout.feet)))
+
+    shares = layout.force_of_wrench
+
+    def force_cell(row: Array, wrench: Array) -> Array:
+        force: Array = (wrench[..., None, :] @ shares)[..., 0, :]
+        return force
+
+    return FootPlaces(
+        ankle=each(FootColumns.ankle),
+        contact=each(FootColumns.contact),
+        up=-1.0,
+        position_sole=each(FootColumns.position_sole),
+        axes_sole=each(FootColumns.axes_sole),
+        com=start + FootColumns.width * len(layout.feet) + TorsoColumns.com.start,
+        force_cell=None if layout.flaw else force_cell,
+        flat=tuple(not foot.flaw for foot in layout.feet),
+    )

@@ -132,12 +132,12 @@ class NaoBalanceEnv(NaoStandEnv):
         )
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
-        m, error = self._numbers, self._cop_error(truth["cop_world"]) / COP_SCALE
+        m, error = self._numbers, self._cop_error(pressed["cop_world"]) / COP_SCALE
         return {
             "reward_alive": 1.0,
-            "reward_cop": m.where(truth["cop_valid"][..., 0], 2.0 * m.exp(-error * error), 0.0),
+            "reward_cop": m.where(pressed["cop_valid"][..., 0], 2.0 * m.exp(-error * error), 0.0),
             "reward_action": self._effort(action),
         }
 
@@ -145,7 +145,7 @@ class NaoBalanceEnv(NaoStandEnv):
         """Distance between a centre of pressure and the commanded one, both as the soles see them, in m."""
         m = self._numbers
         (x, y), (planned_x, planned_y) = m.parts(cop_world), m.parts(self.command.cop)
-        middle_x, middle_y, heading = self._places.level(self._row, m)
+        middle_x, middle_y, heading = self._places.feet.level(self._row, m)
         left, right = m.parts(self.command.position_sole)
         x, y = turned(x - middle_x, y - middle_y, heading, m)
         planned_x, planned_y = planned_x - 0.5 * (left[0] + right[0]), planned_y - 0.5 * (left[1] + right[1])

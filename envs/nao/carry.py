@@ -122,7 +122,7 @@ class NaoCarryEnv(NaoPatternEnv):
         self._surprise.draw(self._payload, self.np_random)
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
-        paid = super()._reward(truth, action)
+        paid = super()._reward(pressed, action)
         return paid | {"reward_cop": COP_WEIGHT * paid["reward_cop"]}

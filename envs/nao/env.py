@@ -133,10 +133,9 @@ class NaoEnv(BipedEnv):
 
     ## Info
 
-    ``info["surefoot"]["truth"]`` holds ``force_cell`` (8) N, ``vgrf`` (2) N, ``cop_world`` (2) m,
-    ``cop_foot`` (2, 2) m, ``com`` (3) m and ``wrench_sole`` (2, 6) at the end of the step, as arrays of their
-    own; ``cop_valid`` (3) says which centres of pressure there are, as in the observation, and the others are
-    0. ``unwrapped.truth`` has all of the step's substeps and more.
+    ``info["surefoot"]["truth"]`` holds means over the step, see
+    :func:`~surefoot.envs.instrumentation.truth.mean_truth`; observation and reward are of its end.
+    ``unwrapped.truth`` has all of the step's substeps and more.
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
@@ -251,11 +250,11 @@ class NaoEnv(BipedEnv):
         return Truth(rows, self.channels)
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(truth, COP_SCALE),
+            "reward_cop": self._paid_cop(pressed, COP_SCALE),
             "reward_action": self._effort(action),
         }
 

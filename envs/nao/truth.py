@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.envs.instrumentation.truth import SensedColumns, centre_of_pressure, cross
+from surefoot.envs.instrumentation.truth import FootPlaces, SensedColumns, centre_of_pressure, cross
 from surefoot.envs.observation import Places
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
@@ -70,18 +70,23 @@ class TruthChannels:
             preload[6 * i : 6 * i + 6] = np.concatenate([load, np.cross(arm, load)])
         self.preload: NDArray[np.float64] = -preload @ self.force_of_plates
         contact, sole, axes = self.ground.start, self.position_sole.start, self.axes_sole.start
-        self.places = Places(
+        feet = FootPlaces(
+            ankle=(self.ankle.start, self.ankle.start + 6),
             contact=(contact, contact + 9),
             up=1.0,
             position_sole=(sole, sole + 3),
             axes_sole=(axes, axes + 9),
+            com=self.com.start,
+            force_cell=self._force_cell,
+            flat=(True, True),
+        )
+        self.places = Places(
+            feet,
             axes_torso=self.axes_torso.start,
             position_torso=self.position_torso.start,
             gyroscope=self.gyroscope.start,
-            com=self.com.start,
             joints=self.joint_position,
             joint_dofs=np.array([model.joint(name).dofadr[0] for name in joints]),
-            force_cell=self._force_cell,
         )
 
     def _force_cell(self, last: NDArray[np.float64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:

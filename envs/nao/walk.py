@@ -42,10 +42,10 @@ class NaoPatternEnv(NaoEnv):
         return self.pattern.command(tick, self._numbers)
 
     def _reward(
-        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         m, row, where, command = self._numbers, self._row, self.channels, self.command
-        x, y, heading = self._places.level(row, m)
+        x, y, heading = self._places.feet.level(row, m)
         (left_x, left_y, _), (right_x, right_y, _) = m.parts(command.position_sole)
         left, right = m.parts(command.yaw_sole)
         planned_heading = 0.5 * (left + right)
@@ -54,7 +54,7 @@ class NaoPatternEnv(NaoEnv):
         velocity = turned(row[start], row[start + 1], heading, m)
         planned_vx, planned_vy, _ = m.parts(command.com_velocity)
         planned_velocity = turned(planned_vx, planned_vy, planned_heading, m)
-        cop_x, cop_y = m.parts(truth["cop_world"])
+        cop_x, cop_y = m.parts(pressed["cop_world"])
         cop = turned(cop_x - x, cop_y - y, heading, m)
         planned_x, planned_y = m.parts(command.cop)
         planned_cop = turned(
@@ -66,7 +66,7 @@ class NaoPatternEnv(NaoEnv):
             "reward_progress": _closeness(velocity, planned_velocity, VELOCITY_SCALE, m),
             "reward_upright": m.exp(-tilt * tilt),
             "reward_cop": m.where(
-                truth["cop_valid"][..., 0], _closeness(cop, planned_cop, self.cop_scale, m), 0.0
+                pressed["cop_valid"][..., 0], _closeness(cop, planned_cop, self.cop_scale, m), 0.0
             ),
             "reward_action": self._effort(action),
         }

@@ -84,8 +84,10 @@ _WARM = Condition(
     LoadCells(rate=None, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0),
     "nominal",
 )
-_ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())
-_BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
+_ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque(averaged=False))
+_BOTH = Condition(
+    "both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque(averaged=False)
+)
 _WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}  # of some 5 N, a tenth of the weight
 
 _FOOT_LENGTH = {"foot_length": 0.17}

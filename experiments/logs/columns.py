@@ -93,7 +93,7 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
 
 def _flat_poses(position: Floats, R: Floats) -> Floats:
     """Return poses (N, F, 3), (N, F, 3, 3) as (N, 7 F)."""
-    quaternion = Rotation.from_matrix(np.reshape(R, (-1, 3, 3))).as_quat(canonical=True, scalar_first=True)
+    quaternion = Rotation.from_matrix(np.reshape(R, (-1, 3, 3))).as_quat(canonical=True)[:, [3, 0, 1, 2]]
     parts = [np.reshape(position, (-1, 3)), quaternion]
     return np.concatenate(parts, axis=1).reshape(len(position), -1)
 
@@ -101,7 +101,7 @@ def _flat_poses(position: Floats, R: Floats) -> Floats:
 def _poses(values: dict[str, Floats], stem: str, layout: FeetLayout) -> tuple[Floats, Floats]:
     flat = stack(values, _pose_names(layout, stem))
     poses = flat.reshape(len(flat), -1, 7)
-    R = Rotation.from_quat(poses[..., 3:].reshape(-1, 4), scalar_first=True).as_matrix()
+    R = Rotation.from_quat(poses[..., [4, 5, 6, 3]].reshape(-1, 4)).as_matrix()
     return poses[..., :3], R.reshape(*poses.shape[:2], 3, 3)
 
 

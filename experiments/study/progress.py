@@ -20,7 +20,6 @@ Item = TypeVar("Item")
 
 def bars(*beside: str, **options: Any) -> Progress:
     """Return bars to enter; each task has its description, and what is to be said of it beside the bar."""
-    console = Console(stderr=True)
     columns = (
         TextColumn("{task.description:28s}"),
         BarColumn(),
@@ -29,7 +28,7 @@ def bars(*beside: str, **options: Any) -> Progress:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    return Progress(*columns, console=console, disable=not console.is_terminal, **options)
+    return Progress(*columns, **_terminal(), **options)
 
 
 def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
@@ -41,13 +40,15 @@ def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
     """Show what is being done and for how long, until it is; what is lent says what is done next."""
-    console = Console(stderr=True)
-    shown = Progress(
-        *(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    )
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    shown = Progress(*columns, **_terminal(), transient=True)
     with shown:
         task = shown.add_task(what, total=None)
         yield lambda then: shown.update(task, description=then)
+
+
+def _terminal() -> dict[str, Any]:
+    """Return where bars are shown; rich before 14.1 ends even disabled ones with an empty line."""
+    console = Console(stderr=True)
+    console.quiet = not console.is_terminal
+    return {"console": console, "disable": console.quiet}

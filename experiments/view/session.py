@@ -177,7 +177,7 @@ class Session:
         self.changes = [Change(0, what, value) for what, value in self._settings.items()]
         rng = np.random.default_rng([ERROR_STREAM, self.seed])
         self.errors = LiveErrors(
-            self._sensors.instruments, self._walk_densities, self._tempcos, self.drawing.feet, self.dt, rng
+            self._sensors.instruments, self._walk_densities, self._tempcos, self.drawing.sides, self.dt, rng
         )
         self._lines: dict[str, _Line] = {}
         for what in ("severity", "drift", "temperature", "payload", "slope"):

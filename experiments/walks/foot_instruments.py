@@ -35,10 +35,12 @@ class FootInstruments:
         seed: int,
         truth: Any,
         drawing: RobotDrawing,
+        dt: float,
     ) -> None:
         if cells is None and ankle is None:
             raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
-        self._all = Instruments(tuple(device for device in (cells, ankle) if device is not None), drawing)
+        devices = tuple(device for device in (cells, ankle) if device is not None)
+        self._all = Instruments(devices, drawing, dt)
         self.layout, self.nominal = self._all.layout, self._all.nominal
         self.calibrated: Parameters | None = None
         self.about: dict[str, Any] = {}

@@ -87,7 +87,9 @@ def record_walk(
     _, info = env.reset(seed=seed)
     controller.reset()
     feet = [
-        FootInstruments(c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing)
+        FootInstruments(
+            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing, dt=bare.dt
+        )
         for i, c in enumerate(conditions)
     ]
     time: list[float] = []

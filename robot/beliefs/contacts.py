@@ -42,8 +42,9 @@ def planned_window(lag: int) -> tuple[int, int]:
     return CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag), max(lag - CONTACT_MARGIN, 0) + 1
 
 
-LEANING = 0.4 * GRAVITY
-"""Mean believed acceleration in m/s^2 from which a robot is not upright: half a radian off the vertical."""
+LEANING = 0.4
+"""Mean believed acceleration as a share of gravity from which a robot is not upright: half a radian off
+the vertical."""
 
 LEAN_TIME = 0.25
 """Time constant in s of that mean, longer than a push or a landing."""
@@ -86,9 +87,14 @@ class Plan:
 
 
 class Kinematics:
-    """Finds which feet surely stood, or surely swung, by where they were."""
+    """Finds which feet surely stood, or surely swung, by where they were.
 
-    def __init__(self) -> None:
+    Args:
+        gravity: Acceleration of free fall in m/s^2.
+    """
+
+    def __init__(self, gravity: float = GRAVITY) -> None:
+        self._free_fall = FREE_FALL * gravity
         self._runs = [0, 0, 0, 0]
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -107,7 +113,7 @@ class Kinematics:
         fx, fy, fz = reference.accelerometer.tolist()
         low = min(left, right)
         # NaN, where nothing is known yet, compares as false.
-        carried = fx * fx + fy * fy + fz * fz > FREE_FALL * FREE_FALL
+        carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         seen = [
             carried and height - low < DOWN and slope > COS_FLAT
             for height, slope in ((left, slope_left), (right, slope_right))
@@ -127,12 +133,14 @@ class Upright:
 
     Args:
         dt: Time between samples in s.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         fell: Whether it was upright until the last moment, and no longer at it.
     """
 
-    def __init__(self, dt: float) -> None:
+    def __init__(self, dt: float, gravity: float = GRAVITY) -> None:
+        self._leaning = LEANING * gravity
         self._share = dt / (dt + LEAN_TIME)
         self._mean = (0.0, 0.0, 0.0)
         self._highest = 0.0
@@ -155,7 +163,7 @@ class Upright:
         height = float(reference.com[2]) - min(reference.position_sole[:, 2].tolist())
         self._highest = max(self._highest, height)
         upright = bool(
-            mx * mx + my * my + mz * mz < LEANING * LEANING
+            mx * mx + my * my + mz * mz < self._leaning**2
             and bx * bx + by * by + bz * bz < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS
             and height > LOWEST * self._highest
         )

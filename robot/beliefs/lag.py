@@ -7,7 +7,16 @@ from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import JITTER_BOUND
 
 HISTORY = 64
-"""How many packets are kept: more than any lag needs."""
+"""How many joined packets are kept: more than any lag needs."""
+
+JOINED_TIME = 0.01
+"""Time in s over which packets of a faster link are joined into one: a NAO's period. Second differences of
+joint angles amplify noise and rounding of the encoders by one over its square."""
+
+
+def joined_packets(telemetry: Telemetry) -> int:
+    """Return how many packets of a link become one."""
+    return max(1, round(JOINED_TIME / telemetry.period))
 
 
 def usual_lag(telemetry: Telemetry, age: float) -> int:
@@ -17,7 +26,8 @@ def usual_lag(telemetry: Telemetry, age: float) -> int:
         telemetry: The way of encoders and IMU to the host.
         age: How old a reading of the feet is when it is taken, in s.
     """
-    needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * telemetry.period - age
+    period = joined_packets(telemetry) * telemetry.period
+    needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * period - age
     return max(ceil(needed / telemetry.dt), CONTACT_MARGIN)
 
 
@@ -42,7 +52,8 @@ def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
     """
     # The newest packet that can have come, when the jitter was kind.
     youngest = max(telemetry.link.delay - JITTER_BOUND * telemetry.link.jitter, 0.0)
-    packets = ceil((lag * telemetry.dt + age - youngest) / telemetry.period) + 3
+    period = joined_packets(telemetry) * telemetry.period
+    packets = ceil((lag * telemetry.dt + age - youngest) / period) + 3
     if packets > HISTORY:
         raise ValueError(
             f"A lag of {lag} samples over {telemetry.link} needs {packets} packets, and at most "

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, MomentumReference
+from surefoot.calibration import MomentumReference
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import FREE_FALL
-from surefoot.robot.beliefs.references import LARGEST_VALUE, Beliefs, reference_info
+from surefoot.robot.beliefs.references import Beliefs, reference_info
 from surefoot.sensors.transport.link import Packet, Packets
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ Floats = NDArray[np.float64]
 LEG_TIME = 1.0
 """1 / k_1 in s: a step or two, over which the rolling of soles averages out."""
 
-TILT_GAIN = 0.25 / GRAVITY
-"""k_2 in rad/m: with k_1, both poles of a tilt lie at 0.5 rad/s."""
+TILT_RATE = 0.5
+"""Where both poles of a tilt lie, in rad/s, which with k_1 = 1 / s makes k_2 the square of it over g."""
 
 BIAS_TIME = 20.0
 """T_b in s: biases follow ten times slower than what shows them."""
@@ -57,6 +57,7 @@ class Strapdown:
 
     Args:
         period: Time between packets in s.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         R: Rotation from the torso's to the level axes, shape (3, 3).
@@ -64,8 +65,8 @@ class Strapdown:
         place: Of the torso in m, by the legs alone, shape (3,).
     """
 
-    def __init__(self, period: float) -> None:
-        self._period, self._count = period, 0
+    def __init__(self, period: float, gravity: float) -> None:
+        self._period, self._gravity, self._count = period, gravity, 0
         self.R = np.eye(3)
         self.velocity, self.place = np.zeros(3), np.zeros(3)
         self._spin_bias, self._vertical_bias = np.zeros(3), 0.0
@@ -94,15 +95,15 @@ class Strapdown:
         turn = (spin - self._spin_bias) * period
         middle, end = start @ _rotation(0.5 * turn), start @ _rotation(turn)
         rise = middle @ force
-        rise[2] -= GRAVITY + self._vertical_bias
+        rise[2] -= self._gravity + self._vertical_bias
         velocity = before + rise * period
         by_legs = middle @ legs
-        if force @ force > FREE_FALL * FREE_FALL:
+        if force @ force > (FREE_FALL * self._gravity) ** 2:
             self._count += 1
             off = by_legs + middle @ imu - 0.5 * (before + velocity)
             # The first packets are averaged: nothing was known before.
             velocity = velocity + max(1.0 / self._count, period / LEG_TIME) * off
-            tilt = TILT_GAIN * period * np.array([-off[1], off[0], 0.0])
+            tilt = TILT_RATE**2 / self._gravity * period * np.array([-off[1], off[0], 0.0])
             end = _rotation(tilt) @ end
             self._spin_bias = self._spin_bias - middle.T @ tilt / BIAS_TIME
             self._vertical_bias -= period / (LEG_TIME * BIAS_TIME) * off[2]
@@ -127,7 +128,7 @@ class MomentumBeliefs:
     def __init__(self, beliefs: Beliefs, corners: Floats, ahead: float = 0.0) -> None:
         self.beliefs, self._corners, self._ahead = beliefs, corners, ahead
         self._ring = np.zeros((HISTORY, ROWS, 3))
-        self._strapdown = Strapdown(beliefs._period)
+        self._strapdown = Strapdown(beliefs._period, beliefs.model.gravity)
         self._last: Packet | None = None
         self._run = 0
         self.believed = unknown()
@@ -161,16 +162,14 @@ class MomentumBeliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
-        self.beliefs.update(packets)
-        for packet in packets:
-            if not np.abs(packet.values).max() <= LARGEST_VALUE:
-                continue
+        for packet in self.beliefs.join(packets):
+            self.beliefs.take(packet)
             if self._last is not None and packet.number == self._last.number + 1:
                 self._run += 1
                 self._advance(self._last.values, packet.values, packet.number)
             else:
                 self._run = 0
-                self._strapdown = Strapdown(self.beliefs._period)
+                self._strapdown = Strapdown(self.beliefs._period, self.model.gravity)
                 self._strapdown.begin(packet.values[self.beliefs._layout.accelerometer])
             self._last = packet
 

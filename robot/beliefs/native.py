@@ -17,7 +17,7 @@ from surefoot.sensors.transport.link import Packet, Packets
 AT_ONCE = 8
 """Packets that are handed over together."""
 
-_OWN = {"clock": "_clock", "seen": "_seen", "run": "_run"}
+_OWN = {"clock": "_clock", "seen": "_seen", "run": "_run", "parts": "_parts", "sum": "_sum"}
 _ODOMETRY = {
     "forward": "_forward", "up": "up", "spin": "_spin", "spin_bias": "_spin_bias",
     "force_bias": "force_bias", "count": "_count",
@@ -48,13 +48,15 @@ class NativeBeliefs:
         needed, window = planned_window(beliefs._lag)
         timing = {
             "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs._dt,
-            "period": beliefs._period, "delay": beliefs._delay,
+            "period": beliefs._period, "delay": beliefs._delay, "joined": beliefs._join,
+            "gravity": self.model.gravity,
         }  # fmt: skip
         joints = beliefs._layout.joint_position.stop
         shapes = {
             "ring": (HISTORY, ROWS, 3), "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
             "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
             "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
+            "parts": (), "sum": (6,),
             "planned": (window, 4), "found": (4,), "upright": (),
         }  # fmt: skip
         found, state = library.filled("timing", timing), library.record("beliefs", shapes)

@@ -39,6 +39,7 @@ class NominalModel:
         torso: Name of the floating body, which carries the IMU with its axes along the body's.
 
     Attributes:
+        gravity: Acceleration of free fall in its world in m/s^2.
         revision: How often the masses have changed.
 
     Raises:
@@ -56,6 +57,7 @@ class NominalModel:
         self._errors = errors
         self._model = _strip(spec, sites).compile()
         self._data = mujoco.MjData(self._model)
+        self.gravity = float(np.linalg.norm(self._model.opt.gravity))
         self._torso = self._model.body(torso).id
         self._mass = self._model.body_mass.copy()
         self._inertia = self._model.body_inertia.copy()

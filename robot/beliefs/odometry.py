@@ -27,8 +27,9 @@ REST_TIME = 10.0
 """Time in s over which the specific force must point up and be g, for the robot does not go on getting
 faster: what is left is the accelerometer's bias."""
 
-FREE_FALL = 0.5 * GRAVITY
-"""Specific force in m/s^2 below which a robot falls freely, which says nothing of an accelerometer's bias."""
+FREE_FALL = 0.5
+"""Specific force as a share of gravity below which a robot falls freely, which says nothing of an
+accelerometer's bias."""
 
 SOLE_HEIGHT = 0.003
 """Height in m above the lower sole at which the other one no longer shows what is level."""
@@ -41,14 +42,15 @@ class Odometry:
 
     Args:
         period: Time between packets in s.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         up: Unit vector against gravity in the torso's axes.
         force_bias: What the accelerometer shows too much in m/s^2, in its own axes, shape (3,).
     """
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, gravity: float = GRAVITY) -> None:
+        self._period, self._gravity = period, gravity
         self._forward: Vector = (1.0, 0.0, 0.0)
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._spin_bias: Vector = (0.0, 0.0, 0.0)
@@ -74,7 +76,7 @@ class Odometry:
         Returns:
             The rotation from the torso's to the odometry axes, shape (3, 3).
         """
-        period = self._period
+        period, gravity = self._period, self._gravity
         self._count += 1
         wx, wy, wz = spin.tolist()
         (sx, sy, sz), (bx, by, bz) = self._spin, self._spin_bias
@@ -108,11 +110,11 @@ class Odometry:
 
         R = np.array(((u, v, w), (y * w - z * v, z * u - x * w, x * v - y * u), (x, y, z)))
         fx, fy, fz = force.tolist()
-        if fx * fx + fy * fy + fz * fz > FREE_FALL * FREE_FALL:
+        if fx * fx + fy * fy + fz * fz > (FREE_FALL * gravity) ** 2:
             share = max(1.0 / self._count, period / REST_TIME)
             bx, by, bz = self.force_bias.tolist()
-            bx, by = bx + share * (fx - GRAVITY * x - bx), by + share * (fy - GRAVITY * y - by)
-            self.force_bias = np.array((bx, by, bz + share * (fz - GRAVITY * z - bz)))
+            bx, by = bx + share * (fx - gravity * x - bx), by + share * (fy - gravity * y - by)
+            self.force_bias = np.array((bx, by, bz + share * (fz - gravity * z - bz)))
         return R
 
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:

@@ -1,7 +1,8 @@
 """What a robot can know of its own motion without its feet's sensors, on their timeline.
 
-Encoders and IMU come at 100 Hz, numbered and some 20 ms late with jitter. The mean delay is known and taken
-off; the numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
+Encoders and IMU come at 100 Hz or faster, numbered and late with jitter; packets of a faster link are joined
+into one of 10 ms, with the mean of the IMU and the last angles. The mean delay is known and taken off; the
+numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
 n, at their middle, the nominal model gives from the mean and the difference of both encoder readings the
 centre of mass c, the soles and the angular momentum L, and gyroscope and accelerometer give the turning and
 the specific force f. In axes that are level and whose heading follows the gyroscope (*odometry* axes),
@@ -19,13 +20,14 @@ harm: the ground's force points along f from the centre of mass, whatever way is
 a common tilt cancels to first order.
 """
 
+from collections.abc import Iterator
 from math import floor, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Reference
+from surefoot.calibration import Reference
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -73,6 +75,7 @@ class Beliefs:
         averaged: Whether a sample of the IMU is the mean since the sample before.
         lag: How many samples of the feet ago :meth:`sample` is about.
         dt: Time between these samples in s.
+        joined: How many packets become one.
 
     Attributes:
         believed: What the last :meth:`sample` found.
@@ -88,18 +91,24 @@ class Beliefs:
         *,
         lag: int = 0,
         dt: float = 1.0 / 80.0,
+        joined: int = 1,
     ) -> None:
         self.model = model
         self._layout = layout
-        self._period, self._delay, self._averaged = period, delay, averaged
+        self._period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
+        self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
         self._ring = np.zeros((HISTORY, ROWS, 3))
         self._local = np.zeros((FORCE + 1, 3))
-        self._odometry = Odometry(period)
+        self._odometry = Odometry(self._period, model.gravity)
         self._last: Packet | None = None
         self._run = 0
         self._clock, self._seen = 0.0, 0
         self._lag, self._dt = lag, dt
-        self._plan, self._kinematics, self._upright = Plan(lag), Kinematics(), Upright(dt)
+        self._plan, self._kinematics, self._upright = (
+            Plan(lag),
+            Kinematics(model.gravity),
+            Upright(dt, model.gravity),
+        )
         self.believed = nothing(2)
 
     def begun(self) -> "Beliefs":
@@ -107,11 +116,12 @@ class Beliefs:
         return Beliefs(
             self.model,
             self._layout,
-            self._period,
+            self._period / self._join,
             self._delay,
             self._averaged,
             lag=self._lag,
             dt=self._dt,
+            joined=self._join,
         )
 
     @property
@@ -135,18 +145,48 @@ class Beliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
-        for packet in packets:
-            if not np.abs(packet.values).max() <= LARGEST_VALUE:
-                continue
-            self._synchronise(packet)
-            if self._last is not None and packet.number == self._last.number + 1:
-                self._run += 1
-                self._posture(self._last.values, packet.values, packet.number)
-                if self._run >= 3:
-                    self._differentiate(packet.number)
-            else:
-                self._run = 0
-            self._last = packet
+        for packet in self.join(packets):
+            self.take(packet)
+
+    def join(self, packets: Packets) -> Iterator[Packet]:
+        """Yield packets that are sound, joined as many as they are to be."""
+        for one in packets:
+            packet = self._combine(one) if np.abs(one.values).max() <= LARGEST_VALUE else None
+            if packet is not None:
+                yield packet
+
+    def take(self, packet: Packet) -> None:
+        """Take in one joined packet."""
+        self._synchronise(packet)
+        if self._last is not None and packet.number == self._last.number + 1:
+            self._run += 1
+            self._posture(self._last.values, packet.values, packet.number)
+            if self._run >= 3:
+                self._differentiate(packet.number)
+        else:
+            self._run = 0
+        self._last = packet
+
+    def _combine(self, packet: Packet) -> Packet | None:
+        """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
+        if self._join == 1:
+            return packet
+        number, part = divmod(packet.number, self._join)
+        if part == 0:
+            self._parts, self._sum = 0, (0.0,) * 6
+        if part != self._parts:
+            self._parts = self._join
+            return None
+        where, values = self._layout, packet.values
+        measured = (*values[where.accelerometer].tolist(), *values[where.gyroscope].tolist())
+        self._sum = tuple(a + b for a, b in zip(self._sum, measured, strict=True))
+        self._parts += 1
+        if self._parts < self._join:
+            return None
+        values = values.copy()
+        mean = np.array(self._sum) / self._join
+        values[where.accelerometer], values[where.gyroscope] = mean[:3], mean[3:]
+        return Packet(number, packet.arrival, values)
 
     def _synchronise(self, packet: Packet) -> None:
         """Average the packets' lateness: the time on the host's clock at which number 0 left."""
@@ -182,7 +222,7 @@ class Beliefs:
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
         acceleration = row[FORCE] + (bent[COM] - bent[IMU]) / period**2
-        acceleration[2] -= GRAVITY
+        acceleration[2] -= self.model.gravity
         row[ACCELERATION] = acceleration
         row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
 

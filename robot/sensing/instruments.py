@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
+from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
@@ -82,13 +82,14 @@ class CellsUnderFeet:
         self.config = config
         self.nominal = Parameters(config.nominal_scale, config.nominal_offset)
         self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
+        self.half = 0.0 if config.rate is None else config.settling / sum(config.rate)
         low, high = (np.full(self.channels, end) for end in config.code_range)
         self.code_range = low, high
         self.feet = tuple(
             FootLayout.load_cells(
                 name, places[i], mass_below=float(below.mass[i]), com_below_sole=below.com_sole[i]
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
         self._device = load_cells(config)
 
@@ -99,7 +100,7 @@ class CellsUnderFeet:
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return state._replace(previous=truth.force_cell[-1].copy())
+        return state._replace(charge=truth.force_cell[-1] * (state.period - state.due))
 
     def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
@@ -108,13 +109,15 @@ class CellsUnderFeet:
 
     @staticmethod
     def load(truth: Any) -> Floats:
-        """Return the loads that they read, at the ends of substeps in N, shape (S, K)."""
+        """Return the loads that they read in each substep in N, shape (S, K)."""
         load: Floats = truth.force_cell
         return load
 
     def force(self, truth: Any) -> Floats:
-        """Return the true forces at the end of a control step in N, shape (K,)."""
-        force: Floats = truth.force_cell[-1].copy()
+        """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
+        force: Floats = (
+            truth.force_cell[-1] + 0.0 if self.config.rate is None else truth.force_cell.mean(axis=0)
+        )
         return force
 
     def true_map(self, state: LoadCellState) -> Parameters:
@@ -123,11 +126,12 @@ class CellsUnderFeet:
 
 
 class SensorsInAnkles:
-    """A six-axis sensor in each ankle, read at the end of a control step.
+    """A six-axis sensor in each ankle, read once a control step.
 
     Args:
         config: The sensors.
         drawing: The robot.
+        dt: Duration of a control step in s.
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
@@ -140,7 +144,7 @@ class SensorsInAnkles:
     name: Final = "ankles"
     kind: Final = FORCE_TORQUE
 
-    def __init__(self, config: ForceTorque, drawing: RobotDrawing) -> None:
+    def __init__(self, config: ForceTorque, drawing: RobotDrawing, dt: float) -> None:
         below = drawing.below_ankle
         if config.sensors != len(drawing.feet):
             raise ValueError(
@@ -149,7 +153,9 @@ class SensorsInAnkles:
         self.config = config
         self.channels = config.channels
         self.nominal = Parameters(config.nominal_scale, np.zeros(config.channels))
-        self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
+        self.slope, self.zero_code = config.slope, config.zero_code
+        self.half = 0.5 * dt if config.averaged else 0.0
+        self.age = config.nominal_age + self.half
         self.code_range = config.code_range
         self.feet = tuple(
             FootLayout.force_torque(
@@ -159,9 +165,9 @@ class SensorsInAnkles:
                 mass_below=float(below.mass[i]),
                 com_below_sole=below.com_sole[i],
             )
-            for i, name in enumerate(drawing.feet)
+            for i, name in enumerate(drawing.sides)
         )
-        self.preload = np.concatenate([_weight(foot) for foot in self.feet])
+        self.preload = np.concatenate([_weight(foot, drawing.gravity) for foot in self.feet])
         self._device = force_torque(config)
 
     def init(self, rng: Rng) -> ForceTorqueState:
@@ -170,25 +176,25 @@ class SensorsInAnkles:
         return drawn
 
     def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
-        """Return the state as it is: readings of an instant have no load before."""
+        """Return the state as it is: readings remember no load before."""
         return state
 
     def read(
         self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
     ) -> tuple[Floats, ForceTorqueState]:
-        """Read them at the end of a control step of dt."""
+        """Read them after a control step of dt."""
         counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
 
-    @staticmethod
-    def load(truth: Any) -> Floats:
-        """Return the loads that they read, at the end of a control step in N and N m, shape (K,)."""
-        load: Floats = truth.wrench_ankle[-1].ravel()
-        return load
+    def load(self, truth: Any) -> Floats:
+        """Return the loads of the whole control step, or of its end, in N and N m, shape (K,)."""
+        wrench: Floats = truth.wrench_ankle
+        load: Floats = wrench.mean(axis=0) if self.config.averaged else wrench[-1]
+        return load.ravel()
 
     def force(self, truth: Any) -> Floats:
-        """Return the true loads at the end of a control step in N and N m, shape (K,)."""
-        force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
+        """Return the true loads of a control step in N and N m, the mean for sensors that average, (K,)."""
+        force: Floats = self.load(truth) + self.preload
         return force
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
@@ -212,6 +218,7 @@ class Instruments:
     Args:
         devices: One kind of instrument, or load cells and six-axis sensors.
         drawing: The robot.
+        dt: Duration of a control step in s.
 
     Attributes:
         channels: Their number K.
@@ -224,6 +231,7 @@ class Instruments:
         code_range: Lowest and highest readings in counts, shape (K,) each.
         space: Box of the readings in counts, shape (K,).
         age: How old a reading is on average when it is taken, in s; the cells' where there are both.
+        half: Half of the time in s that a reading is the mean over; the cells' as well.
         ages: That of each channel, shape (K,).
 
     Raises:
@@ -233,7 +241,7 @@ class Instruments:
         UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
     """
 
-    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing) -> None:
+    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing, dt: float) -> None:
         kinds = [type(device) for device in devices]
         if not kinds or len(set(kinds)) < len(kinds):
             raise ValueError(
@@ -245,7 +253,7 @@ class Instruments:
         found: list[CellsUnderFeet | SensorsInAnkles] = [
             CellsUnderFeet(device, drawing)
             if isinstance(device, LoadCells)
-            else SensorsInAnkles(device, drawing)
+            else SensorsInAnkles(device, drawing, dt)
             for device in devices
         ]
         self.parts = tuple(sorted(found, key=lambda part: isinstance(part, SensorsInAnkles)))
@@ -256,7 +264,7 @@ class Instruments:
         self.layout = FeetLayout(
             tuple(
                 foot[0] if self._one else FootLayout.combined(name, *foot)
-                for name, foot in zip(drawing.feet, feet, strict=True)
+                for name, foot in zip(drawing.sides, feet, strict=True)
             )
         )
         self.nominal = self._parameters([part.nominal for part in self.parts])
@@ -266,7 +274,7 @@ class Instruments:
         self.code_range = low, high
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        self.age = self.parts[0].age
+        self.age, self.half = self.parts[0].age, self.parts[0].half
         self.ages = self.joined([np.full(part.channels, part.age) for part in self.parts])
 
     def first_steps(self, dt: float) -> list[float]:
@@ -389,9 +397,9 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
     return options | {"foot_length": length}
 
 
-def _weight(foot: FootLayout) -> Floats:
+def _weight(foot: FootLayout, gravity: float) -> Floats:
     """Weight of a level foot in its sensor's frame, upwards, shape (6,)."""
     sensor = foot.sensors[0]
-    load = np.array([0.0, 0.0, sensor.mass_below * GRAVITY])
+    load = np.array([0.0, 0.0, sensor.mass_below * gravity])
     wrench_sole = np.concatenate([load, np.cross(sensor.com_below_sole, load)])
     return np.linalg.solve(sensor.wrench_map, wrench_sole)

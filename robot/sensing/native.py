@@ -117,6 +117,7 @@ class NativeSensing:
             numbers["readings"] = len(self._map[0])
         if "ankles" in devices:
             arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
+            numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
         if self._telemetry is not None:
             numbers |= {
                 "telemetry": self._telemetry.address,

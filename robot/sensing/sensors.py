@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, foot_device
@@ -30,6 +30,15 @@ from surefoot.sensors.telemetry.computer import Telemetry, timely_link
 from surefoot.sensors.telemetry.native import telemetry_of
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
+
+NAO_JOINT: Final = "LHipYawPitch"
+"""The joint by which a NAO is known: its hips share one motor, and no other robot's joint is called so."""
+
+NAO_COMPUTER: Final = ("nao-imu", "nao-encoders", "nao-wlan")
+"""IMU, encoders and link of a NAO whose host is at the other end of a wireless network."""
+
+ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
+"""Those of a robot that computes on board."""
 
 
 class HardwareState(NamedTuple):
@@ -57,19 +66,23 @@ class Equipment:
         dt: Duration of a control step in s.
         config: As of :class:`~surefoot.wrappers.FootSensors`, like all that follow.
         ankles: Six-axis sensors besides load cells.
-        imu: The IMU.
-        encoders: The joint encoders.
-        link: The link over which encoders and IMU reach the host.
+        imu: The IMU; ``None`` for a NAO's on a robot that has a NAO's joint ``"LHipYawPitch"``, and that of
+            an onboard computer on others.
+        encoders: The joint encoders, likewise.
+        link: The link over which encoders and IMU reach the host, likewise.
         severity: Factor of all errors of the feet's sensors.
         faults: What breaks when.
         fresh: Whether every reset draws fresh sensors.
         stream: Number of the random stream.
+        seldom: Whether truth is read in one of several substeps of a control step.
 
     Attributes:
+        seldom: The same.
         instruments: What is under the feet.
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
         broken: The faults of channels, or ``None``.
+        computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
         native: What is under the feet and what is broken about it as the library has it, by :data:`DEVICES`;
             ``None`` for what it has no room for.
 
@@ -87,15 +100,17 @@ class Equipment:
         config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
         ankles: str | Mapping[str, Any] | FootDevice | None = None,
-        imu: str | Mapping[str, Any] | Imu = "nao-imu",
-        encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
-        link: str | Mapping[str, Any] | Link = "nao-wlan",
+        imu: str | Mapping[str, Any] | Imu | None = None,
+        encoders: str | Mapping[str, Any] | Encoders | None = None,
+        link: str | Mapping[str, Any] | Link | None = None,
         severity: float = 1.0,
         faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
+        seldom: bool = False,
     ) -> None:
         check_stream(owner, stream)
+        self.seldom = seldom
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
         devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
@@ -103,9 +118,15 @@ class Equipment:
             devices = [scaled(device, float(severity)) for device in devices]
         for device in devices:
             check_wire(device, dt)
-        self.instruments = Instruments(tuple(devices), drawing)
+        self.instruments = Instruments(tuple(devices), drawing, dt)
+        names = NAO_COMPUTER if NAO_JOINT in joint_names else ONBOARD_COMPUTER
+        imu, encoders = names[0] if imu is None else imu, names[1] if encoders is None else encoders
+        link = names[2] if link is None else link
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         self._link_by_name = isinstance(link, str)
+        self.computer = tuple(
+            given if isinstance(given, str) else "custom" for given in (imu, encoders, link)
+        )
         if isinstance(faults, (str, Mapping)):
             raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
         self._faults = [self._fault(fault) for fault in faults]
@@ -143,7 +164,7 @@ class Equipment:
     def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
         if not isinstance(given, str):
             return resolve(given, Fault)
-        return parse_fault(given, self.drawing.feet, self.instruments.layout.feet[0].channel_names)
+        return parse_fault(given, self.drawing.sides, self.instruments.layout.feet[0].channel_names)
 
 
 def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
@@ -217,7 +238,7 @@ class RobotSensors:
         if self.sensors_fresh:
             self._draw()
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
-        at_rest = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
+        at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
         sensing = self._by_library(truth)
         read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
         if read is not None:

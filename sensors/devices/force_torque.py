@@ -94,6 +94,11 @@ class ForceTorque:
     offset_drift_torque: float = 0.004 * PER_SQRT_MINUTE
     """Random walk of a torque's offset in N m/sqrt(s); 4 mN m per square root of a minute."""
 
+    averaged: bool = True
+    """Whether a reading is the mean since the host read before, as of a board that samples a thousand times a
+    second and averages, and so stands for the middle of that time; ``False`` takes the value of the instant.
+    """
+
     wire: Wire = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
 
@@ -106,7 +111,7 @@ class ForceTorque:
             *(
                 name
                 for name in self.__dataclass_fields__
-                if name not in ("sensors", "full_scale_force", "full_scale_torque", "wire")
+                if name not in ("sensors", "full_scale_force", "full_scale_torque", "averaged", "wire")
             ),
         )
         require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
@@ -170,7 +175,10 @@ class ForceTorque:
 
     @property
     def nominal_age(self) -> float:
-        """Mean age in s of a reading when the host takes it, by the data sheet: the delay of the wire."""
+        """Age in s of a reading when the host takes it, by the data sheet: the delay of the wire.
+
+        For ``averaged`` sensors half of the time between two readings, which is the host's, comes on top.
+        """
         return self.wire.delay
 
     @property
@@ -207,8 +215,8 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     """Build six-axis sensors.
 
     ``init(shape, rng)`` takes the shape of the readings, (K,) with K = 6 sensors. ``apply(wrench, state, rng,
-    dt)`` takes true wrenches at the instant of reading in N and N m, at and in the sensors' frames, and
-    returns counts; both (K,).
+    dt)`` takes the true wrenches that are read in N and N m, at and in the sensors' frames, and returns
+    counts; both (K,). Who reads ``averaged`` sensors hands over their mean over dt.
 
     Args:
         config: The instrument.

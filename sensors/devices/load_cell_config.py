@@ -46,8 +46,8 @@ class LoadCells:
     """Noise of one conversion in V rms at the converter's input (HX711 at 80 SPS)."""
 
     rate: tuple[float, float] | None = (78.0, 94.0)
-    """Lowest and highest conversion rate in 1/s; each chip draws its own rate and its own phase.
-    ``None`` converts at the instant the host reads."""
+    """Lowest and highest conversion rate in 1/s; each chip draws its own rate and its own phase, and a
+    conversion is the mean load since the one before. ``None`` converts at the instant the host reads."""
 
     initial_scale_std: float = 0.12
     """Standard deviation of the relative error of a scale at power-up; 0.12 for cells never calibrated."""
@@ -194,9 +194,9 @@ class LoadCells:
     def nominal_age(self) -> float:
         """Mean age in s of a reading when the host takes it, by the data sheet.
 
-        It is half a conversion, half of those that a filter averages before it, and the delay of the wire.
-        For cells that convert when they are read (``rate`` None) the filter's part is not in it: it depends
-        on how often the host reads.
+        It is half a conversion for which it waits, half of those that it is the mean of, and the delay of
+        the wire. For cells that convert when they are read (``rate`` None) the filter's part is not in it: it
+        depends on how often the host reads.
         """
-        sampled = 0.0 if self.rate is None else self.settling / (self.rate[0] + self.rate[1])
+        sampled = 0.0 if self.rate is None else (1 + self.settling) / (self.rate[0] + self.rate[1])
         return sampled + self.wire.delay

@@ -2,9 +2,10 @@
 
 The order of the stages is the order in the instrument. The spring element acts on the load
 (:mod:`surefoot.sensors.stages.mechanics`), unless it is left ideal. A bridge turns the load into a voltage
-with a scale that is not quite the data sheet's and adds an offset; both drift. The converter averages its
-last few conversions if it has a filter, adds noise, clips, rounds, and finishes a conversion when its own
-clock says so. The host reads what the wire (:mod:`surefoot.sensors.transport.wire`) brings.
+with a scale that is not quite the data sheet's and adds an offset; both drift. The converter averages over
+a conversion, and over its last few ones if it has a filter, adds noise, clips, rounds, and finishes a
+conversion when its own clock says so. The host reads what the wire
+(:mod:`surefoot.sensors.transport.wire`) brings.
 
     s = round(s_0 + k ((1 + g) F + z) + n)
 
@@ -27,7 +28,7 @@ from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
 from surefoot.sensors.stages.clock import (
     init_clock,
     init_window,
-    interpolate,
+    integrate,
     latest_conversion,
     most_conversions,
     sample_and_hold,
@@ -47,7 +48,7 @@ class LoadCellState(NamedTuple):
     Attributes:
         period: Time between conversions in s, shape (K,); constant from power-up.
         due: Time to the next conversion in s, shape (K,).
-        previous: Load at the end of the block before in N, shape (K,).
+        charge: Integral of the load since the last conversion up to now in N s, shape (K,).
         held: The last conversion in counts, shape (K,); NaN before the first.
         error: What drifts, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the
             offset of the bridge in N at the nominal scale (row :data:`OFFSET`).
@@ -63,7 +64,7 @@ class LoadCellState(NamedTuple):
 
     period: Array
     due: Array
-    previous: Array
+    charge: Array
     held: Array
     error: Array
     thermal: Array
@@ -109,8 +110,8 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """Build load cells with their stages fused, for speed.
 
     ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes
-    true loads in N at the ends of S equal substeps that fill dt, shape (S, K), and returns counts,
-    shape (K,).
+    true loads in N in S equal substeps that fill dt, shape (S, K), and returns counts, shape (K,). Cells with
+    a clock average the load over each conversion; others take the last substep's.
 
     The spring elements are stepped once a block, at the load of its last conversion; the conversions before
     it, which the host never reads, leave no trace in them.
@@ -158,18 +159,15 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
         if block.ndim != 2 or block.shape[1] != config.channels:
             raise ValueError(f"Loads must have the shape (S, {config.channels}), got {block.shape}.")
-        period, due, previous, held, error, thermal, window, felt, brought = state
+        period, due, charge, held, error, thermal, window, felt, brought = state
         if remembers:
             block = np.where(np.isfinite(block), block, np.nan)
-        load = last = block[-1] + 0.0
+        load = block[-1] + 0.0
         converts: Any = True
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
             converts = number >= 0.0
-            # A chip that finishes no conversion: its cell feels the load at the block's start.
-            load = interpolate(block, previous, np.maximum(at * (len(block) / dt), 0.0))
-            if remembers:
-                last = np.where(np.isnan(last), previous, last)
+            load, charge = integrate(block, charge, period, number, at, dt)
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         drawn = normal(rng, (drawn_per_step, *load.shape)) if drawn_per_step else np.zeros(0)
@@ -194,7 +192,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         counts = held = np.where(converts, counts, held)
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)
-        return counts, LoadCellState(period, due, last, held, error, thermal, window, felt, brought)
+        return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought)
 
     return Corruption(init, apply)
 

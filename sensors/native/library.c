@@ -64,7 +64,7 @@ typedef struct {
     float *shown, *held, *counts;
     const int32_t *from, *to;
     int rows, columns, at_joints, at_inertial, at_ankles, at_cells, stride, readings, soles, channels, values, numbers,
-        shares;
+        shares, averaged;
 } sf_sense_records;
 
 /* clang-format off */
@@ -80,7 +80,7 @@ static const place places[] = {
     C_REAL(creep_share), C_REAL(creep_time), C_REAL(impact_threshold), C_REAL(warp_std),
     C_REAL(common_std), C_REAL(overload_share), C_REAL(safe_load), WIRE_CONFIG(cells_config),
 
-    S_REAL(period), S_REAL(due), S_REAL(previous), S_REAL(held), S_REAL(error), S_REAL(thermal),
+    S_REAL(period), S_REAL(due), S_REAL(charge), S_REAL(held), S_REAL(error), S_REAL(thermal),
     S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
     S_REAL(mechanics_creep_yielded), S_REAL(mechanics_mounting_offset), S_REAL(mechanics_mounting_load),
     S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), WIRE_STATE(cells),
@@ -128,7 +128,7 @@ static const place places[] = {
     R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
     R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(columns),
     R_INT(at_joints), R_INT(at_inertial), R_INT(at_ankles), R_INT(at_cells), R_INT(stride), R_INT(readings),
-    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares),
+    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares), R_INT(averaged),
 };
 /* clang-format on */
 
@@ -246,11 +246,16 @@ static void find_load(const sf_sense_records *at) {
     }
 }
 
-/* What the sensors in the ankles feel at the end: the opposite of what the simulator reads there. */
+/* What the sensors in the ankles feel, on average or at the end: the opposite of what the simulator reads there. */
 static void find_wrenches(const sf_sense_records *at) {
-    const sf_real *last = at->truth + (at->rows - 1) * at->columns + at->at_ankles;
+    int first = at->averaged ? 0 : at->rows - 1;
     for (int foot = 0; foot < at->feet.force_torque_config->sensors; foot++)
-        for (int i = 0; i < SF_AXES; i++) at->wrench[SF_AXES * foot + i] = -last[foot * at->stride + i];
+        for (int i = 0; i < SF_AXES; i++) {
+            sf_real sum = 0;
+            for (int row = first; row < at->rows; row++)
+                sum += at->truth[row * at->columns + at->at_ankles + foot * at->stride + i];
+            at->wrench[SF_AXES * foot + i] = -sum / (at->rows - first);
+        }
 }
 
 static void find_motion(const sf_sense_records *at) {

@@ -55,7 +55,8 @@ SF_API void sf_feet_begin(const sf_feet *f, const sf_real *load, int rows, const
                           sf_real *counts) {
     if (f->cells_config) {
         int K = f->cells_config->channels;
-        memcpy(f->cells->previous, load + (rows - 1) * K, (size_t)K * sizeof *load);
+        for (int i = 0; i < K; i++)
+            f->cells->charge[i] = load[(rows - 1) * K + i] * (f->cells->period[i] - f->cells->due[i]);
     }
     sf_feet_read(f, load, rows, wrench, (sf_real)f->first, counts);
     for (int n = 0; n < f->more; n++) sf_feet_read(f, load, rows, wrench, (sf_real)f->dt, counts);

@@ -42,7 +42,7 @@ typedef struct {
 
 /* Fields are those of the Python state, by their way through its parts. */
 typedef struct {
-    sf_real period[SF_LOAD_CELLS], due[SF_LOAD_CELLS], previous[SF_LOAD_CELLS], held[SF_LOAD_CELLS];
+    sf_real period[SF_LOAD_CELLS], due[SF_LOAD_CELLS], charge[SF_LOAD_CELLS], held[SF_LOAD_CELLS];
     sf_real error[2 * SF_LOAD_CELLS], thermal[3 * SF_LOAD_CELLS], window[SF_SETTLING * SF_LOAD_CELLS];
     sf_real mechanics_nonlinearity_quadratic[SF_LOAD_CELLS], mechanics_hysteresis_plays[SF_PLAYS * SF_LOAD_CELLS];
     sf_real mechanics_creep_yielded[SF_CREEPS * SF_LOAD_CELLS], mechanics_mounting_offset[SF_LOAD_CELLS];
@@ -117,11 +117,13 @@ SF_API void sf_mechanics(const sf_cells_config *c, sf_cells *s, sf_random *strea
 
 /* -------------------------------------------------------------------------------------------- the converter */
 
-/* The signal between the substeps of a block, at a position from 0 (its start) to its number of rows. */
-SF_API sf_real sf_interpolate(const sf_real *block, int rows, int channels, sf_real previous, sf_real position) {
-    int row = position > 0 ? (position < rows - 1 ? (int)position : rows - 1) : 0;
-    sf_real start = row ? block[(row - 1) * channels] : previous;
-    return start + (position - row) * (block[row * channels] - start);
+/* The integral of a signal, constant in each of the substeps of a block, from its start up to a time. */
+SF_API sf_real sf_integral(const sf_real *block, int rows, int channels, sf_real step, sf_real time) {
+    int last = time > 0 ? (int)(time / step) : 0;
+    sf_real sum = 0;
+    if (last > rows - 1) last = rows - 1;
+    for (int row = 0; row < last; row++) sum += block[row * channels];
+    return sum * step + (time - last * step) * block[last * channels];
 }
 
 /* Return the mean of the last conversions of a chip that finished `came` more. */
@@ -151,19 +153,26 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
     int acts = c->nonlinearity > 0 || c->plays || c->creeps || c->warp_std > 0 || c->common_std > 0 ||
                c->overload_share > 0;
     int remembers = acts || c->settling > 1;
+    sf_real step = dt / substeps;
     sf_real number[SF_LOAD_CELLS], load[SF_LOAD_CELLS], drawn[3 * SF_LOAD_CELLS], root = (sf_real)sqrt(dt);
     for (int i = 0; i < K; i++) {
         const sf_real *own = block + i;
-        sf_real last = own[(substeps - 1) * K], previous = s->previous[i];
-        number[i] = 0, load[i] = last;
+        number[i] = 0, load[i] = own[(substeps - 1) * K];
         if (c->clocked) {
             number[i] = (sf_real)floor((dt - s->due[i]) / s->period[i]);
-            sf_real at = s->due[i] + number[i] * s->period[i];
-            s->due[i] = at + (s->period[i] - dt);
-            load[i] = sf_interpolate(own, substeps, K, previous, at < 0 ? 0 : at * (substeps / dt));
+            sf_real period = s->period[i], at = s->due[i] + number[i] * period;
+            sf_real total = 0, end = 0, begin = -s->charge[i];
+            for (int row = 0; row < substeps; row++) total += own[row * K];
+            total *= step;
+            s->due[i] = at + (period - dt);
+            if (number[i] >= 0) end = sf_integral(own, substeps, K, step, at);
+            if (number[i] >= 1) begin = sf_integral(own, substeps, K, step, at - period);
+            int known = number[i] >= 1 || (number[i] >= 0 && isfinite(s->charge[i]));
+            load[i] = known ? (end - begin) / period : total / dt;
+            s->charge[i] = number[i] >= 0 ? total - end : s->charge[i] + total;
+            if (remembers && !isfinite(s->charge[i])) s->charge[i] = (sf_real)NAN;
         }
-        s->previous[i] = last;
-        if (remembers && !isfinite(last)) s->previous[i] = c->clocked ? previous : (sf_real)NAN;
+        if (remembers && !isfinite(load[i])) load[i] = (sf_real)NAN;
     }
     if (acts) sf_mechanics(c, s, stream, dt, load);
     draws = (c->scale_walk > 0) + (c->offset_walk > 0) + (c->noise > 0);

@@ -1,7 +1,8 @@
 """Converters with clocks of their own, read by a host at its own rate.
 
-Each chip's oscillator is off by some percent and starts at a random phase. The host reads the last finished
-conversion: sometimes the same one twice, sometimes one is skipped, and every reading is up to a period old.
+Each chip's oscillator is off by some percent and starts at a random phase. A conversion is the mean of the
+signal since the one before, as a sigma-delta converter's is. The host reads the last finished conversion:
+sometimes the same one twice, sometimes one is skipped, and every reading ends up to a period ago.
 """
 
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ class ClockState(NamedTuple):
     Attributes:
         period: Time between conversions in s, shape (K,); constant from power-up.
         due: Time from now to the next conversion in s, shape (K,).
-        previous: The signal at the end of the block before, shape (K,).
+        charge: Integral of the signal since the last conversion up to now, in its unit times s, shape (K,).
         held: The last finished conversion, shape (K,); NaN before the first.
         inner: State of what happens to a signal when it is converted.
         window: The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles
@@ -29,7 +30,7 @@ class ClockState(NamedTuple):
 
     period: Array
     due: Array
-    previous: Array
+    charge: Array
     held: Array
     inner: Any
     window: Any
@@ -55,23 +56,39 @@ def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Arra
     return number, at, at + (period - dt)
 
 
-def interpolate(block: Array, previous: Array, position: Array) -> Array:
-    """Return a signal between the substeps of a block, by linear interpolation.
+def integrate(
+    block: Array, charge: Array, period: Array, number: Array, at: Array, dt: float
+) -> tuple[Array, Array]:
+    """Average a signal over each chip's last conversion in a block.
 
     Args:
-        block: Signals at the ends of S substeps, shape (S, K).
-        previous: Signals at the block's start, shape (K,).
-        position: Where to read, from 0 (the start) to S (the last row), shape (K,).
+        block: The signal in S equal substeps, in each of which it is constant, shape (S, K).
+        charge: Its integral since the last conversion before the block, shape (K,); not finite where the
+            signal was not.
+        period: Duration of a conversion in s, shape (K,).
+        number: As of :func:`latest_conversion`, shape (K,).
+        at: As there, in s, shape (K,).
+        dt: Duration of the block in s.
 
     Returns:
-        Signals, shape (K,).
+        The mean over the last conversion, and over the block for a chip that finishes none in it or whose
+        charge is not finite; and the integral since then. Shape (K,) each.
     """
-    rows = np.concatenate([previous[None], block])
-    low = np.minimum(position.astype(np.intp), len(block) - 1)
-    channels = np.arange(len(low))
-    start, end = rows[low, channels], rows[low + 1, channels]
-    between: Array = start + (position - low) * (end - start)
-    return between
+    step = dt / len(block)
+    sums = np.concatenate([np.zeros_like(block[:1]), np.cumsum(block, axis=0)]) * step
+    channels = np.arange(block.shape[1])
+
+    def until(time: Array) -> Array:
+        row = np.minimum((time / step).astype(np.intp), len(block) - 1)
+        area: Array = sums[row, channels] + (time - row * step) * block[row, channels]
+        return area
+
+    finished, total = number >= 0.0, sums[-1]
+    end = until(np.maximum(at, 0.0))
+    begin = np.where(number >= 1.0, until(np.maximum(at - period, 0.0)), -charge)
+    known = finished & ((number >= 1.0) | np.isfinite(charge))
+    mean: Array = np.where(known, (end - begin) / period, total / dt)
+    return mean, np.where(finished, total - end, charge + total)
 
 
 def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
@@ -128,13 +145,13 @@ def sample_and_hold(
 ) -> Corruption[ClockState]:
     """Convert a signal by unsynchronised chips and hold each conversion until the next.
 
-    The reading handed to ``apply`` is a *block*: the signal at the ends of S equal substeps that fill
-    dt, shape (S, K). The result has shape (K,). Between substeps the signal is interpolated.
+    The reading handed to ``apply`` is a *block*: the signal in S equal substeps that fill dt, shape (S, K).
+    The result has shape (K,). A conversion is the mean since the one before.
 
     Args:
-        inner: What happens to the signal at a conversion, such as noise and rounding. It is stepped
+        inner: What happens to the mean of a conversion, such as noise and rounding. It is stepped
             once a block; chips that finish no conversion in it keep their last, and what their signals
-            go through meanwhile is that at the block's start.
+            go through meanwhile is the block's mean.
         rate: Lowest and highest conversion rate of a chip in 1/s; each draws its own.
         settling: Over how many conversions a chip averages, as a sigma-delta converter's filter does: a step
             has settled after as many, and the mean is late by (settling - 1) / 2 of them.
@@ -160,17 +177,16 @@ def sample_and_hold(
         )
 
     def apply(block: Array, state: ClockState, rng: Rng, dt: float) -> tuple[Array, ClockState]:
-        period, due, previous, held = state[:4]
+        period, due, charge, held = state[:4]
         number, at, due = latest_conversion(period, due, dt)
-        position = np.maximum(at * (len(block) / dt), 0.0)
-        signal, inner_state = inner.apply(interpolate(block, previous, position), state.inner, rng, dt)
+        mean, charge = integrate(block, charge, period, number, at, dt)
+        signal, inner_state = inner.apply(mean, state.inner, rng, dt)
         window = state.window
         if settling > 1:
             signal, window = settle(window, signal, number, most_conversions(rate, dt))
         converted, converter_state = converter.apply(signal, state.converter, rng, dt)
         held = np.where(number >= 0.0, converted, held)
-        last = block[-1] + 0.0
-        return held, ClockState(period, due, last, held, inner_state, window, converter_state)
+        return held, ClockState(period, due, charge, held, inner_state, window, converter_state)
 
     return Corruption(init, apply)
 

@@ -30,7 +30,6 @@ _KINDS: dict[str, np.dtype[Any]] = {
     "byte": np.dtype(np.bool_),
     "double": np.dtype(np.float64),
     "single": np.dtype(np.float32),
-    "small": np.dtype(np.int8),
 }
 
 

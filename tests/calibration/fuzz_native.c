@@ -86,7 +86,7 @@ int main(int count, char **words) {
             spoil(reference.position_sole, 3 * config.feet, 0.0005);
             if (chance(0.02)) reference.swing[0] = reference.swing[config.feet - 1] = 1;
         }
-        sf_real inertial[6] = {0, 0, SF_GRAVITY, 0, 0, 0}, dt = chance(0.001) ? poison() : config.dt;
+        sf_real inertial[6] = {0, 0, (sf_real)9.81, 0, 0, 0}, dt = chance(0.001) ? poison() : config.dt;
         const sf_real *imu[] = {inertial, inertial + 3};
         if (is_window || is_tare) {
             spoil(inertial, 6, 0.001);

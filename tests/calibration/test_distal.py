@@ -80,7 +80,7 @@ def in_sensor_frame(wrench):
 @pytest.mark.parametrize("seed", range(5))
 def test_an_ankle_sensor_in_the_air_feels_its_foot(seed):
     moved, sole_acceleration = motion(seed)
-    felt = DistalMasses(ANKLES, DT, N).felt(flat(moved))
+    felt = DistalMasses(ANKLES, 9.81, DT, N).felt(flat(moved))
     expected = [in_sensor_frame(-lost(FOOT, sole_acceleration[foot], moved["R"][0, foot])) for foot in (0, 1)]
     np.testing.assert_allclose(felt, np.concatenate(expected), atol=1e-9)
 
@@ -88,7 +88,7 @@ def test_an_ankle_sensor_in_the_air_feels_its_foot(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_cells_in_the_air_feel_their_plate(seed):
     moved, sole_acceleration = motion(seed)
-    felt = DistalMasses(CELLS, DT, N).felt(flat(moved)).reshape(2, 4)
+    felt = DistalMasses(CELLS, 9.81, DT, N).felt(flat(moved)).reshape(2, 4)
     x, y = np.transpose(CORNERS)
     for foot in (0, 1):
         wrench = -lost(PLATE, sole_acceleration[foot], moved["R"][0, foot])
@@ -104,10 +104,10 @@ def test_both_on_one_foot_feel_each_their_own():
     moved, _ = motion(3)
     felt = DistalMasses(BOTH, DT, N).felt(flat(moved)).reshape(2, 10)
     np.testing.assert_allclose(
-        felt[:, :4], DistalMasses(CELLS, DT, N).felt(flat(moved)).reshape(2, 4), atol=1e-12
+        felt[:, :4], DistalMasses(CELLS, 9.81, DT, N).felt(flat(moved)).reshape(2, 4), atol=1e-12
     )
     np.testing.assert_allclose(
-        felt[:, 4:], DistalMasses(ANKLES, DT, N).felt(flat(moved)).reshape(2, 6), atol=1e-12
+        felt[:, 4:], DistalMasses(ANKLES, 9.81, DT, N).felt(flat(moved)).reshape(2, 6), atol=1e-12
     )
 
 
@@ -132,7 +132,7 @@ def test_a_foot_at_rest_on_its_side_no_longer_weighs_on_its_sensor():
     # The zero holds (0, 0, -m g); on its side the foot pulls along its own right edge instead.
     wrench = np.array([0.0, -weight, weight])
     expected = in_sensor_frame(np.concatenate([wrench, np.cross(FOOT["com_below_sole"], wrench)]))
-    felt = DistalMasses(ANKLES, DT, N).felt(flat(rest))
+    felt = DistalMasses(ANKLES, 9.81, DT, N).felt(flat(rest))
     np.testing.assert_allclose(felt[:6], expected, atol=1e-9)
 
 

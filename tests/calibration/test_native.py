@@ -5,6 +5,7 @@ import pickle
 import runpy
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -226,6 +227,28 @@ def library(tmp_path_factory):
     return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
+@pytest.fixture(scope="module")
+def single(tmp_path_factory):
+    """The library in single precision."""
+    path = tmp_path_factory.mktemp("single") / "single.so"
+    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
+    return NATIVE.load(path)
+
+
+@pytest.fixture(scope="module")
+def fuzzer(tmp_path_factory):
+    """A function that compiles the program of garbage, with sanitizers, once for all robots and methods."""
+    folder = tmp_path_factory.mktemp("fuzz")
+
+    @cache
+    def compiled(*flags):
+        path = folder / ("fuzz" + "".join(flags))
+        compile_program(NATIVE, Path(__file__).parent / "fuzz_native.c", path, *SANITIZED, *flags)
+        return path
+
+    return compiled
+
+
 def setup_of(layout, lag=2, age=0.0):
     feet = LAYOUTS[layout]
     initial = Parameters(np.ones(feet.channels), np.zeros(feet.channels))
@@ -413,21 +436,18 @@ def test_random_robots_are_the_same(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["cells", "both"])
-def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path):
+def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, single):
     """Maps within 5 % of their deviations, forces within 0.02 N."""
-    path = tmp_path / "single.so"
-    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
-    _, narrow = robot(NATIVE.load(path), layout, 0)
+    stream, narrow = robot(single, layout, 0)
     log = Log(layout)
-    stream, _ = robot(NATIVE.load(path), layout, 0)
     wide, state = stream.init(log.force[0]), narrow.init()
     for k in range(SAMPLES // 2):
         row = log.row(k)
-        single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in row))
+        thin = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in row))
         raw = log.force[k].astype(np.float32)
-        assert narrow.takes(raw, single, DT)
+        assert narrow.takes(raw, thin, DT)
         wide, expected = stream.update(wide, log.force[k], row, DT)
-        found = narrow.update(state, raw, single, DT)
+        found = narrow.update(state, raw, thin, DT)
     assert found.force.dtype == np.float32
     np.testing.assert_array_equal(found.flags, expected.flags)
     spread = np.sqrt(np.diagonal(expected.covariance))
@@ -437,22 +457,21 @@ def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path)
     np.testing.assert_allclose(found.force, expected.force, atol=0.02)
 
 
-def play_garbage(library, tmp_path, layout, samples, *flags, method="moment"):
-    """Feed garbage to a program with sanitizers; return what it says."""
-    compile_program(NATIVE, Path(__file__).parent / "fuzz_native.c", tmp_path / "fuzz", *SANITIZED, *flags)
+def play_garbage(library, program, tmp_path, layout, method):
+    """Feed garbage to a program with sanitizers."""
+    samples = 20_000 if method == "window" else 100_000
     _, native = robot(library, layout, method=method)
     own = native.constants.own
     (tmp_path / "config").write_bytes(
         native.constants.config.tobytes() + (b"" if own is None else own.tobytes())
     )
     done = subprocess.run(
-        [tmp_path / "fuzz", tmp_path / "config", str(samples), method],
+        [program, tmp_path / "config", str(samples), method],
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 @pytest.mark.slow
@@ -466,18 +485,15 @@ def play_garbage(library, tmp_path, layout, samples, *flags, method="moment"):
         ("both", "tare"),
     ],
 )
-def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout, method):
-    play_garbage(library, tmp_path, layout, 20_000 if method == "window" else 100_000, method=method)
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, fuzzer, tmp_path, layout, method):
+    play_garbage(library, fuzzer(), tmp_path, layout, method)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["moment", "window", "tare"])
 @pytest.mark.parametrize("layout", ["cells", "heavy both"])
-def test_garbage_does_no_harm_in_single_precision(tmp_path, layout, method):
-    assert NATIVE.sources.compile(tmp_path / "single.so", [*FLAGS, "-DSF_SINGLE"]) is None
-    library = NATIVE.load(tmp_path / "single.so")
-    samples = 20_000 if method == "window" else 100_000
-    play_garbage(library, tmp_path, layout, samples, "-DSF_SINGLE", method=method)
+def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layout, method):
+    play_garbage(single, fuzzer("-DSF_SINGLE"), tmp_path, layout, method)
 
 
 @pytest.mark.parametrize("method", ["moment", "window", "tare"])

@@ -22,7 +22,7 @@ def observe(cop=(0.0, 0.0), tilt=(0.0, 0.0), gyroscope=(0.0, 0.0, 0.0), referenc
     return {
         "state": state,
         "cop": np.array(cop, dtype=np.float32),
-        "cop_valid": np.array([valid, 1, 1], dtype=np.int8),
+        "cop_valid": np.array([valid, 1, 1], dtype=np.float32),
     }
 
 

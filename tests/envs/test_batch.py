@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 import surefoot
 from surefoot.envs.batch import BatchVectorEnv
@@ -22,7 +23,12 @@ TASKS: dict[str, dict[str, Any]] = {
 }
 
 
-def _made(task: str, mode: str, **more: Any) -> Any:
+MODES = list(AutoresetMode)
+
+
+def _made(task: str, mode: str, resets: AutoresetMode = AutoresetMode.NEXT_STEP, **more: Any) -> Any:
+    options = {"autoreset_mode": resets}
+    more |= options if mode == "vector_entry_point" else {"vector_kwargs": options}
     return gym.make_vec(f"surefoot/{task}-v0", ROBOTS, mode, **more, **TASKS[task])
 
 
@@ -35,6 +41,10 @@ def _same(one: Any, other: Any, where: str) -> None:
     elif isinstance(one, tuple | list):
         for place, (part, its) in enumerate(zip(one, other, strict=True)):
             _same(part, its, f"{where}[{place}]")
+    elif one is None:
+        assert other is None, where
+    elif np.asarray(one).dtype == object:
+        _same(list(one), list(other), where)
     else:
         assert np.asarray(one).dtype == np.asarray(other).dtype, where
         assert np.array_equal(one, other, equal_nan=np.asarray(one).dtype.kind == "f"), where
@@ -47,11 +57,18 @@ def _steps(rng: np.random.Generator, motors: int = 11) -> Any:
         yield (size * rng.standard_normal((ROBOTS, motors))).astype(np.float32)
 
 
+def _restarted(envs: Any, mode: AutoresetMode, done: Any, where: str) -> None:
+    """Reset the robots whose episode is over, where nobody else does."""
+    if mode is AutoresetMode.DISABLED and done.any():
+        _same(*(env.reset(options={"reset_mask": done.copy()}) for env in envs), where)
+
+
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
     "task", [task if task == "NaoBalance" else pytest.param(task, marks=pytest.mark.slow) for task in TASKS]
 )
-def test_robots_do_what_they_do_alone(task):
-    copies, batch = _made(task, "sync"), _made(task, "vector_entry_point")
+def test_robots_do_what_they_do_alone(task, mode):
+    copies, batch = _made(task, "sync", mode), _made(task, "vector_entry_point", mode)
     assert batch.observation_space == copies.observation_space
     assert batch.action_space == copies.action_space
     assert batch.metadata == copies.metadata
@@ -62,7 +79,9 @@ def test_robots_do_what_they_do_alone(task):
     for step, actions in enumerate(_steps(np.random.default_rng(1), batch.single_action_space.shape[0])):
         seen = copies.step(actions)
         _same(seen, batch.step(actions), f"step {step}")
-        begun += int((seen[2] | seen[3]).sum())
+        begun += int((done := seen[2] | seen[3]).sum())
+        assert ("final_obs" in seen[4]) == (mode is AutoresetMode.SAME_STEP and done.any())
+        _restarted((copies, batch), mode, done, f"reset after step {step}")
         for i, copy in enumerate(copies.envs):
             own = copy.unwrapped
             for name in ("qpos", "qvel", "xfrc_applied"):
@@ -79,17 +98,26 @@ def test_robots_do_what_they_do_alone(task):
     _same(copies.step(actions), batch.step(actions), "after it")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("task", ["Exercise", "NaoBalance", "NaoCarry"])
-def test_sensors_and_calibrators_around_them_see_the_same(task):
+@pytest.mark.parametrize(
+    ("task", "mode"),
+    [
+        ("NaoBalance", AutoresetMode.SAME_STEP),
+        pytest.param("NaoBalance", AutoresetMode.NEXT_STEP, marks=pytest.mark.slow),
+        pytest.param("NaoCarry", AutoresetMode.DISABLED, marks=pytest.mark.slow),
+        pytest.param("Exercise", AutoresetMode.NEXT_STEP, marks=pytest.mark.slow),
+    ],
+)
+def test_sensors_and_calibrators_around_them_see_the_same(task, mode):
     copies, batch = (
         VectorSelfCalibration(VectorFootSensors(env), "moment")
-        for env in (_made(task, "sync", wrappers=[TruthRow]), _made(task, "vector_entry_point"))
+        for env in (_made(task, "sync", mode, wrappers=[TruthRow]), _made(task, "vector_entry_point", mode))
     )
     assert batch.observation_space == copies.observation_space
     _same(copies.reset(seed=2), batch.reset(seed=2), "reset")
     for step, actions in enumerate(_steps(np.random.default_rng(3), batch.single_action_space.shape[0])):
-        _same(copies.step(actions), batch.step(actions), f"step {step}")
+        seen = copies.step(actions)
+        _same(seen, batch.step(actions), f"step {step}")
+        _restarted((copies, batch), mode, seen[2] | seen[3], f"reset after step {step}")
 
 
 @pytest.mark.slow
@@ -144,3 +172,16 @@ def test_what_is_refused():
         env.step(np.full((2, 11), np.nan))
     with pytest.raises(ValueError, match="no render mode 'human'"):
         BatchVectorEnv(NaoStandEnv, 2, render_mode="human")
+
+
+def test_nobody_steps_a_robot_whose_episode_is_over():
+    env = BatchVectorEnv(NaoStandEnv, 2, autoreset_mode="Disabled", duration=0.05)
+    env.reset(seed=0)
+    for _ in range(4):
+        *_, truncated, _ = env.step(np.zeros((2, 11)))
+    assert truncated.all()
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(gym.error.ResetNeeded, match=r"robots \[1\] are over.*reset_mask.: terminations \|"):
+        env.step(np.zeros((2, 11)))
+    env.reset(options={"reset_mask": np.array([False, True])})
+    env.step(np.zeros((2, 11)))

@@ -306,7 +306,7 @@ def test_a_drawing_has_what_hangs_below_the_ankle(name):
     """A foot held still in the air: its ankle carries what the drawing says, at the place that it says."""
     _, instrumentation, model = robot(name)
     drawing = instrumentation.drawing
-    assert drawing.feet == ("left", "right")
+    assert drawing.sides == ("left", "right")
     assert (drawing.position_cell_sole is None) == (drawing.below_cells is None) == bool(drawing.flaw)
     data = standing_pose(model)
     data.qpos[1 if name == "walker2d" else 2] += 1.0

@@ -1,6 +1,8 @@
 """Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is beside them."""
 
 import pickle
+import re
+from contextlib import nullcontext
 from copy import deepcopy
 
 import gymnasium as gym
@@ -50,6 +52,14 @@ class Toy(gym.Env):
     def step(self, action):
         mujoco.mj_step(self.model, self.data, self.frame_skip)
         return self.data.qpos.copy(), 0.0, False, False, {}
+
+
+def warned(reason):
+    """Expect the warning that feet are read once a step, with its reason, or none."""
+    match = (
+        rf"read once a control step, at its end, and not in each of its \d+ substeps \({re.escape(reason)}"
+    )
+    return pytest.warns(UserWarning, match=match) if reason else nullcontext()
 
 
 @pytest.fixture
@@ -123,10 +133,9 @@ def test_truth_is_of_the_instant_that_is_documented(in_place):
     data = mujoco.MjData(model)
     for step in range(60):
         at_start = env.truth
-        assert env.truth.time == pytest.approx([env.data.time - (step > 0 and in_place is None) * 0.002])
-        for joint, angle in zip(env.joint_names, env.truth.joint_position[0], strict=True):
-            if step == 0 or in_place is False:
-                assert angle == env.data.joint(joint).qpos[0]
+        assert env.truth.time[-1] == pytest.approx(env.data.time - (step > 0 and in_place is None) * 0.002)
+        for joint, angle in zip(env.joint_names, env.truth.joint_position[-1], strict=True):
+            assert angle == env.data.joint(joint).qpos[0]
         data.qpos[:], data.qvel[:], data.ctrl[:] = env.data.qpos, env.data.qvel, 0.5
         data.qacc_warmstart[:] = env.data.qacc_warmstart
         data.time = env.data.time
@@ -135,12 +144,12 @@ def test_truth_is_of_the_instant_that_is_documented(in_place):
             mujoco.mj_forward(model, data)
         env.step(np.full(6, 0.5))
         expected = instrumentation.read(model, data)
-        np.testing.assert_allclose(env.truth.wrench_sole[0], expected.wrench_sole, rtol=1e-9, atol=1e-7)
-        np.testing.assert_allclose(env.truth.accelerometer[0], expected.accelerometer, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(env.truth.wrench_sole[-1], expected.wrench_sole, rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(env.truth.accelerometer[-1], expected.accelerometer, rtol=1e-7, atol=1e-7)
         inertial = np.hstack([env.truth.accelerometer, env.truth.gyroscope])
         np.testing.assert_array_equal(env.truth.inertial, inertial)
         assert env.truth is not at_start
-    assert env.truth.wrench_sole.shape == (1, 2, 6)
+    assert env.truth.wrench_sole.shape == (4 if in_place is None else 1, 2, 6)
     assert expected.vgrf().max() > 10.0
     assert env.dt == pytest.approx(0.008)
     assert env.joint_names == env.drawing.joint_names
@@ -156,13 +165,17 @@ def test_info_has_the_truth_as_a_dict_of_its_own(path):
     for _ in range(200):
         info = env.step(None)[4]
     given = info["surefoot"]["truth"]
-    assert set(given) == {"force_cell", "vgrf", "cop_world", "cop_foot", "cop_valid", "com", "wrench_sole"}
+    assert set(given) == {
+        *("force_cell", "vgrf", "cop", "cop_world", "cop_foot", "cop_valid", "com"),
+        *("wrench_sole", "wrench_ankle"),
+    }
     assert given["cop_valid"].all()
     weight = 9.81 * env.model.body_subtreemass[0]
     assert given["vgrf"].sum() == pytest.approx(weight, rel=1e-3)
-    np.testing.assert_array_equal(given["force_cell"], env.truth.force_cell[0])
-    np.testing.assert_allclose(given["cop_foot"], env.truth.cop_sole[0])
-    np.testing.assert_array_equal(given["cop_world"], env.truth.cop_world())
+    np.testing.assert_allclose(given["force_cell"], env.truth.force_cell.mean(axis=0))
+    mean = env.truth.wrench_sole.mean(axis=0)
+    np.testing.assert_allclose(given["cop_foot"], np.stack([-mean[:, 4], mean[:, 3]], axis=1) / mean[:, 2:3])
+    np.testing.assert_allclose(given["cop_world"], env.truth.cop_world(), atol=1e-5)
     kept = deepcopy(given)
     env.step(None)
     assert data_equivalence(given, kept, exact=True)
@@ -172,9 +185,9 @@ def test_info_has_the_truth_as_a_dict_of_its_own(path):
 @pytest.mark.parametrize(
     ("keep", "reason"),
     [
-        (lambda env: setattr(env, "angles", env.data.qpos[7:]), r"^Toy.angles holds a view of it"),
-        (lambda env: setattr(env, "robot", [{"trunk": env.data.body("trunk")}]), r"^Toy.robot holds a view"),
-        (lambda env: setattr(env, "sim", (env.model, 3)), r"^Toy.sim holds a view"),
+        (lambda env: setattr(env, "angles", env.data.qpos[7:]), "Toy.angles holds a view of it"),
+        (lambda env: setattr(env, "robot", [{"trunk": env.data.body("trunk")}]), "Toy.robot holds a view"),
+        (lambda env: setattr(env, "sim", (env.model, 3)), "Toy.sim holds a view"),
         (lambda env: None, ""),
     ],
     ids=["array", "body", "model", "nothing"],
@@ -183,37 +196,168 @@ def test_a_model_that_an_environment_holds_on_to_is_left_alone(path, keep, reaso
     base = Toy(fullpath=path)
     keep(base)
     model = base.model
-    env = InstrumentedEnv(base)
+    with warned(reason):
+        env = InstrumentedEnv(base)
     assert bool(env.untouched) == bool(reason) == (base.model is model)
     env.reset()
     env.step(None)
     assert env.truth.vgrf().sum() > 10.0
     if reason:
-        with pytest.raises(ValueError, match=f"cannot be replaced: {reason[1:]}"):
+        with pytest.raises(ValueError, match=f"cannot be replaced: {reason}"):
             InstrumentedEnv(base, in_place=True)
-        match = reason
-    else:
-        match = ""
-    assert env.untouched.startswith(match[1:])
+    assert env.untouched.startswith(reason)
 
 
-def test_what_is_looked_up_by_number_is_left_alone_unless_asked(path):
-    site = '<site name="imu"/>'
-    sensor = '<sensor><gyro site="imu"/></sensor>'
-    foot_site = LEGS.replace("</body>", '<site name="tip"/></body>', 1)
-    assert "sensors of its own" in InstrumentedEnv(Toy(site, sensor, path)).untouched
-    forced = InstrumentedEnv(Toy(site, sensor, path), in_place=True)
-    assert not forced.untouched
-    env = Toy()
-    env.xml = env.xml.replace(LEGS, foot_site)
-    env.make()
-    path.write_text(env.xml)
-    env.fullpath = path
-    assert "change the numbers of the model's own" in InstrumentedEnv(env).untouched
+IMU = '<site name="imu"/>', '<sensor><gyro site="imu"/></sensor>'
+
+
+class Showing(Toy):
+    """Shows more than its posture after a step, as a subclass chooses."""
+
+    def step(self, action):
+        posture, *rest = super().step(action)
+        return np.concatenate([posture, self.shown()]), *rest
+
+
+class AllSensors(Showing):
+    def shown(self):
+        return self.data.sensordata
+
+
+class OwnSensor(Showing):
+    def shown(self):
+        return self.data.sensor(0).data
+
+
+class SiteByNumber(Showing):
+    """Keeps the number of a site that stands behind those that are added to the feet."""
+
+    def shown(self):
+        return self.data.site_xpos[0]
+
+
+class NotComputed(Showing):
+    """Shows what MuJoCo computes for some sensors alone."""
+
+    def shown(self):
+        return self.data.subtree_linvel[0]
+
+
+class Chance(Showing):
+    count = 0
+
+    def shown(self):
+        Chance.count += 1
+        return [float(Chance.count)]
+
+
+class Broken(Toy):
+    def reset(self, *, seed=None, options=None):
+        if seed is not None:
+            raise RuntimeError("no seeds here")
+        return super().reset()
+
+
+def with_site_behind(kind, path):
+    """Give a toy a site on a body behind its feet."""
+    base = kind(fullpath=path)
+    base.xml = base.xml.replace("</worldbody>", '<body name="box"><site name="mark"/></body></worldbody>')
+    base.make()
+    path.write_text(base.xml)
+    return base
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda path: Toy(*IMU, path), ""),
+        (lambda path: OwnSensor(*IMU, path), ""),
+        (lambda path: AllSensors(*IMU, path), "with sensors in its model its observation differs"),
+        (lambda path: with_site_behind(SiteByNumber, path), "with sensors in its model its observation diff"),
+        (lambda path: NotComputed(fullpath=path), "with sensors in its model its observation differs"),
+        (lambda path: Chance(fullpath=path), "it is not the same twice"),
+        (
+            lambda path: Broken(fullpath=path),
+            "a copy of it could not be stepped (RuntimeError: no seeds here)",
+        ),
+    ],
+    ids=["own sensor unseen", "own sensor shown", "all sensors", "site", "not computed", "chance", "broken"],
+)
+def test_whether_an_environment_would_notice_is_tried(path, make, reason):
+    base = make(path)
+    with warned(reason):
+        env = InstrumentedEnv(base)
+    assert env.untouched.startswith(reason)
+    assert bool(env.untouched) == bool(reason) == env.seldom
+    env.reset()
+    env.step(None)
+    assert env.truth.rows.shape[0] == (1 if reason else 5)
+    if not isinstance(base, Broken):
+        assert not InstrumentedEnv(make(path), in_place=True).untouched
+
+
+def test_a_trial_leaves_no_trace(path):
+    class Drawing(Toy):
+        drawn = 0
+
+        def step(self, action):
+            type(self).drawn += 1  # copies share their class
+            return super().step(action)
+
+    base, state = Drawing(fullpath=path), np.random.get_state()[1].copy()  # noqa: NPY002
+    base.reset(seed=3)
+    before = base.np_random.bit_generator.state
+    mujoco.mj_step(base.model, base.data, 7)
+    qpos, time = base.data.qpos.copy(), base.data.time
+    env = InstrumentedEnv(base)
+    assert Drawing.drawn > 0
+    np.testing.assert_array_equal(env.data.qpos, qpos)
+    assert env.data.time == time
+    assert base.np_random.bit_generator.state == before
+    np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
+
+
+def test_every_substep_is_read_and_their_mean_told(path):
+    env = InstrumentedEnv(Toy(*IMU, path))
+    env.reset()
+    own = mujoco.MjData(env.model)
+    columns = env.instrumentation.columns(env.model)
+    own.qpos[:] = env.data.qpos
+    for _ in range(60):
+        info = env.step(None)[4]
+        expected = []
+        for _ in range(5):
+            mujoco.mj_step(env.model, own)
+            expected.append(own.sensordata[columns].copy())
+        rows = env.truth.rows
+        forces = slice(0, 54)
+        np.testing.assert_array_equal(rows[:, forces], np.array(expected)[:, forces])
+        np.testing.assert_array_equal(env.truth.time, np.array(expected)[:, -1])
+        vertical = -np.array(expected)[:, [8, 35]]
+        np.testing.assert_allclose(info["surefoot"]["truth"]["vgrf"], vertical.mean(axis=0), atol=1e-9)
+        np.testing.assert_array_equal(env.truth.gyroscope[-1], env.data.qvel[3:6])
+
+
+@pytest.mark.parametrize("substeps", [2, 5, 8])
+def test_a_step_of_another_length_is_read_as_far_as_it_is_known(path, substeps):
+    base = Toy(fullpath=path)
+    env = InstrumentedEnv(base)
+    env.reset()
+    env.step(None)
+    before, base.frame_skip = env.data.time, substeps
+    env.step(None)
+    times = env.truth.time
+    assert len(times) == 5
+    assert times[-1] == pytest.approx(env.data.time - 0.002)
+    assert times[0] == pytest.approx(max(before, env.data.time - 5 * 0.002))
+    mujoco.mj_resetData(env.model, env.data)
+    env.step(None)
+    assert env.truth.time[0] == pytest.approx(max(0.0, (substeps - 5) * 0.002))
 
 
 def test_without_a_description_the_model_is_read_from_beside(path):
-    env = InstrumentedEnv(Toy())
+    with warned("there is no description of it"):
+        env = InstrumentedEnv(Toy())
     assert env.untouched.startswith("there is no description of it")
     assert env.instrumentation is None
     beside = Toy()
@@ -234,7 +378,8 @@ def test_without_a_description_the_model_is_read_from_beside(path):
     # A file that the environment changed before it compiled is no reason to refuse.
     base = Toy(fullpath=path)
     path.write_text(base.xml.replace("foot_l", "paw_l"))
-    assert InstrumentedEnv(base).untouched.startswith("its file is of another robot: its bodies are")
+    with warned("its file is of another robot"):
+        assert InstrumentedEnv(base).untouched.startswith("its file is of another robot: its bodies are")
 
 
 def test_another_model_made_at_a_reset_is_refused(path):
@@ -398,7 +543,9 @@ class Controlled(Toy):
 
 
 def test_dm_controls_physics_is_read_beside():
-    env, own = InstrumentedEnv(Controlled()), InstrumentedEnv(Toy(), in_place=False)
+    with warned("dm_control's physics holds it"):
+        env = InstrumentedEnv(Controlled())
+    own = InstrumentedEnv(Toy(), in_place=False)
     assert env.dt == own.dt
     assert env.untouched == "dm_control's physics holds it"
     env.reset(seed=0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surefoot.calibration.in_situ import InSituSet, validation
 from surefoot.envs.leg_rig.env import LegRigEnv
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig, sweep, swing
 from surefoot.envs.leg_rig.spec import ADDED_MASSES, HIP_RANGE
@@ -195,3 +196,24 @@ def test_planar_motion_holds_the_other_joint():
     np.testing.assert_array_equal(recording.hip[:, 1], 0.0)
     np.testing.assert_allclose(recording.specific_force[:, 1], 0.0, atol=1e-12)
     assert np.ptp(recording.hip[:, 0]) == pytest.approx(HIP_RANGE[0], rel=0.01)
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_validation_expects_the_wrench_of_the_rig(fast: bool) -> None:
+    """Against MuJoCo: a leg that swings, with a mass on it."""
+    told = record_rig([5], duration=6.0, rate=20.0, speed_deg=90.0, fast_motion=fast)[0]
+    data = InSituSet(
+        raw=np.zeros((len(told.time), 6)),
+        gravity=told.gravity_leg,
+        added_mass=told.added_mass,
+        added_com=told.added_com_leg,
+        angular_velocity=told.angular_velocity,
+        angular_acceleration=told.angular_acceleration,
+    )
+    np.testing.assert_allclose(validation.expected_wrench(data, told.limb_leg), told.wrench_leg, atol=1e-9)
+    still = told.wrench_leg - validation.motion_wrench(data, told.limb_leg)
+    found = validation.added_mass(still, told.gravity_leg, told.limb_leg)
+    assert found.mass == pytest.approx(told.added_mass, abs=1e-4)
+    np.testing.assert_allclose(found.position, told.added_com_leg, atol=1e-3)
+    lengths = validation.semi_axes(still[:, :3], told.gravity_leg)
+    np.testing.assert_allclose(lengths / lengths.mean(), 1.0, atol=1e-4)

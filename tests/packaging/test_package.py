@@ -94,6 +94,7 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
         ("import surefoot.wrappers.gpu", "torch", "gpu"),
         ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
         ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
+        ("import surefoot.wrappers.vector.sb3_log", "stable_baselines3", "rl"),
     ],
 )
 def test_what_an_extra_brings_is_asked_for_by_its_name(statement: str, missing: str, extra: str) -> None:

@@ -34,7 +34,7 @@ int main(int count, char **words) {
         unsigned char planned[4];
         double time = (double)number * timing.period;
         for (int i = 0; i < model.hinges; i++) angle[i] = (sf_real)(rand() % 100 * 0.001);
-        for (int i = 0; i < 6; i++) inertial[i] = (sf_real)(rand() % 10 * 0.01) + (i == 2 ? SF_GRAVITY : 0);
+        for (int i = 0; i < 6; i++) inertial[i] = (sf_real)(rand() % 10 * 0.01) + (i == 2 ? (sf_real)9.81 : 0);
         if (!calm && rand() % 20 == 0) angle[rand() % SF_HINGES] = any();
         if (!calm && rand() % 20 == 0) inertial[rand() % 6] = any();
         /* Packets get lost, come twice, and are numbered anew. */

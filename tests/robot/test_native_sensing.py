@@ -15,7 +15,9 @@ from surefoot.native import compiler
 from surefoot.robot import RobotSensors
 from surefoot.robot.sensing import sensors
 from surefoot.sensors import Fault, LoadCells, Wire
-from surefoot.sensors.native import NATIVE
+from surefoot.sensors.native import NATIVE, installed
+from surefoot.sensors.randomness import Stream
+from surefoot.sensors.telemetry.native import NativeTelemetryState
 from surefoot.wrappers import FootSensors
 
 CLOSE, STEPS = 1e-9, 25
@@ -123,3 +125,30 @@ def test_a_step_of_other_substeps_than_telemetry_has_room_for_is_read_by_python(
     assert robot._sensing is None
     joints = other.joint_position[-1]
     np.testing.assert_allclose(robot.packets[-1].values[: len(joints)], joints, atol=0.05)
+
+
+def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copied and pickled on the way, as vector environments and checkpoints do."""
+    rng = np.random.default_rng(7)
+    rows = rng.normal(size=(10, 24)), rng.normal(size=(10, 6))
+    seen = []
+    for found in (None, installed()):
+        monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
+        env = FootSensors(gym.make("surefoot/NaoStand-v0"))
+        observation, _ = env.reset(seed=4)
+        states = [observation["state"]]
+        for _ in range(30):
+            observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
+            states.append(observation["state"])
+        kind = type(env.robot._telemetry_state)
+        assert (env.robot._sensing is not None) == (found is not None)
+        seen.append(np.array(states))
+        seen.append([packet.values for packet in copy.deepcopy(env).packets])
+        for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
+            telemetry, state, rng = twin((env.telemetry, env.robot._telemetry_state, Stream.of(5)))
+            assert type(state) is kind
+            packets, _ = telemetry.advance(*rows, 31 / 80, state, rng)
+            seen.append([packet.values for packet in packets])
+    assert kind is NativeTelemetryState
+    for one, two in zip(seen[:4], seen[4:], strict=True):
+        np.testing.assert_allclose(two, one, rtol=1e-6 if one is seen[0] else CLOSE, atol=1e-12)

@@ -259,7 +259,8 @@ def test_a_converter_that_averages_four_settles_in_four_and_is_late_by_one_and_a
     for load in ramp:
         counts, state = cells.apply(load[None], state, rng, DT)
     late = ramp[-1] - (config.nominal_scale * counts + config.nominal_offset)
-    # The last conversion lies due - period before now, and its mean 1.5 periods before that.
+    # The last conversion ended due - period before now: the mean of the two steps that it is part of, and 1.5
+    # periods of DT before that one.
     np.testing.assert_allclose(late, (DT - due) % DT + 1.5 * DT, atol=3e-5)
     step = np.repeat([0.0, 8.0], 10)[:, None] * np.ones(8)
     steady = replace(config, rate=None)
@@ -276,10 +277,11 @@ def test_the_mean_is_over_conversions_however_the_host_steps(blocks):
     phase, time = state.due, 0.0
     for k in range(round(0.5 / dt)):
         time = dt * (k + 1)
-        block = (time - dt + dt * np.arange(1, 11) / 10)[:, None] * np.ones(200)
+        block = (time - dt + dt * (np.arange(10) + 0.5) / 10)[:, None] * np.ones(200)
         mean, state = stage.apply(block, state, rng, dt)
     last = phase + np.floor((time - phase) * rate + 1e-9) / rate
-    np.testing.assert_allclose(mean, last - 0.5 * (settling - 1) / rate, atol=1e-9)
+    # The steps of the ramp are not the conversions' own.
+    np.testing.assert_allclose(mean, last - 0.5 * settling / rate, atol=rate * (dt / 10) ** 2)
 
 
 def test_noise_is_that_of_one_conversion_with_and_without_a_filter():
@@ -304,8 +306,8 @@ def test_the_whole_device_has_every_link():
     assert all(getattr(BAR_CELLS_ON_HX711.wire, name) for name in Wire.__dataclass_fields__)
     spring_fields = set(Mechanics.__dataclass_fields__) - {"mounting_common_std"}
     assert all(getattr(BAR_CELLS_ON_HX711.mechanics, name) for name in spring_fields)
-    # Half of a conversion, three halves of the filter's, and the network.
-    assert BAR_CELLS_ON_HX711.nominal_age == pytest.approx(2.0 / 86.0 + 0.02)
+    # Half of a conversion that is waited for, half of the four that are averaged, and the network.
+    assert BAR_CELLS_ON_HX711.nominal_age == pytest.approx(2.5 / 86.0 + 0.02)
 
 
 # Cells for robots of other weights

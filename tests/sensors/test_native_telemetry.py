@@ -1,11 +1,8 @@
 """Telemetry in C against the Python that specifies it: the same packets and states, step by step."""
 
-import copy
-import pickle
 import subprocess
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
@@ -16,7 +13,6 @@ from surefoot.sensors.native import NATIVE
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Hardware, Telemetry
 from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState, telemetry_of
-from surefoot.wrappers import FootSensors
 
 STEPS, EXCHANGE, BLOWN_UP, CLOSE = 2000, 1234, 1000, 1e-9
 
@@ -189,31 +185,6 @@ def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
     packets, _ = python.advance(position[:5], inertial[:5], 1 / 80, expected, rngs[0])
     others, _ = native.advance(position[:5], inertial[:5], 1 / 80, found, rngs[1])
     same_packets(packets, others)
-
-
-def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
-    """Copied and pickled on the way, as vector environments and checkpoints do."""
-    seen = []
-    for found in (None, library):
-        monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
-        env = FootSensors(gym.make("surefoot/NaoStand-v0"))
-        observation, _ = env.reset(seed=4)
-        states = [observation["state"]]
-        for _ in range(30):
-            observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
-            states.append(observation["state"])
-        kind = type(env.robot._telemetry_state)
-        assert (env.robot._sensing is not None) == (found is not None)
-        seen.append(np.array(states))
-        seen.append([packet.values for packet in copy.deepcopy(env).packets])
-        for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
-            telemetry, state, rng = twin((env.telemetry, env.robot._telemetry_state, Stream.of(5)))
-            assert type(state) is kind
-            packets, _ = telemetry.advance(*Motion(24, 1 / 80, 10).step(0), 31 / 80, state, rng)
-            seen.append([packet.values for packet in packets])
-    assert kind is NativeTelemetryState
-    for one, two in zip(seen[:4], seen[4:], strict=True):
-        np.testing.assert_allclose(two, one, rtol=1e-6 if one is seen[0] else CLOSE, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["usual", "a packet each substep", "jitter that holds packets up"])

@@ -34,6 +34,9 @@ from surefoot.wrappers import (
 )
 
 ANKLES = "icub-ftsens"
+NEEDS_1_4 = pytest.mark.skipif(
+    not hasattr(wrappers, "RepeatAction"), reason="Gymnasium has it, or has it right, from 1.4 on"
+)
 STEPS = 25
 
 
@@ -184,6 +187,13 @@ def test_sensors_leave_the_episode_to_the_environment() -> None:
     check_environments_match(balance(), FootSensors(balance()), STEPS, skip_obs=True)
 
 
+def named(wraps: dict[str, Any], *new: str) -> list[Any]:
+    """Return parameters of a test; those that are new need Gymnasium 1.4."""
+    return [
+        pytest.param(wrap, id=name, marks=[NEEDS_1_4] if name in new else []) for name, wrap in wraps.items()
+    ]
+
+
 def _flat(wrap: Any) -> Any:
     return lambda env: wrap(wrappers.FlattenObservation(env))
 
@@ -222,7 +232,7 @@ THEIRS = pytest.mark.filterwarnings(
 
 
 @THEIRS
-@pytest.mark.parametrize("wrap", AROUND.values(), ids=AROUND)
+@pytest.mark.parametrize("wrap", named(AROUND, "DiscretizeAction", "RepeatAction"))
 def test_gymnasiums_wrappers_go_around(wrap: Any) -> None:
     env = wrap(calibrated(balance(render_mode="rgb_array", width=32, height=32)))
     env.action_space.seed(0)
@@ -235,6 +245,7 @@ def test_gymnasiums_wrappers_go_around(wrap: Any) -> None:
 
 
 def test_tensors_go_in_and_come_out() -> None:
+    pytest.importorskip("array_api_compat", reason="needs gymnasium[torch]")
     env = wrappers.NumpyToTorch(calibrated(humanoid(), ANKLES))
     env.reset(seed=0)
     observation, *_, info = env.step(torch.zeros(17))
@@ -250,6 +261,7 @@ def many(around: Any = None) -> Any:
 
 
 def test_infos_of_many_become_a_list_and_tensors() -> None:
+    pytest.importorskip("array_api_compat", reason="needs gymnasium[torch]")
     plain, listed, tensors = many(), many(wrappers.vector.DictInfoToList), many(wrappers.vector.NumpyToTorch)
     for envs in (plain, listed, tensors):
         envs.reset(seed=0)
@@ -286,7 +298,7 @@ VECTOR: dict[str, Any] = {
 
 
 @THEIRS
-@pytest.mark.parametrize("wrap", VECTOR.values(), ids=VECTOR)
+@pytest.mark.parametrize("wrap", named(VECTOR, "NormalizeObservation"))
 def test_gymnasiums_wrappers_go_around_many(wrap: Any) -> None:
     envs = many(wrap)
     envs.action_space.seed(0)
@@ -331,7 +343,11 @@ def test_below_sensors_a_state_is_changed_only_where_nothing_is_taken_out_of_it(
                 owner(wrap(balance()))
 
 
-@pytest.mark.parametrize("wrap", [lambda env: wrappers.RepeatAction(env, 2), wrappers.Autoreset])
+@pytest.mark.parametrize(
+    "wrap",
+    [pytest.param(AROUND["RepeatAction"], marks=NEEDS_1_4), wrappers.Autoreset],
+    ids=["repeats", "resets"],
+)
 def test_what_repeats_or_resets_goes_around_all(wrap: Any) -> None:
     def play(env: Any) -> None:
         env.reset(seed=0)

@@ -70,6 +70,11 @@ class BatchCalibration:
         """Return what one robot observed before its last episode started, as arrays of its own."""
         return {name: part[robot].copy() for name, part in self.ended.items()}
 
+    @property
+    def frozen(self) -> bool:
+        """Whether nothing is learnt for now."""
+        return all(robot.frozen for robot in self.robots)
+
     def freeze(self, frozen: bool = True) -> None:
         """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
         for robot in self.robots:
@@ -113,6 +118,33 @@ class BatchCalibration:
             shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)
             self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)
         self.told["lag"] = np.full(count, self.robots[0].late)
+
+
+class CalibrationFace:
+    """What wrappers of :class:`BatchCalibration` hand on.
+
+    Attributes:
+        calibration: The calibration of all robots.
+    """
+
+    calibration: BatchCalibration
+
+    @property
+    def frozen(self) -> bool:
+        """Whether nothing is learnt for now."""
+        return self.calibration.frozen
+
+    def freeze(self, frozen: bool = True) -> None:
+        """Learn nothing from now on, or learn again, as :meth:`BatchCalibration.freeze` does."""
+        self.calibration.freeze(frozen)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what was learnt, as :meth:`BatchCalibration.save` does."""
+        self.calibration.save(path)
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with what a file has learnt, as :meth:`BatchCalibration.load` does."""
+        self.calibration.load(path)
 
 
 def _put(rows: Sequence[Any], which: list[int], old: Any) -> Any:

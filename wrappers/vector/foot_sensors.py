@@ -1,28 +1,24 @@
 """Sensors between the truth of many robots and who observes them."""
 
 from collections.abc import Mapping
-from os import PathLike
 from typing import Any, Unpack
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters
 from surefoot.envs.batch import BatchVectorEnv
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
-from surefoot.robot.sensing.sensors import load_hardware, save_hardware
 from surefoot.wrappers.source import split_options
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
-from surefoot.wrappers.vector.truth import batch_truth
-from surefoot.wrappers.vector.truth_row import VectorTruthRow
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
+from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
 Infos = dict[str, Any]
 
 
-class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorFootSensors(SensorsFace, AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around
@@ -31,7 +27,8 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     takes the place of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: each
     robot is read as :class:`~surefoot.wrappers.FootSensors` reads it alone.
 
-    ``infos["surefoot"]["truth"]`` holds (N, ...) arrays (:func:`surefoot.wrappers.vector.truth.batch_truth`).
+    ``infos["surefoot"]["truth"]`` holds (N, ...) arrays
+    (:func:`surefoot.envs.instrumentation.truth.mean_truth`).
 
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
     hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
@@ -114,19 +111,6 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         self._done = done
         return self.sensors.show(observations), rewards, terminations, truncations, self._with_truth(infos)
 
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
-        return self.sensors.true_parameters()
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write what all robots' hardware keeps, as :meth:`FootSensors.save` does of one."""
-        save_hardware(path, self.sensors.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots."""
-        load_hardware(path, self.sensors.robots)
-
     def _with_truth(self, infos: Infos) -> Infos:
         known = infos.get("surefoot", {})
-        truth = batch_truth(self.sensors.truth, self.sensors.drawing)
-        return {**infos, "surefoot": {**known, "truth": truth}}
+        return {**infos, "surefoot": {**known, "truth": self.sensors.truth}}

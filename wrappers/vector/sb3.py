@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
-from surefoot.wrappers.vector.calibration import BatchCalibration
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
-from surefoot.wrappers.vector.truth import batch_truth
+from surefoot.wrappers.source import OPTIONS, split_options
+from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -25,7 +25,7 @@ except ModuleNotFoundError as missing:
     raise not_installed("surefoot.wrappers.vector.sb3", missing, "rl") from None
 
 
-class VecFootSensors(VecEnvWrapper):
+class VecFootSensors(SensorsFace, VecEnvWrapper):
     """Read the robots of an SB3 ``VecEnv`` as :class:`VectorFootSensors` reads those of Gymnasium's.
 
     Each copy needs a :class:`~surefoot.wrappers.vector.truth_row.TruthRow` around it.
@@ -38,7 +38,7 @@ class VecFootSensors(VecEnvWrapper):
 
     Attributes:
         sensors: The sensors of all robots.
-        seeds: What the robots were seeded with at the last reset; ``None`` without a seed.
+        seeds: What each robot was seeded with at the last reset; ``None`` without a seed.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -63,26 +63,39 @@ class VecFootSensors(VecEnvWrapper):
             **options,
         )
         super().__init__(venv, observation_space=self.sensors.view.space)
-        self.seeds: Sequence[int | None] | None = None
-        self._next_seeds: Sequence[int | None] | None = None
+        self.seeds: Sequence[int | None] = [None] * venv.num_envs
+        self._asked: Mapping[str, str] = {}
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the environments and the sensors at the next reset."""
-        self._next_seeds = self.venv.seed(seed)
-        return self._next_seeds
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Set the options of the next reset.
+
+        Args:
+            options: Of all robots, or of each. ``options["surefoot"]`` is as of
+                :meth:`VectorFootSensors.reset` and the same for all; the rest is handed to the environments.
+
+        Raises:
+            ValueError: If a choice does not exist, or robots are to differ in it.
+        """
+        each = options if isinstance(options, list) else [options] * self.num_envs
+        rest, asked = zip(*(split_options(own, "sensors", "calibration") for own in each), strict=True)
+        if any(own != asked[0] for own in asked):
+            raise ValueError(f"options['{OPTIONS}'] must be the same for all robots, got {list(asked)}.")
+        self._asked = asked[0]
+        self.venv.set_options([own or {} for own in rest])
 
     def reset(self) -> dict[str, Any]:
         """Reset all robots."""
+        # Kept where robots are gathered until a reset: they may have been seeded before they had sensors.
+        self.seeds, asked, self._asked = list(self.venv.unwrapped._seeds), self._asked, {}
         observations: Any = self.venv.reset()
-        self.seeds, self._next_seeds = self._next_seeds, None
-        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, {})
+        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, asked)
         return self.sensors.show(observations)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Finish a step and read the sensors."""
         given: Any
         given, rewards, dones, infos = self.venv.step_wait()
-        rows = given[TRUTH_KEY]
+        rows, infos = given[TRUTH_KEY], list(infos)  # SubprocVecEnv hands a tuple over
         finals = {robot: infos[robot]["terminal_observation"] for robot in np.flatnonzero(dones).tolist()}
         fell = dones & ~np.array([info.get("TimeLimit.truncated", False) for info in infos])
         self.sensors.step(merge_rows(rows, finals), fell=fell)
@@ -95,10 +108,10 @@ class VecFootSensors(VecEnvWrapper):
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """What really happened at the end of the last step, to score against."""
-        return batch_truth(self.sensors.truth, self.sensors.drawing)
+        return self.sensors.truth
 
 
-class VecSelfCalibration(VecEnvWrapper):
+class VecSelfCalibration(CalibrationFace, VecEnvWrapper):
     """Calibrate the readings of :class:`VecFootSensors` while the robots move, and observe the result.
 
     Args:
@@ -113,6 +126,8 @@ class VecSelfCalibration(VecEnvWrapper):
         TypeError: If it is not right around :class:`VecFootSensors`.
         ValueError: If the method or an option does not exist, or a value has no meaning.
     """
+
+    venv: VecFootSensors
 
     def __init__(self, venv: VecEnv, method: str = "moment", **options: Any) -> None:
         if not isinstance(venv, VecFootSensors):

@@ -1,6 +1,5 @@
 """Self-calibration of many robots while they walk, each with what it knows of itself."""
 
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.wrappers.source import find_sensors
-from surefoot.wrappers.vector.calibration import BatchCalibration
+from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
 from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
+from surefoot.wrappers.vector.truth_row import AnyVectorWrapper
 
 
-class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
     The observation loses ``"foot_raw"`` and gains what ``show`` names, ``infos["surefoot"]`` gains
@@ -81,18 +81,6 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
                 finals[robot] = calibration.around(finals[robot], calibration.last_of(robot))
             infos = {**infos, "final_obs": finals}
         return self._shown(observations), rewards, terminations, truncations, self._with_calibration(infos)
-
-    def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again: readings are corrected by what was learnt so far."""
-        self.calibration.freeze(frozen)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write what all robots have learnt, as :meth:`SelfCalibration.save` does of one."""
-        self.calibration.save(path)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with what a file of :meth:`save` has learnt, of as many robots."""
-        self.calibration.load(path)
 
     def _shown(self, observations: dict[str, Any]) -> dict[str, Any]:
         return self.calibration.around(observations, self.calibration.shown)

@@ -1,6 +1,7 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
 import numpy as np
@@ -9,12 +10,14 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.envs.instrumentation.truth import mean_truth
+from surefoot.envs.numbers import MANY
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
-from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
 from surefoot.sensors import Encoders, Fault, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
-from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, read_rows
+from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,9 +33,9 @@ class SensorOptions(TypedDict, total=False):
     """Keyword arguments of :class:`~surefoot.wrappers.FootSensors` that wrappers of many robots have."""
 
     ankles: str | Mapping[str, Any] | FootDevice | None
-    imu: str | Mapping[str, Any] | Imu
-    encoders: str | Mapping[str, Any] | Encoders
-    link: str | Mapping[str, Any] | Link
+    imu: str | Mapping[str, Any] | Imu | None
+    encoders: str | Mapping[str, Any] | Encoders | None
+    link: str | Mapping[str, Any] | Link | None
     severity: float
     faults: Sequence[str | Fault | Mapping[str, Any]]
     fresh: bool
@@ -98,7 +101,10 @@ class BatchSensors:
     ) -> None:
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
-        self.equipment = Equipment(owner, self.drawing, joints, self._meaning.dt, config, **options)
+        meaning = self._meaning
+        self.equipment = Equipment(
+            owner, self.drawing, joints, meaning.dt, config, **options, seldom=meaning.seldom
+        )
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
@@ -183,27 +189,68 @@ class BatchSensors:
         return self.view.show(observation, own.held, own.newest)
 
     @property
-    def truth(self) -> Any:
-        """What really happened at the end of the step."""
-        columns = self._meaning.columns
-        last = self._rows[:, (self._meaning.rows - 1) * columns : self._meaning.rows * columns]
-        return read_rows(last, self._key)
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.truth.mean_truth`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
 
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
         maps = [robot.true_parameters() for robot in self.robots]
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what all robots' hardware keeps, as :meth:`FootSensors.save` does of one.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+        """
+        save_hardware(path, self.robots)
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+            ValueError: If the file is of other or of more robots, or of other sensors.
+        """
+        load_hardware(path, self.robots)
+
     def _look(self, rows: Floats) -> list[Any]:
         """Keep what each robot plans, and return what happened to it."""
-        self._rows, meaning, feet = rows, self._meaning, self._meaning.feet
+        self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
             self.planned = [None] * len(rows)
         else:
             self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
-        shape = (len(rows), meaning.rows, meaning.columns)
-        return [read_rows(own, self._key) for own in rows[:, : -2 * feet].reshape(shape)]
+        return [read_rows(own, self._key) for own in self._substeps(rows)]
+
+    def _substeps(self, rows: Floats) -> Floats:
+        """Return what the simulator read in each substep, shape (N, S, columns)."""
+        meaning = self._meaning
+        return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
+
+
+class SensorsFace:
+    """What wrappers of :class:`BatchSensors` hand on.
+
+    Attributes:
+        sensors: The sensors of all robots.
+    """
+
+    sensors: BatchSensors
+
+    def true_parameters(self) -> Parameters:
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        return self.sensors.true_parameters()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""
+        self.sensors.save(path)
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the hardware of a file, as :meth:`BatchSensors.load` does."""
+        self.sensors.load(path)
 
 
 def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:

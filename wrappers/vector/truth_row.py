@@ -8,7 +8,7 @@ sees it.
 The row is what the simulator's sensors read at each substep; what it means is worked out where it is read.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -17,11 +17,17 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from surefoot.envs import FeetTruth, InstrumentedEnv, Truth
+from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
+from surefoot.envs.instrumentation.truth import FootPlaces, foot_places
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
+
+if TYPE_CHECKING:
+    AnyVectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
+else:  # before Gymnasium 1.4 the class takes no types
+    AnyVectorWrapper = VectorWrapper
 
 NO_PLAN = -1.0
 """What the row holds for feet planned to stand and to swing, 0 or 1, where nobody plans."""
@@ -37,6 +43,7 @@ class RowMeaning(NamedTuple):
         feet: Number of feet F.
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
+        seldom: Whether only one of several substeps of a control step is read.
         state: Where (name, start, stop) of what telemetry has (``MEASURED``) lie in
             ``observation["state"]``, or nothing.
     """
@@ -46,6 +53,7 @@ class RowMeaning(NamedTuple):
     feet: int
     joints: tuple[str, ...]
     dt: float
+    seldom: bool
     state: tuple[tuple[str, int, int], ...]
 
     @property
@@ -122,7 +130,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         observation, reward, terminated, truncated, info = self.env.step(action)
         before, self._clock = self._clock, float(self._source.truth.time[-1])
         if before is not None:
-            check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt)
+            check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt, self._source)
         return self.show(observation, self._source), reward, terminated, truncated, self._info(info)
 
     def begin(self, source: Any) -> None:
@@ -147,7 +155,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         return info if self._keep_info else _without_truth(info)
 
 
-class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorTruthRow(AnyVectorWrapper):
     """Put the rows of truth of a :class:`~surefoot.envs.batch.BatchVectorEnv` beside its observations.
 
     They are those of :class:`TruthRow` around each robot. ``VectorFootSensors`` puts this wrapper around such
@@ -160,7 +168,7 @@ class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
         batch: Any = env.unwrapped
-        self._robots = batch.robots
+        self._batch, self._robots = batch, batch.robots
         self._row = TruthRow(batch.envs[0])
         self.single_observation_space = self._row.observation_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -178,7 +186,13 @@ class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step all robots."""
         observations, *paid, infos = self.env.step(actions)
-        return self._row.show(observations, self._robots), *paid, _without_truth(infos)
+        infos = _without_truth(infos)
+        if self._batch.ended:
+            finals = infos["final_obs"].copy()
+            for robot, ended in self._batch.ended.items():
+                finals[robot] = self._row.show(finals[robot], ended)
+            infos |= {"final_obs": finals, "final_info": _without_truth(infos["final_info"])}
+        return self._row.show(observations, self._robots), *paid, infos
 
 
 def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:
@@ -195,15 +209,24 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
     return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
 
 
+def places_of(key: Any) -> FootPlaces:
+    """Return where the feet's columns are in a row.
+
+    Args:
+        key: :attr:`TruthRow.row_key`.
+    """
+    places: FootPlaces = foot_places(key) if hasattr(key, "feet") else key.places.feet
+    return places
+
+
 def _meaning(source: Any) -> RowMeaning:
     feet, joints = len(source.drawing.feet), tuple(source.joint_names)
     if hasattr(source, "channels"):
         columns = source.channels.size
     else:
         columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
-    # What is instrumented from outside is read once a step.
-    outside = isinstance(source, InstrumentedEnv)
-    rows = 1 if outside else round(source.dt / source.model.opt.timestep)
+    seldom = getattr(source, "seldom", False)
+    rows = 1 if seldom else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
-    return RowMeaning(rows, int(columns), feet, joints, float(source.dt), state)
+    return RowMeaning(rows, int(columns), feet, joints, float(source.dt), seldom, state)
