@@ -3,8 +3,9 @@
     python benchmarks/momentum.py --out FOLDER --scenes nao/walk g1/walk g1/held-20 --seeds 4
 
 Elsewhere the total is scored; policies are shown single feet. Each scene is recorded once and played by every
-method: the error of each foot's centre of pressure where it bears more than 5 % of the weight, of the common
-one, of single cells, and how errors agree with the covariance claimed (1 is right).
+method. Its map and the true one are held against each other on the same readings: the error of each foot's
+centre of pressure where it bears more than 5 % of the weight, of the common one, of single cells, and how
+errors agree with the covariance claimed (1 is right).
 
 A robot of its owner's, Unitree's G1 by a published policy, comes from the folder that the variable
 ``SUREFOOT_STRANGERS`` names (``g1_policy.py`` beside it); without it, its scenes are left out. Cells are
@@ -173,7 +174,7 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     scene = SCENES[name]
     base, act = make(scene)
     feet = ("left_ankle_roll_link", "right_ankle_roll_link") if name.startswith("g1") else None
-    usual = usual_cells(FootSensors(base, feet=feet).source.drawing)
+    usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
     env = SelfCalibration(sensors, "momentum")
@@ -189,7 +190,7 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
         rows.append(
             (
                 core.raw.copy(), robot.beliefs.beliefs.believed, robot.reference,
-                sensors.instruments.force(truth), core.true_parameters(), truth.position_sole[-1].copy(),
+                sensors.instruments.parts[0].force(truth), core.true_parameters(), truth.position_sole[-1].copy(),
                 truth.R_world_sole[-1].copy(),
             )
         )  # fmt: skip
@@ -254,12 +255,16 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
     for k, estimate in enumerate(play(one, method, **options)):
         if k < first:
             continue
-        truth = sole_wrenches(one.force[k], one.layout)
-        guess = sole_wrenches(estimate.force, one.layout)
+        # Both maps on the same readings: how old these are is no error of a calibration.
+        true_force = Parameters(*(part[k] for part in one.true)).force(one.raw[k])
+        force = Parameters(estimate.scale, estimate.offset).force(one.raw[k])
+        if not np.isfinite(true_force).all():
+            continue
+        truth, guess = sole_wrenches(true_force, one.layout), sole_wrenches(force, one.layout)
         cop = cop_of_feet(truth, one.sole[k], one.R[k])
         off = cop_of_feet(guess, one.sole[k], one.R[k]) - cop
         kept["total"].append(float(np.sum(off**2)))
-        error = estimate.force - one.force[k]
+        error = force - true_force
         kept["cell"].append(float(np.mean((error / weight) ** 2)))
         kept["vgrf"].append(float(((guess - truth)[:, 2].sum() / weight) ** 2))
         kept["held"].append(float(bool((estimate.flags & int(Flag.HELD)).any())))
@@ -275,7 +280,7 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
             a, b = Parameters(estimate.scale, estimate.offset).relative_to(one.initial)
             a_true, b_true = Parameters(*(part[k] for part in one.true)).relative_to(one.initial)
             error = np.r_[a - a_true, b - b_true]
-            kept["nees"].append(float(error @ np.linalg.pinv(estimate.covariance) @ error) / len(error))
+            kept["nees"].append(float(error @ np.linalg.pinv(estimate.covariance) @ error) / error.size)
         if estimate.nis is not None and np.isfinite(estimate.nis) and estimate.nis_rows > 0:
             kept["nis"].append(float(estimate.nis / estimate.nis_rows))
     return {
@@ -289,7 +294,7 @@ COLUMNS = {
     "held": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
-percent of the weight. Means (0): NEES a parameter and of a foot's CoP, NIS a row, and the share of time held."""
+percent of the weight. Means (0): NEES a parameter and of a foot's CoP, NIS a row, share of time held."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:
@@ -297,7 +302,8 @@ def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, loa
     F0 = one.initial.force(one.raw[k])
     wrench = one.layout.wrench_map[foot]
     at = np.array([-wrench[4], wrench[3]])
-    row = (at - (at @ estimate.force)[:, None] / load * wrench[2]) / load
+    force = Parameters(estimate.scale, estimate.offset).force(one.raw[k])
+    row = (at - (at @ force)[:, None] / load * wrench[2]) / load
     J = np.hstack([row * F0, row])
     return float(apart @ np.linalg.pinv(J @ estimate.covariance @ J.T) @ apart) / 2.0
 

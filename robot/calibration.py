@@ -82,7 +82,6 @@ class CalibrationSetup:
         start: The map to start from.
         layout: The feet and their channels.
         errors: How wrong the robots are about themselves.
-        half: Half of the time in s that a reading is the mean over.
         corners: Points of the soles that may touch, of a method that learns from momentum; or ``None``.
 
     Raises:
@@ -116,7 +115,6 @@ class CalibrationSetup:
                 f"{owner.replace('SelfCalibration', 'FootSensors')} alone."
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
-        self.half = instruments.half
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
         usual = {
             "age": instruments.ages.tolist(),
@@ -221,9 +219,7 @@ class RobotCalibration:
                 joined=joined_packets(telemetry),
             )
             corners = setup.corners
-            self.beliefs = (
-                native_beliefs(beliefs) if corners is None else MomentumBeliefs(beliefs, corners, setup.half)
-            )
+            self.beliefs = native_beliefs(beliefs) if corners is None else MomentumBeliefs(beliefs, corners)
         self._view.begin_episode()
         return fresh
 

@@ -66,8 +66,8 @@ class MomentumConfig:
     """How late the robot's clock is thought to be against its feet's, in s: a packet's jitter."""
 
     velocity_noise: float = 0.01
-    """Standard deviation of a block's mean level velocity in m/s, from block to block: what velocity increments
-    show that stance legs pull within a second. Rolling soles make it 1 to 2 cm/s; more is learnt."""
+    """Standard deviation of a block's mean level velocity in m/s, from block to block: that of velocity
+    increments which stance legs pull within a second. Rolling soles make it 1 to 2 cm/s; more is learnt."""
 
     vertical_noise: float = 0.003
     """The same of the vertical velocity, which soles on level ground show better."""

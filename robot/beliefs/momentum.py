@@ -118,15 +118,14 @@ class MomentumBeliefs:
     Args:
         beliefs: Those that hold accelerations.
         corners: Points of each sole that may touch, in the sole frames in m, shape (2, n, 3).
-        ahead: How much later the interval of a reading ends than the moment that it stands for, in s.
 
     Attributes:
         beliefs: Those that hold accelerations.
         believed: What the last :meth:`sample` found.
     """
 
-    def __init__(self, beliefs: Beliefs, corners: Floats, ahead: float = 0.0) -> None:
-        self.beliefs, self._corners, self._ahead = beliefs, corners, ahead
+    def __init__(self, beliefs: Beliefs, corners: Floats) -> None:
+        self.beliefs, self._corners = beliefs, corners
         self._ring = np.zeros((HISTORY, ROWS, 3))
         self._strapdown = Strapdown(beliefs._period, beliefs.model.gravity)
         self._last: Packet | None = None
@@ -135,7 +134,7 @@ class MomentumBeliefs:
 
     def begun(self) -> "MomentumBeliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return MomentumBeliefs(self.beliefs.begun(), self._corners, self._ahead)
+        return MomentumBeliefs(self.beliefs.begun(), self._corners)
 
     @property
     def model(self) -> NominalModel:
@@ -198,7 +197,8 @@ class MomentumBeliefs:
         fell = self.beliefs.sample(time, command, hold)
         found, self.believed = self.beliefs.believed, unknown()
         if self.beliefs.known and self._run > 1:
-            rows = self._at(time + self._ahead)
+            # A reading stands for the middle of its interval, a momentum for the end.
+            rows = self._at(time + 0.5 * self.beliefs._dt)
             self.believed = MomentumReference(
                 com=rows[COM],
                 com_velocity=rows[VELOCITY],

@@ -82,7 +82,6 @@ class CellsUnderFeet:
         self.config = config
         self.nominal = Parameters(config.nominal_scale, config.nominal_offset)
         self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
-        self.half = 0.0 if config.rate is None else config.settling / sum(config.rate)
         low, high = (np.full(self.channels, end) for end in config.code_range)
         self.code_range = low, high
         self.feet = tuple(
@@ -154,8 +153,7 @@ class SensorsInAnkles:
         self.channels = config.channels
         self.nominal = Parameters(config.nominal_scale, np.zeros(config.channels))
         self.slope, self.zero_code = config.slope, config.zero_code
-        self.half = 0.5 * dt if config.averaged else 0.0
-        self.age = config.nominal_age + self.half
+        self.age = config.nominal_age + (0.5 * dt if config.averaged else 0.0)
         self.code_range = config.code_range
         self.feet = tuple(
             FootLayout.force_torque(
@@ -231,7 +229,6 @@ class Instruments:
         code_range: Lowest and highest readings in counts, shape (K,) each.
         space: Box of the readings in counts, shape (K,).
         age: How old a reading is on average when it is taken, in s; the cells' where there are both.
-        half: Half of the time in s that a reading is the mean over; the cells' as well.
         ages: That of each channel, shape (K,).
 
     Raises:
@@ -274,7 +271,7 @@ class Instruments:
         self.code_range = low, high
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        self.age, self.half = self.parts[0].age, self.parts[0].half
+        self.age = self.parts[0].age
         self.ages = self.joined([np.full(part.channels, part.age) for part in self.parts])
 
     def first_steps(self, dt: float) -> list[float]:

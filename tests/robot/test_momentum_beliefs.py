@@ -61,7 +61,7 @@ def test_it_calibrates_a_robot_that_walks():
     for step in range(760):
         env.step(np.zeros(env.action_space.shape))
         if step > 520:
-            true = env.env.robot.equipment.instruments.force(env.unwrapped.truth)
+            true = env.unwrapped.truth.force_cell.mean(axis=0)
             start = env.robot.initial.force(env.env.robot.raw)
             off["momentum"].append(env.robot.estimate.force - true)
             off["start"].append(start - true)
