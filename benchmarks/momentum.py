@@ -114,7 +114,6 @@ class Stream(NamedTuple):
         raw: Readings, shape (N, K).
         accelerations: References, N first in each field.
         momenta: The same as momentum.
-        force: True forces, means over the steps in N, shape (N, K).
         true: The map that undoes the readings' errors, shape (N, K) each.
         sole: Soles in m in the world, shape (N, F, 3).
         R: Their rotations, shape (N, F, 3, 3).
@@ -130,7 +129,6 @@ class Stream(NamedTuple):
     raw: Floats
     accelerations: Reference
     momenta: MomentumReference
-    force: Floats
     true: Parameters
     sole: Floats
     R: Floats
@@ -187,20 +185,16 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
         data.xfrc_applied[torso, :3] = _outside(scene, k * dt, weight)
         _, _, fell, over, _ = env.step(act(k * dt))
         truth = source.truth
-        rows.append(
-            (
-                core.raw.copy(), robot.beliefs.beliefs.believed, robot.reference,
-                sensors.instruments.parts[0].force(truth), core.true_parameters(), truth.position_sole[-1].copy(),
-                truth.R_world_sole[-1].copy(),
-            )
-        )  # fmt: skip
+        believed = robot.beliefs.beliefs.believed, robot.reference
+        places = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
+        rows.append((core.raw.copy(), *believed, core.true_parameters(), *places))
         if fell or over:
             break
-    raw, accelerations, momenta, force, true, sole, R = zip(*rows, strict=True)
+    raw, accelerations, momenta, true, sole, R = zip(*rows, strict=True)
     return Stream(
         layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
         age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
-        momenta=_stacked(MomentumReference, momenta), force=np.stack(force), true=_stacked(Parameters, true),
+        momenta=_stacked(MomentumReference, momenta), true=_stacked(Parameters, true),
         sole=np.stack(sole), R=np.stack(R), fell=fell,
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ judge a controller.
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import method_entry, method_name
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import MomentumReference, Reference
-
-Beliefs = TypeVar("Beliefs", Reference, MomentumReference)
 
 PAPER_CUTOFF = 10.0
 """Cutoff of the CoP paper's zero-phase filter in Hz."""
@@ -130,7 +128,7 @@ def _in_float64(values: Any) -> NDArray[Any]:
     return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else array
 
 
-def _row(reference: Beliefs, k: int) -> Beliefs:
+def _row(reference: Any, k: int) -> Any:
     """Return one sample of a log's beliefs."""
     return type(reference)(*(part[k] for part in reference))
 

@@ -129,17 +129,12 @@ class Tare:
             )
             means.append(mean)
             covariances.append(covariance)
-        published, shown = (
-            published.copy(),
-            [part.copy() for part in (state.reading, state.centre, state.time)],
-        )
+        published = published.copy()
         published[drift] = centre - reading
-        shown[0][channels], shown[1][channels], shown[2][foot] = reading, centre, time
-        return (
-            belief._replace(mean=np.stack(means), covariance=np.stack(covariances)),
-            published,
-            TareState(*shown, rate),
-        )
+        shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
+        shown[channels], centres[channels], times[foot] = reading, centre, time
+        belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
+        return belief, published, TareState(shown, centres, times, rate)
 
     def _follow(self, rate: float, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by what changed since the last tare.

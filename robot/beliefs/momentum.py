@@ -249,7 +249,15 @@ def touching(sites: Floats, axes: Floats, twist: Floats, corners: Floats, up: Fl
 def unknown() -> MomentumReference:
     """Return the reference of a robot that knows nothing: NaN, and no foot in stance or swing."""
     vectors, soles, unsure = np.full((3, 3), np.nan), np.full((2, 4, 3), np.nan), np.zeros((2, 2), bool)
-    return MomentumReference(*vectors, soles[:, 3], soles[:, :3], *unsure)
+    return MomentumReference(
+        com=vectors[0],
+        com_velocity=vectors[1],
+        angular_momentum=vectors[2],
+        position_sole=soles[:, 3],
+        R_level_sole=soles[:, :3],
+        stance=unsure[0],
+        swing=unsure[1],
+    )
 
 
 def _rotation(turn: Floats) -> Floats:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -345,7 +345,7 @@ def nothing(feet: int) -> Reference:
     )
 
 
-def reference_info(reference: Reference) -> dict[str, Any]:
+def reference_info(reference: Reference | MomentumReference) -> dict[str, Any]:
     """Return references (...) for ``info``, as arrays of their own without NaN, which is unlike itself.
 
     What nobody knows is 0 there, and ``"known"`` (...) says where something is known.
