@@ -75,10 +75,11 @@ class MomentumConfig:
     momentum_noise: float = 0.001
     """Standard deviation of a block's mean angular momentum by the mass, in m^2/s."""
 
-    ripple: float = 0.5
+    ripple: float = 2.0
     """By how much the mean force over a sample's interval may differ from the reading, in changes of the
-    force from one sample to the next: 0.5 of readings that are means over the interval, 4 of readings that
-    are instants of a controller's stairs."""
+    force from one sample to the next: 0.5 of readings that are means over the interval, 2 of chips that
+    average over several conversions on clocks of their own (seen on a G1 that walks), 4 of readings that are
+    instants of a controller's stairs."""
 
     tare_noise: float = 0.001
     """Standard deviation of a channel's mean reading over 0.2 s in the air, in body weights (times foot
