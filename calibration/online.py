@@ -166,7 +166,7 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     >>> online_method("windows", ...)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: Method 'windows' does not exist. Available: 'moment', 'window', ..., 'tare', 'none'.
+    ValueError: Method 'windows' does not exist. Available: 'moment', 'momentum', ..., 'tare', 'none'.
     """
     name = method_name(name)
     build, config, *_ = method_entry(name)

@@ -143,19 +143,19 @@ class MomentumFilter:
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0),
             published=published,
             covariance=self._map_covariance(published),
-            kept=Kept((belief, belief), (published, published), 0.0),
+            kept=Kept(belief, published, belief, published, 0.0),
             status=0,
         )
 
     def retract(self, state: MomentumState) -> MomentumState:
         """Take back what was learnt of late; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         kept = state.kept
-        belief, published = kept.belief[0], kept.publication[0]
+        belief, published = kept.belief, kept.published
         return self._break(state)._replace(
             belief=belief,
             published=published,
             covariance=self._map_covariance(published),
-            kept=Kept((belief, belief), (published, published), 0.0),
+            kept=Kept(belief, published, belief, published, 0.0),
         )
 
     def update(
@@ -302,7 +302,7 @@ class MomentumFilter:
         faults = self._faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept
         if kept.age + block.duration >= KEPT_TIME:
-            kept = Kept((kept.belief[1], state.belief), (kept.publication[1], state.published), 0.0)
+            kept = Kept(kept.next_belief, kept.next_published, state.belief, state.published, 0.0)
         else:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)

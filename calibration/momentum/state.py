@@ -127,16 +127,20 @@ class TareState(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What was known some seconds ago, to go back to; the older of two first.
+    """What was known some seconds ago, to go back to.
 
     Attributes:
-        belief: Of each.
-        publication: Of each.
-        age: Time in s since the newer was kept.
+        belief: What modes held, the last time but one.
+        published: What was handed out then.
+        next_belief: What they held the last time.
+        next_published: What was handed out then.
+        age: Time in s since the last time.
     """
 
-    belief: tuple[Belief, Belief]
-    publication: tuple[Publication, Publication]
+    belief: Belief
+    published: Publication
+    next_belief: Belief
+    next_published: Publication
     age: float
 
 

@@ -270,7 +270,9 @@ def test_wrong_shapes_are_refused_at_the_door(name):
 
 
 def test_an_unknown_method_lists_what_exists():
-    message = r"Method 'magic' does not exist\. Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare', 'none'"
+    message = (
+        r"Method 'magic' does not exist\. Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare'"
+    )
     with pytest.raises(ValueError, match=message):
         online_method("magic", SETUP)
 

@@ -195,7 +195,8 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--method", "kalman"],
-        "Method 'kalman' does not exist. Available: 'moment', 'window', 'quasi-static', 'tare', 'none'.",
+        "Method 'kalman' does not exist. "
+        "Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
         [*walk, path, "--start", "calibrated"],
