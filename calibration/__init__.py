@@ -25,7 +25,7 @@ from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.bound import posterior_bound
 from surefoot.calibration.online import METHODS, online_method, register_method
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.replay import replay
 from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -48,6 +48,7 @@ __all__ = [
     "InSituSet",
     "InSituTracker",
     "KnownLimb",
+    "MomentumReference",
     "MovingRobot",
     "OnlineMethod",
     "OnlineSetup",

@@ -58,6 +58,9 @@ class Flag(IntFlag):
     SATURATED = 16384
     """The reading stays at an end of its range: the channel is out while it does."""
 
+    HELD = 32768
+    """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
+
 
 ALL_FLAGS = int(~Flag(0))
 """Every flag at once."""
@@ -93,6 +96,9 @@ class Estimate(NamedTuple):
             (K, K); ``None`` where there is one scale a channel.
         cop_measured: Centre of pressure of the forces as they were read, in m, shape (2,), NaN where they
             have none; ``cop`` itself where readings have no age.
+        undetermined: Share of each scale's variance at the start that the data have left, from 0 to 1, shape
+            (K,): where it is 1, the scale is the starting map's; or ``None``.
+        contact_probability: Probability that a foot bears load, shape (2,), or ``None``.
     """
 
     force: Array
@@ -112,3 +118,5 @@ class Estimate(NamedTuple):
     nis_rows: Array | None = None
     matrix: Array | None = None
     cop_measured: Array | None = None
+    undetermined: Array | None = None
+    contact_probability: Array | None = None

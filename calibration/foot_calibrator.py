@@ -21,7 +21,7 @@ from surefoot.calibration.native import (
 )
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
@@ -119,13 +119,17 @@ class FootCalibrator:
         return self._pure.limits
 
     def update(
-        self, raw: ArrayLike, reference: Reference | ReferenceRecord, dt: float | None = None
+        self,
+        raw: ArrayLike,
+        reference: Reference | MomentumReference | ReferenceRecord,
+        dt: float | None = None,
     ) -> Estimate:
         """Take in one sample.
 
         Args:
             raw: Readings, shape (K,). NaN: no sample arrived.
-            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record.
+            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record; method
+                ``"momentum"`` takes a :class:`~surefoot.calibration.MomentumReference` as well.
             dt: Time since the last sample in s; the nominal one by default.
 
         Returns:
@@ -136,7 +140,11 @@ class FootCalibrator:
         """
         raw = np.asarray(raw, dtype=np.float64)
         dt = self.setup.dt if dt is None else dt
-        if self._native is not None and self._native.takes(raw, reference, dt):
+        if (
+            self._native is not None
+            and not isinstance(reference, MomentumReference)
+            and self._native.takes(raw, reference, dt)
+        ):
             native = self.native()
             if native is not None:
                 return self._native.update(native[1], raw, reference, dt)

@@ -16,6 +16,7 @@ estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 | name | learns | from |
 |---|---|---|
 | ``"moment"`` | scales, offsets, the reference's errors, faults | the robot's motion, feet in the air |
+| ``"momentum"`` | scales, offsets, what holds the robot | the robot's velocity, feet in the air |
 | ``"window"`` | scales and offsets | the robot's motion, standing and walking (CoP paper, Eqs. 12-14) |
 | ``"quasi-static"`` | scales and offsets | the centre of mass alone (Han's method) |
 | ``"tare"`` | offsets | feet in the air |
@@ -32,6 +33,8 @@ from typing import Any, NamedTuple
 from surefoot.calibration.baselines import TareConfig, tare, uncorrected
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.filter import momentum_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import quasi_static, window
@@ -56,15 +59,19 @@ class MethodEntry(NamedTuple):
         build: ``build(setup, config) -> OnlineMethod``; a method without options takes no config.
         config: The dataclass of its options, or ``None``.
         certain: Whether it reports a covariance.
+        momentum: Whether it would rather learn from a
+            :class:`~surefoot.calibration.reference.MomentumReference`.
     """
 
     build: Callable[..., OnlineMethod]
     config: type[Any] | None = None
     certain: bool = False
+    momentum: bool = False
 
 
 _METHODS = {
     "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True),
+    "momentum": MethodEntry(momentum_filter, MomentumConfig, certain=True, momentum=True),
     "window": MethodEntry(window, WindowConfig),
     "quasi-static": MethodEntry(quasi_static, WindowConfig),
     "tare": MethodEntry(tare, TareConfig),
@@ -159,10 +166,10 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     >>> online_method("windows", ...)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: Method 'windows' does not exist. Available: 'moment', 'window', ..., 'tare', 'none'.
+    ValueError: Method 'windows' does not exist. Available: 'moment', 'momentum', ..., 'tare', 'none'.
     """
     name = method_name(name)
-    build, config, _ = method_entry(name)
+    build, config, *_ = method_entry(name)
     known = [] if config is None else [field.name for field in fields(config)]
     unknown = [option for option in options if option not in known]
     if unknown:

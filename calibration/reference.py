@@ -38,3 +38,29 @@ class Reference(NamedTuple):
     swing: Array
     accelerometer: Array
     gyroscope: Array
+
+
+class MomentumReference(NamedTuple):
+    """One sample of a robot's beliefs as momentum, for method ``"momentum"``; a log has N first in all.
+
+    A robot measures velocities, not accelerations. All fields are of the *end* of the interval that the
+    reading covers, in one level frame that neither turns nor moves with the robot: a sole that stands stays
+    where it is. That frame may drift, as odometry does, by what the noise of the velocity allows.
+
+    Attributes:
+        com: Centre of mass in m, shape (3,).
+        com_velocity: Its velocity in m/s, shape (3,).
+        angular_momentum: Angular momentum about the centre of mass in kg m^2/s, shape (3,).
+        position_sole: Origins of the sole frames in m, shape (2, 3).
+        R_level_sole: Rotations from the sole frames to that frame, shape (2, 3, 3).
+        stance: As of :class:`Reference`, shape (2,).
+        swing: As of :class:`Reference`, shape (2,).
+    """
+
+    com: Array
+    com_velocity: Array
+    angular_momentum: Array
+    position_sole: Array
+    R_level_sole: Array
+    stance: Array
+    swing: Array

@@ -21,7 +21,7 @@ from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import method_entry, method_name
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 
 PAPER_CUTOFF = 10.0
 """Cutoff of the CoP paper's zero-phase filter in Hz."""
@@ -31,7 +31,7 @@ def replay(
     layout: FeetLayout,
     method: str,
     raw: NDArray[np.float64],
-    reference: Reference,
+    reference: Reference | MomentumReference,
     dt: float | NDArray[np.float64] = 1.0 / 80.0,
     *,
     mass: float,
@@ -72,8 +72,8 @@ def replay(
     if readings.ndim != 2 or len(readings) == 0:
         way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
         raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{way_out}")
-    log = Reference(*(_in_float64(part) for part in reference))
-    for field, part in zip(Reference._fields, log, strict=True):
+    log = type(reference)(*(_in_float64(part) for part in reference))
+    for field, part in zip(log._fields, log, strict=True):
         if part.shape[:1] != readings.shape[:1]:
             raise ValueError(
                 f"'reference.{field}' must have one row for each of the {len(readings)} rows of 'raw', "
@@ -95,8 +95,13 @@ def replay(
         if "cutoff" in getattr(method_entry(method).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
     calibrator = FootCalibrator(layout, method, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
-    learnt_from, learnt_with = readings, log
+    learnt_from: NDArray[np.float64] = readings
+    learnt_with: Reference | MomentumReference = log
     if cutoff is not None:
+        if not isinstance(log, Reference):
+            raise ValueError(
+                "'zero_phase' filters accelerations, which a MomentumReference has none of: give a Reference."
+            )
         front_end = FrontEnd(calibrator.setup)
         front = front_end.init(readings[0])
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
@@ -125,9 +130,9 @@ def _in_float64(values: Any) -> NDArray[Any]:
     return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else array
 
 
-def _row(reference: Reference, k: int) -> Reference:
+def _row(reference: Any, k: int) -> Any:
     """Return one sample of a log's beliefs."""
-    return Reference(*(part[k] for part in reference))
+    return type(reference)(*(part[k] for part in reference))
 
 
 def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:

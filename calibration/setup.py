@@ -15,7 +15,7 @@ from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.reference import GRAVITY
 
 OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 """Today's names of methods by the names that they had before."""
@@ -40,7 +40,7 @@ def method_name(name: str) -> str:
 
 class _Functions(NamedTuple):
     init: Callable[[Array], Any]
-    update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
+    update: Callable[[Any, Array, Any, float], tuple[Any, Estimate]]
     retract: Callable[[Any], Any]
 
 
@@ -49,7 +49,8 @@ class OnlineMethod(_Functions):
 
     Attributes:
         init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading whose values do not matter.
-        update: ``update(state, raw, reference, dt) -> (state, Estimate)``.
+        update: ``update(state, raw, reference, dt) -> (state, Estimate)``; the reference is a
+            :class:`~surefoot.calibration.reference.Reference`, or what else the method takes.
         retract: ``retract(state) -> state`` takes back what was learnt in the last seconds, as something
             happened to the robot that began before it was noticed, such as a fall. Methods that remember no
             earlier state leave theirs as it is.
@@ -62,7 +63,7 @@ class OnlineMethod(_Functions):
     def __new__(
         cls,
         init: Callable[[Array], Any],
-        update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]],
+        update: Callable[[Any, Array, Any, float], tuple[Any, Estimate]],
         retract: Callable[[Any], Any] = lambda state: state,
         limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({}),
     ) -> "OnlineMethod":

@@ -11,14 +11,17 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.native import ReferenceRecord
+from surefoot.calibration.online import method_entry
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
 from surefoot.robot.beliefs.lag import check_lag, joined_packets, usual_lag, waiting_samples
+from surefoot.robot.beliefs.momentum import MomentumBeliefs, sole_corners
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
@@ -80,6 +83,7 @@ class CalibrationSetup:
         layout: The feet and their channels.
         ages: How old readings of each channel are on average when they are taken, in s, shape (K,).
         errors: How wrong the robots are about themselves.
+        corners: Points of the soles that may touch, of a method that learns from momentum; or ``None``.
 
     Raises:
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
@@ -122,6 +126,7 @@ class CalibrationSetup:
         if equipment.seldom and self.method == "moment":
             usual |= ALIASED
         self.options = usual | layout_options(self.layout, drawing, self.method) | options
+        self.corners = sole_corners(drawing) if method_entry(self.method).momentum else None
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
@@ -172,7 +177,7 @@ class RobotCalibration:
         self._estimate: Estimate | None = None
         self.calibrator: FootCalibrator
         self.initial: Parameters
-        self.beliefs: Beliefs | NativeBeliefs
+        self.beliefs: Beliefs | MomentumBeliefs | NativeBeliefs
         self.reference_time = 0.0
         self.frozen = self.made = False
         self.late = self._waiting = 0
@@ -206,18 +211,18 @@ class RobotCalibration:
             self.beliefs = self.beliefs.begun()
         else:
             self._timing = telemetry, self.late
-            self.beliefs = native_beliefs(
-                Beliefs(
-                    self.model,
-                    telemetry.layout,
-                    telemetry.period,
-                    telemetry.link.delay,
-                    telemetry.averaged,
-                    lag=self.late,
-                    dt=telemetry.dt,
-                    joined=joined_packets(telemetry),
-                )
+            beliefs = Beliefs(
+                self.model,
+                telemetry.layout,
+                telemetry.period,
+                telemetry.link.delay,
+                telemetry.averaged,
+                lag=self.late,
+                dt=telemetry.dt,
+                joined=joined_packets(telemetry),
             )
+            corners = setup.corners
+            self.beliefs = native_beliefs(beliefs) if corners is None else MomentumBeliefs(beliefs, corners)
         self._view.begin_episode()
         return fresh
 
@@ -245,10 +250,10 @@ class RobotCalibration:
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
         hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.arrived()
-        if arrived is None or isinstance(beliefs, Beliefs):
-            beliefs.update(self._sensors.packets)
-        else:
+        if arrived is not None and isinstance(beliefs, NativeBeliefs):
             beliefs.update_rows(*arrived)
+        else:
+            beliefs.update(self._sensors.packets)
         fell = beliefs.sample(self.reference_time, command, hold)
         self._chances.add(self.beliefs.known, self.beliefs.standing)
         return fell
@@ -286,10 +291,10 @@ class RobotCalibration:
         return self._estimate
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> Reference | MomentumReference:
         """The last reference."""
         believed = self.beliefs.believed
-        return believed if isinstance(believed, Reference) else believed.reference()
+        return believed.reference() if isinstance(believed, ReferenceRecord) else believed
 
     def learnt(self) -> Learnt:
         """Return what the robot takes with it.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.checks import check_shape
 from surefoot.calibration.cop import level_rows
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 LARGEST_REFERENCE = 1e6
@@ -66,6 +66,8 @@ class Motions:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
         imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
+        momentum: Whether a :class:`~surefoot.calibration.reference.MomentumReference` is taken as well; its
+            velocity and momentum stand in the columns of their rates.
 
     Attributes:
         imu: The same.
@@ -74,8 +76,11 @@ class Motions:
         resting: A flat reference with the soles level at the origin, shape (R,).
     """
 
-    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
+    def __init__(
+        self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True, momentum: bool = False
+    ) -> None:
         self._quasi_static, self.imu = quasi_static, imu
+        self._taken = (Reference, MomentumReference) if momentum else (Reference,)
         self._feet, self._wrench_map = len(setup.layout.feet), setup.layout.wrench_map
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._gravity = setup.gravity
@@ -95,29 +100,30 @@ class Motions:
         level = np.tile(np.eye(3).ravel(), self._feet)
         self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
 
-    def check(self, reference: Reference) -> None:
+    def check(self, reference: Reference | MomentumReference) -> None:
         """Raise an error if a reference does not fit.
 
         Raises:
             ValueError: If a field has another shape, or contacts are no booleans.
             TypeError: If it is no reference.
         """
-        if not isinstance(reference, Reference):
-            raise TypeError(f"'reference' must be a Reference, got {type(reference).__name__}.")
-        for field, value in zip(Reference._fields, reference, strict=True):
-            check_shape(value, self.shapes[field], f"reference.{field}")
+        if not isinstance(reference, self._taken):
+            names = " or a ".join(kind.__name__ for kind in self._taken)
+            raise TypeError(f"'reference' must be a {names}, got {type(reference).__name__}.")
+        for field, value in zip(reference._fields, reference, strict=True):
+            check_shape(value, self.shapes.get(field, (3,)), f"reference.{field}")
         for field, value in (("stance", reference.stance), ("swing", reference.swing)):
             if value.dtype != np.bool:
                 raise ValueError(f"'reference.{field}' must hold booleans, got dtype {value.dtype}.")
 
-    def flatten(self, reference: Reference) -> Array:
+    def flatten(self, reference: Reference | MomentumReference) -> Array:
         """Return the numbers of a reference side by side, in float64, shape (R,)."""
+        felt = np.zeros(3), np.zeros(3)
+        if self.imu and isinstance(reference, Reference):
+            felt = reference.accelerometer, reference.gyroscope
         parts = (
-            reference.com,
-            reference.com_acceleration,
-            reference.angular_momentum_rate,
-            reference.accelerometer if self.imu else np.zeros(3),
-            reference.gyroscope if self.imu else np.zeros(3),
+            *reference[:3],
+            *felt,
             reference.position_sole.reshape(-1),
             reference.R_level_sole.reshape(-1),
         )

@@ -27,7 +27,7 @@ from surefoot.calibration.front_end.ages import (
 )
 from surefoot.calibration.front_end.centres import centres
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 LONGEST_GAP = 5.0
@@ -96,6 +96,7 @@ class FrontEnd:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out: Fz = M g at (x, y).
         imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
+        momentum: Whether references may hold momentum instead of accelerations.
 
     Attributes:
         setup: The same.
@@ -106,9 +107,11 @@ class FrontEnd:
         limits: Least and greatest values of the leaves of a :class:`FrontState`.
     """
 
-    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
+    def __init__(
+        self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True, momentum: bool = False
+    ) -> None:
         self.setup = setup
-        self.motions = Motions(setup, quasi_static=quasi_static, imu=imu)
+        self.motions = Motions(setup, quasi_static=quasi_static, imu=imu, momentum=momentum)
         self._channels, self._wrench_map = setup.layout.channels, setup.layout.wrench_map
         self._threshold = setup.force_threshold
         self._scale, self._offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
@@ -144,7 +147,7 @@ class FrontEnd:
             clean=0,
         )
 
-    def check(self, raw: Array, reference: Reference) -> None:
+    def check(self, raw: Array, reference: Reference | MomentumReference) -> None:
         """Raise ValueError if arrays are not those of one sample of one robot.
 
         Raises:
@@ -161,7 +164,7 @@ class FrontEnd:
         self,
         state: FrontState,
         raw: Array,
-        reference: Reference,
+        reference: Reference | MomentumReference,
         dt: float,
         repair: Callable[[Array, Array], tuple[Array, Array]] | None = None,
     ) -> tuple[FrontState, Sample]:

@@ -157,6 +157,18 @@ class NominalModel:
         axes = self._site_axes[self._soles].reshape(6, 3)
         return self._com, self._momentum, self._site_position[self._sites], axes
 
+    def velocities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return velocities relative to the torso's origin in its axes, of what was last evaluated.
+
+        Returns:
+            Velocity of the centre of mass in m/s, shape (3,); and angular velocities in rad/s and velocities
+            in m/s of the IMU and both soles, (w, v), shape (3, 6).
+        """
+        model, data, twist = self._model, self._data, np.zeros((3, 6))
+        for site, row in zip(self._sites, twist, strict=True):
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, row, 0)
+        return data.subtree_linvel[self._torso].copy(), twist
+
     def tree(self) -> dict[str, NDArray[Any]] | None:
         """Return the torso and the bodies on it, B, under the names that they have in ``sf_model``.
 

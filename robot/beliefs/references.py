@@ -20,13 +20,14 @@ harm: the ground's force points along f from the centre of mass, whatever way is
 a common tilt cancels to first order.
 """
 
+from collections.abc import Iterator
 from math import floor, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -144,19 +145,27 @@ class Beliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
+        for packet in self.join(packets):
+            self.take(packet)
+
+    def join(self, packets: Packets) -> Iterator[Packet]:
+        """Yield packets that are sound, joined as many as they are to be."""
         for one in packets:
             packet = self._combine(one) if np.abs(one.values).max() <= LARGEST_VALUE else None
-            if packet is None:
-                continue
-            self._synchronise(packet)
-            if self._last is not None and packet.number == self._last.number + 1:
-                self._run += 1
-                self._posture(self._last.values, packet.values, packet.number)
-                if self._run >= 3:
-                    self._differentiate(packet.number)
-            else:
-                self._run = 0
-            self._last = packet
+            if packet is not None:
+                yield packet
+
+    def take(self, packet: Packet) -> None:
+        """Take in one joined packet."""
+        self._synchronise(packet)
+        if self._last is not None and packet.number == self._last.number + 1:
+            self._run += 1
+            self._posture(self._last.values, packet.values, packet.number)
+            if self._run >= 3:
+                self._differentiate(packet.number)
+        else:
+            self._run = 0
+        self._last = packet
 
     def _combine(self, packet: Packet) -> Packet | None:
         """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
@@ -336,7 +345,7 @@ def nothing(feet: int) -> Reference:
     )
 
 
-def reference_info(reference: Reference) -> dict[str, Any]:
+def reference_info(reference: Reference | MomentumReference) -> dict[str, Any]:
     """Return references (...) for ``info``, as arrays of their own without NaN, which is unlike itself.
 
     What nobody knows is 0 there, and ``"known"`` (...) says where something is known.

@@ -195,7 +195,8 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--method", "kalman"],
-        "Method 'kalman' does not exist. Available: 'moment', 'window', 'quasi-static', 'tare', 'none'.",
+        "Method 'kalman' does not exist. "
+        "Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
         [*walk, path, "--start", "calibrated"],
@@ -222,7 +223,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(
         ["view", "--feed", "guess", "--video", "walk.mp4"],
         "There is no feed 'guess'. Available: 'true', 'none', 'weights', 'tare', 'quasi-static', 'window', "
-        "'moment'.",
+        "'momentum', 'moment'.",
     )
 
 

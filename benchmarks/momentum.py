@@ -1,0 +1,340 @@
+"""Feet that stand, walk and are held: what the foot calibrators make of single feet and cells.
+
+    python benchmarks/momentum.py --out FOLDER --scenes nao/walk g1/walk g1/held-20 --seeds 4
+
+Elsewhere the total is scored; policies are shown single feet. Each scene is recorded once and played by every
+method. Its map and the true one are held against each other on the same readings: the error of each foot's
+centre of pressure where it bears more than 5 % of the weight, of the common one, of single cells, and how
+errors agree with the covariance claimed (1 is right).
+
+A robot of its owner's, Unitree's G1 by a published policy, comes from the folder that the variable
+``SUREFOOT_STRANGERS`` names (``g1_policy.py`` beside it); without it, its scenes are left out. Cells are
+the usual ones of a robot's size. ``--start bench`` takes cells with a perfect map
+that drift a tenth as fast, ``triple`` three times as bad ones, untold.
+"""
+
+import argparse
+import os
+import pickle
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import gymnasium as gym
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
+from surefoot.calibration.cop import cop_of_feet, sole_wrenches
+from surefoot.robot.sensing.instruments import usual_cells
+from surefoot.sensors import LoadCells, scaled
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+Floats = NDArray[np.float64]
+
+METHODS = ("none", "tare", "window", "moment", "momentum", "integrated")
+"""``integrated`` is ``momentum`` on accelerations that it adds up itself, as logs have them."""
+
+LOADED = 0.05
+"""Share of the weight from which on a foot's centre of pressure counts."""
+
+HELD_FROM, HELD_FOR, HELD_RAMP = 12.0, 8.0, 0.5
+"""When something lifts the robot, for how long and within what time it does so, in s."""
+
+SETTLE, DURATION = 10.0, 30.0
+"""From when on errors count, and how long a scene lasts, in s."""
+
+HELD_OUT = 100
+"""Seeds from this on are those of the page; constants were chosen on lower ones."""
+
+
+class Scene(NamedTuple):
+    """What a robot does.
+
+    Attributes:
+        robot: Whose environment it is.
+        command: Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one.
+        lifted: Share of the weight that somebody takes off for a while.
+        pushed: Impulse of pushes in body weights times s, sideways every 3 s.
+    """
+
+    robot: str
+    command: Callable[[float], tuple[float, float, float]] = lambda time: (0.0, 0.0, 0.0)
+    lifted: float = 0.0
+    pushed: float = 0.0
+
+
+def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
+    return lambda time: command if time > 2.0 else (0.0, 0.0, 0.0)  # type: ignore[return-value]
+
+
+SCENES = {
+    f"{robot}/{name}": scene._replace(robot=robot)
+    for robot in ("g1", "g1-fastsac")
+    for name, scene in {
+        "walk": Scene("", _walk(0.4, 0.0, 0.0)),
+        "turn": Scene("", _walk(0.3, 0.0, 0.4)),
+        "sideways": Scene("", _walk(0.0, 0.3, 0.0)),
+        "stop-and-go": Scene("", lambda time: (0.4, 0.0, 0.0) if time % 6.0 > 3.0 else (0.0, 0.0, 0.0)),
+        "pushes": Scene("", _walk(0.3, 0.0, 0.0), pushed=0.02),
+        "held-20": Scene("", lifted=0.2),
+        "held-35": Scene("", lifted=0.35),
+        "held-walk": Scene("", _walk(0.3, 0.0, 0.0), lifted=0.2),
+        "stand": Scene(""),
+    }.items()
+} | {
+    "nao/walk": Scene("surefoot/NaoWalk-v0"),
+    "nao/balance": Scene("surefoot/NaoBalance-v0"),
+    "exercise/nao": Scene("nao"),
+    "exercise/op3": Scene("op3"),
+    "exercise/g1": Scene("unitree"),
+    "exercise/t1": Scene("t1"),
+}
+
+EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}
+"""Robots of ``surefoot/Exercise-v0``."""
+
+
+class Stream(NamedTuple):
+    """One scene: N samples of K channels on F feet.
+
+    Attributes:
+        layout: The feet.
+        mass: As the robot believes it in kg.
+        initial: The map to start from.
+        dt: Time between samples in s.
+        lag: By how many samples references are late.
+        age: Mean age of a reading in s.
+        raw: Readings, shape (N, K).
+        accelerations: References, N first in each field.
+        momenta: The same as momentum.
+        true: The map that undoes the readings' errors, shape (N, K) each.
+        sole: Soles in m in the world, shape (N, F, 3).
+        R: Their rotations, shape (N, F, 3, 3).
+        fell: Whether the robot fell.
+    """
+
+    layout: FeetLayout
+    mass: float
+    initial: Parameters
+    dt: float
+    lag: int
+    age: Any
+    raw: Floats
+    accelerations: Reference
+    momenta: MomentumReference
+    true: Parameters
+    sole: Floats
+    R: Floats
+    fell: bool
+
+
+def g1_by_policy(policy: str) -> gym.Env[Any, Any]:
+    """Make the G1 that walks by a published policy."""
+    sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
+    from g1_policy import G1Walk
+
+    walker: gym.Env[Any, Any] = G1Walk(policy)
+    return walker
+
+
+def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
+    """Make a scene's environment, and what acts in it."""
+    if scene.robot.startswith("g1"):
+        policy = "fastsac_g1_29dof" if scene.robot.endswith("fastsac") else "ppo_g1_29dof"
+        env = g1_by_policy(policy)
+        base: Any = env.unwrapped
+        return env, lambda time: base.policy(base.state(), np.array(scene.command(time), float))
+    if scene.robot in EXERCISE:
+        env = gym.make("surefoot/Exercise-v0", robot=EXERCISE[scene.robot], disable_env_checker=True)
+    else:
+        env = gym.make(scene.robot, disable_env_checker=True)
+    still = np.zeros(env.action_space.shape or ())
+    return env, lambda time: still
+
+
+def cells_of(start: str, usual: LoadCells) -> LoadCells:
+    """Return the cells of a start."""
+    if start == "bench":
+        drift = {name: 0.1 * getattr(usual, name) for name in ("scale_drift", "offset_drift")}
+        return replace(usual, initial_scale_std=0.0, initial_offset_std=0.0, **drift)
+    return scaled(usual, 3.0) if start == "triple" else usual
+
+
+def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION) -> Stream:
+    """Play a scene once."""
+    scene = SCENES[name]
+    base, act = make(scene)
+    feet = ("left_ankle_roll_link", "right_ankle_roll_link") if name.startswith("g1") else None
+    usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
+    assert isinstance(usual, LoadCells)
+    sensors = FootSensors(base, cells_of(start, usual), feet=feet)
+    env = SelfCalibration(sensors, "momentum")
+    env.reset(seed=seed)
+    robot, source, core = env.robot, sensors.source, sensors.robot
+    model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
+    torso, rows, dt = model.body(source.drawing.torso).id, [], float(source.dt)
+    fell, weight = False, source.drawing.weight
+    for k in range(round(seconds / dt)):
+        data.xfrc_applied[torso, :3] = _outside(scene, k * dt, weight)
+        _, _, fell, over, _ = env.step(act(k * dt))
+        truth = source.truth
+        believed = robot.beliefs.beliefs.believed, robot.reference
+        places = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
+        rows.append((core.raw.copy(), *believed, core.true_parameters(), *places))
+        if fell or over:
+            break
+    raw, accelerations, momenta, true, sole, R = zip(*rows, strict=True)
+    return Stream(
+        layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
+        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
+        momenta=_stacked(MomentumReference, momenta), true=_stacked(Parameters, true),
+        sole=np.stack(sole), R=np.stack(R), fell=fell,
+    )  # fmt: skip
+
+
+def _outside(scene: Scene, time: float, weight: float) -> Floats:
+    """Return what acts on the torso from outside, in N."""
+    since, left = time - HELD_FROM, HELD_FROM + HELD_FOR - time
+    force = np.zeros(3)
+    force[2] = scene.lifted * weight * np.clip(min(since, left) / HELD_RAMP, 0.0, 1.0)
+    if scene.pushed and time % 3.0 < 0.1:
+        force[1] = scene.pushed * weight / 0.1 * (1.0 if int(time / 3.0) % 2 else -1.0)
+    return force
+
+
+def _stacked(kind: Any, rows: Sequence[Any]) -> Any:
+    return kind(*(np.stack(part) for part in zip(*rows, strict=True)))
+
+
+def stream(folder: Path, name: str, seed: int, start: str) -> Stream:
+    """Read a recorded scene, or record it."""
+    path = folder / f"{name.replace('/', '_')}_{start}_{seed}.pickle"
+    if not path.is_file():
+        made = record(name, seed, start)
+        path.write_bytes(pickle.dumps(made))
+    found: Stream = pickle.loads(path.read_bytes())
+    return found
+
+
+def play(one: Stream, method: str, **options: Any) -> Iterator[Any]:
+    """Yield a method's estimates of a stream."""
+    beliefs: Any = one.momenta if method == "momentum" else one.accelerations
+    name = "momentum" if method == "integrated" else method
+    calibrator = FootCalibrator(
+        one.layout,
+        name,
+        mass=one.mass,
+        initial=one.initial,
+        dt=one.dt,
+        lag=one.lag,
+        age=one.age,
+        **options,
+    )
+    for k, raw in enumerate(one.raw):
+        yield calibrator.update(raw, type(beliefs)(*(part[k] for part in beliefs)))
+
+
+def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
+    """Play a method on a stream, and score it from :data:`SETTLE` on."""
+    weight, first = 9.81 * one.mass, round(SETTLE / one.dt)
+    kept: dict[str, list[float]] = {key: [] for key in COLUMNS}
+    every = round(1.0 / one.dt)
+    for k, estimate in enumerate(play(one, method, **options)):
+        if k < first:
+            continue
+        # Both maps on the same readings: how old these are is no error of a calibration.
+        true_force = Parameters(*(part[k] for part in one.true)).force(one.raw[k])
+        force = Parameters(estimate.scale, estimate.offset).force(one.raw[k])
+        if not np.isfinite(true_force).all():
+            continue
+        truth, guess = sole_wrenches(true_force, one.layout), sole_wrenches(force, one.layout)
+        cop = cop_of_feet(truth, one.sole[k], one.R[k])
+        off = cop_of_feet(guess, one.sole[k], one.R[k]) - cop
+        kept["total"].append(float(np.sum(off**2)))
+        error = force - true_force
+        kept["cell"].append(float(np.mean((error / weight) ** 2)))
+        kept["vgrf"].append(float(((guess - truth)[:, 2].sum() / weight) ** 2))
+        kept["held"].append(float(bool((estimate.flags & int(Flag.HELD)).any())))
+        for foot in range(len(truth)):
+            if truth[foot, 2] < LOADED * weight:
+                continue
+            centre, seen = ((-w[foot, 4] / w[foot, 2], w[foot, 3] / w[foot, 2]) for w in (truth, guess))
+            apart = np.subtract(seen, centre)
+            kept["foot"].append(float(np.sum(np.minimum(apart**2, 1.0))))
+            if estimate.covariance is not None and k % every == 0:
+                kept["nees foot"].append(_nees_foot(one, estimate, k, foot, apart, guess[foot, 2]))
+        if estimate.covariance is not None and k % every == 0:
+            a, b = Parameters(estimate.scale, estimate.offset).relative_to(one.initial)
+            a_true, b_true = Parameters(*(part[k] for part in one.true)).relative_to(one.initial)
+            error = np.r_[a - a_true, b - b_true]
+            kept["nees"].append(float(error @ np.linalg.pinv(estimate.covariance) @ error) / error.size)
+        if estimate.nis is not None and np.isfinite(estimate.nis) and estimate.nis_rows > 0:
+            kept["nis"].append(float(estimate.nis / estimate.nis_rows))
+    return {
+        key: (factor * np.sqrt(np.mean(values)) if factor else np.mean(values)) if values else np.nan
+        for (key, factor), values in zip(COLUMNS.items(), kept.values(), strict=True)
+    }
+
+
+COLUMNS = {
+    "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0, "nis": 0.0,
+    "held": 0.0,
+}  # fmt: skip
+"""Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
+percent of the weight. Means (0): NEES a parameter and of a foot's CoP, NIS a row, share of time held."""
+
+
+def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:
+    """Return the squared error of a foot's CoP by the covariance claimed, over its number."""
+    F0 = one.initial.force(one.raw[k])
+    wrench = one.layout.wrench_map[foot]
+    at = np.array([-wrench[4], wrench[3]])
+    force = Parameters(estimate.scale, estimate.offset).force(one.raw[k])
+    row = (at - (at @ force)[:, None] / load * wrench[2]) / load
+    J = np.hstack([row * F0, row])
+    return float(apart @ np.linalg.pinv(J @ estimate.covariance @ J.T) @ apart) / 2.0
+
+
+def _row(folder: Path, name: str, seed: int, start: str, methods: Sequence[str]) -> list[dict[str, float]]:
+    warnings.simplefilter("ignore")
+    one = stream(folder, name, seed, start)
+    return [score(one, method) for method in methods]
+
+
+def main() -> None:
+    """Record what is missing, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the recorded scenes")
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES))
+    parser.add_argument("--methods", nargs="+", default=METHODS)
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--first", type=int, default=HELD_OUT, help="first seed")
+    parser.add_argument("--start", default="usual", choices=("usual", "bench", "triple"))
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    strange = "SUREFOOT_STRANGERS" in os.environ
+    names = [name for name in given.scenes if strange or not name.startswith("g1")]
+    seeds = range(given.first, given.first + given.seeds)
+    rows = Parallel(given.jobs)(
+        delayed(_row)(given.out, name, seed, given.start, given.methods) for name in names for seed in seeds
+    )
+    print("|", " | ".join(["scene", "method", *COLUMNS, "worse than raw"]), "|")
+    print("|---" * (len(COLUMNS) + 3) + "|")
+    for i, name in enumerate(names):
+        of = rows[i * len(seeds) : (i + 1) * len(seeds)]
+        for j, method in enumerate(given.methods):
+            means = " | ".join(f"{np.nanmean([row[j][key] for row in of]):.2f}" for key in COLUMNS)
+            worse = sum(row[j]["foot"] > 1.02 * row[0]["foot"] for row in of)
+            print(f"| {name} | {method} | {means} | {worse} of {len(of)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

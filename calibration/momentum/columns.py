@@ -1,0 +1,122 @@
+"""The unknowns of the momentum filter by name, and how sure of them it starts.
+
+| part | number | unit | meaning |
+|---|---|---|---|
+| scale | K | 1 | a, against the starting map |
+| offset | K | W (W m for a torque) | b, offsets of the start |
+| drift | K | W (W m) | u, what zeros have drifted since, in readings |
+| com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
+| sole | 2 | m | half the difference of what two legs put their soles off, in the same axes |
+| mass | 1 | 1 | m, error of the believed mass |
+| delay | 1 | s | how late the robot's clock is |
+| momentum | C | W s, W m s | P_z, H_x, H_y, and P_x, P_y, H_z of six-axis sensors |
+| wrench | C | W, W m | w, what acts from outside, at the same point |
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.arrays import in_a_row
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.setup import OnlineSetup
+
+VERTICAL, SHEAR = 3, 6
+"""Components that load cells see, (P_z, H_x, H_y), and those of six-axis sensors."""
+
+WIDE = 5.0
+"""Stated standard deviations of the prior that the filter runs on: more than the worst severity."""
+
+SMALLEST_DRIFT = 1e-6
+"""Standard deviation of a zero's drift in W that counts as none: less than a step of any converter."""
+
+
+class Columns(NamedTuple):
+    """Where the unknowns stand."""
+
+    scale: slice
+    offset: slice
+    drift: slice
+    com: slice
+    sole: slice
+    mass: slice
+    delay: slice
+    momentum: slice
+    wrench: slice
+
+    @classmethod
+    def of(cls, layout: FeetLayout) -> "Columns":
+        """Return the unknowns of a robot with these feet."""
+        K, C = layout.channels, SHEAR if sees_shear(layout) else VERTICAL
+        return cls(*in_a_row(K, K, K, 2, 2, 1, 1, C, C))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns, N."""
+        return int(self.wrench.stop)
+
+    @property
+    def components(self) -> int:
+        """Number of components of momentum, C."""
+        return int(self.wrench.stop - self.wrench.start)
+
+    @property
+    def map(self) -> slice:
+        """Scales, offsets and drift together, which stand first."""
+        return slice(0, self.drift.stop)
+
+    @property
+    def weighed(self) -> slice:
+        """What the evidence of severities is about: the map, and the centre of mass behind it."""
+        return slice(0, self.com.stop)
+
+
+class Spread(NamedTuple):
+    """Variances that are stated of unknowns at the start.
+
+    Attributes:
+        scale: Of scales, shape (K,).
+        offset: Of offsets, shape (K,).
+        com: Of the centre of mass in m^2, shape (2,).
+        unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
+    """
+
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    com: NDArray[np.float64]
+    unit: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, setup: OnlineSetup, config: MomentumConfig) -> "Spread":
+        """Return those of a robot."""
+        torque = ~(setup.layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
+        unit = np.where(torque, setup.length, 1.0)
+        scale = np.full(setup.layout.channels, config.scale_std**2)
+        return cls(scale, (config.offset_std * unit) ** 2, np.full(2, config.com_std**2), unit)
+
+
+def sees_shear(layout: FeetLayout) -> bool:
+    """Return whether a foot's channels see forces along the sole."""
+    return bool((layout.wrench_map[:, :2] != 0.0).any())
+
+
+def first_mean(columns: Columns) -> NDArray[np.float64]:
+    """Return the mean to start from, shape (N,): the starting map."""
+    mean = np.zeros(columns.size)
+    mean[columns.scale] = 1.0
+    return mean
+
+
+def first_variance(columns: Columns, spread: Spread, config: MomentumConfig) -> NDArray[np.float64]:
+    """Return the variances that the filter runs on at the start, shape (N,); a wrench's are its mode's."""
+    variance = np.zeros(columns.size)
+    variance[columns.scale] = WIDE**2 * spread.scale
+    variance[columns.offset] = WIDE**2 * spread.offset
+    variance[columns.drift] = SMALLEST_DRIFT**2
+    variance[columns.com] = spread.com
+    variance[columns.sole] = config.sole_std**2
+    variance[columns.mass] = config.mass_std**2
+    variance[columns.delay] = config.delay_std**2
+    return variance

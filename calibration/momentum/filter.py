@@ -1,0 +1,373 @@
+"""How the momentum filter runs over a stream; its theory is in :mod:`surefoot.calibration.momentum.config`.
+
+Samples wait until a block's time is full. A block that has a gap, a bad reference or a foot that is not read
+teaches nothing, and what the robot's momentum is begins anew behind it.
+"""
+
+from math import ceil
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontEnd, Sample
+from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.momentum.columns import (
+    Columns,
+    Spread,
+    first_mean,
+    first_variance,
+)
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.health import (
+    contact_probability,
+    map_covariance,
+    normalised,
+    uncertainty,
+)
+from surefoot.calibration.momentum.model import Model, Rows
+from surefoot.calibration.momentum.modes import (
+    FIRST_CHANCE,
+    MODES,
+    begin,
+    combine,
+    learn,
+    mix,
+    wrench_variance,
+)
+from surefoot.calibration.momentum.motion import Track, follow_accelerations, follow_momentum, plausible
+from surefoot.calibration.momentum.severity import Severity
+from surefoot.calibration.momentum.state import (
+    Belief,
+    Block,
+    Kept,
+    MomentumState,
+    Publication,
+    SampleColumns,
+    TareState,
+)
+from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
+from surefoot.calibration.reference import MomentumReference, Reference
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup
+
+LEAP = 0.25
+"""Change of a cell's force from one sample to the next in body weights that no foot makes."""
+
+SHARES_TIME = 20.0
+"""Time in s over which is learnt how the cells of a foot share its load."""
+
+KEPT_TIME = 1.5
+"""Time in s between what is kept to go back to: a fall takes a second before anybody notices."""
+
+LONGEST_PAUSE = 3600.0
+"""Time in s beyond which a pause adds no more drift."""
+
+PRODUCT_TIME = 20.0
+"""Time in s over which a zero that drifts is one error and not many."""
+
+LARGEST_ERROR = 0.5
+"""Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
+
+NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
+"""How much of a row's learnt noise one block decides: a second of ten; up to which factor on its variance it
+is believed; and the squared surprise of which more counts no more (three standard deviations)."""
+
+LEAST_READ = 0.25
+"""Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
+
+HELD_CHANCE = 0.9
+"""Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
+
+
+class MomentumFilter:
+    """The momentum filter for one setup: pure functions that share constants.
+
+    Args:
+        setup: The robot.
+        config: Options.
+
+    Attributes:
+        setup: The same.
+        config: The same.
+        columns: The unknowns.
+    """
+
+    def __init__(self, setup: OnlineSetup, config: MomentumConfig) -> None:
+        self.setup, self.config = setup, config
+        layout = setup.layout
+        self._channels, self._feet = layout.channels, len(layout.feet)
+        self.columns = columns = Columns.of(layout)
+        self._spread = spread = Spread.of(setup, config)
+        self._front_end = FrontEnd(setup, imu=False, momentum=True)
+        self._model = Model(setup, config, columns)
+        self._tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
+        six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
+        # The words of a six-axis sensor come together: one that leaps away alone is a landing.
+        leap = np.inf if six_axis else LEAP
+        change = np.array([config.com_std / setup.length] * 2 + [config.mass_std])
+        self._faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
+        self._samples = SampleColumns.of(self._channels, self._feet)
+        self._capacity = ceil(config.block / setup.dt) + ceil(LONGEST_GAP)
+        self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
+        self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
+
+    def init(self, raw: Array) -> MomentumState:
+        """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        front, columns, feet = self._front_end.init(raw), self.columns, self._feet
+        means, covariances = [], []
+        for mode in MODES:
+            mean, covariance = self._first_mean.copy(), np.diag(self._first_variance)
+            begin(mean, covariance, columns.wrench, wrench_variance(mode, columns.components))
+            if mode.load > 0.0:
+                begin(mean, covariance, columns.mass, np.array([self.config.mass_std**2 + mode.load**2]))
+            means.append(mean)
+            covariances.append(covariance)
+        belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
+        drifted = np.zeros(2)
+        published = self._publish(belief, drifted)
+        zero = np.zeros(self._channels)
+        resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
+        return MomentumState(
+            front=front,
+            track=Track.begin(front.motion),
+            faults=self._faults.init(resting),
+            pending=np.zeros((self._capacity, self._samples.dt.stop)),
+            before=np.zeros(self._samples.dt.stop),
+            waiting=-1,
+            linked=0,
+            point=np.zeros(3),
+            time=0.0,
+            belief=belief,
+            drifted=drifted,
+            noise=np.ones(columns.components),
+            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0),
+            published=published,
+            covariance=self._map_covariance(published),
+            kept=Kept(belief, published, belief, published, 0.0),
+            status=0,
+        )
+
+    def retract(self, state: MomentumState) -> MomentumState:
+        """Take back what was learnt of late; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        kept = state.kept
+        belief, published = kept.belief, kept.published
+        return self._break(state)._replace(
+            belief=belief,
+            published=published,
+            covariance=self._map_covariance(published),
+            kept=Kept(belief, published, belief, published, 0.0),
+        )
+
+    def update(
+        self, state: MomentumState, raw: Array, reference: Reference | MomentumReference, dt: float
+    ) -> tuple[MomentumState, Estimate]:
+        """Take in one sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        faults, kinds = state.faults, state.faults.kind
+        scale = state.published.mean[self.columns.scale]
+
+        def repair(force: Array, read: Array) -> tuple[Array, Array]:
+            nonlocal faults, kinds
+            faults, force, sure, kinds = self._faults.sample(state.faults, force, read, scale)
+            return force, sure
+
+        front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
+        state = state._replace(front=front, faults=faults)
+        if sample.gap and 0.0 < dt < np.inf:
+            state = self._age(state, min(dt, LONGEST_PAUSE))
+        if not sample.sound:
+            state = self._break(state)
+        else:
+            state = self._collect(state, sample, isinstance(reference, MomentumReference), dt)
+        nis, rows = np.nan, 0.0
+        full = state.waiting >= 1 and (
+            state.pending[: state.waiting, self._samples.dt.start].sum()
+            >= self.config.block - 0.5 * self.setup.dt
+            or state.waiting == self._capacity
+        )
+        if full:
+            state, nis, rows = self._learn(state)
+            kinds = kinds | state.faults.kind
+        return state, self._estimate(state, sample, kinds, nis, rows)
+
+    def _collect(self, state: MomentumState, sample: Sample, momentum: bool, dt: float) -> MomentumState:
+        """Put a sample to those that wait."""
+        columns, mass = self._front_end.motions.columns, self.setup.mass
+        if momentum:
+            track, pose = follow_momentum(state.track, sample.motion, columns, mass)
+        else:
+            track, pose = follow_accelerations(state.track, sample.motion, columns, mass, sample.stance, dt)
+            if not self._front_end.motions.ground(sample.motion)[2]:
+                return self._break(state)
+        if not plausible(track):
+            return self._break(state)
+        row = np.concatenate(
+            [
+                sample.past / self.setup.weight, sample.read, pose.end, pose.com, track.velocity, track.spin,
+                pose.sole.ravel(), pose.rotation.ravel(), sample.swing, [dt],
+            ]
+        )  # fmt: skip
+        if state.waiting < 0:
+            return state._replace(track=track, before=row, waiting=0)
+        pending = state.pending.copy()
+        pending[state.waiting] = row
+        return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
+
+    def _break(self, state: MomentumState) -> MomentumState:
+        """Forget the samples that wait, and what the momentum is."""
+        return state._replace(
+            track=Track.begin(state.track.motion), pending=np.zeros_like(state.pending), waiting=-1, linked=0
+        )
+
+    def _age(self, state: MomentumState, duration: float) -> MomentumState:
+        """Let scales and zeros drift for a time in s."""
+        walked = self._walk * state.tare.rate**2 * duration
+        covariance = state.belief.covariance.copy()
+        columns = self.columns
+        for part, variance in ((columns.scale, walked[0]), (columns.drift, walked[1] * self._spread.unit**2)):
+            at = np.arange(part.start, part.stop)
+            covariance[:, at, at] += variance
+        return state._replace(
+            belief=state.belief._replace(covariance=covariance),
+            drifted=state.drifted + walked,
+            time=state.time + duration,
+        )
+
+    def _learn(self, state: MomentumState) -> tuple[MomentumState, float, float]:
+        """Learn from the block that is full; return its innovation squared, normalised, and its rows too."""
+        samples = state.pending[: state.waiting]
+        block = Block.of(state.before, samples, self._samples, self._feet)
+        state = self._age(state, block.duration)
+        faults = self._faults.silent(state.faults, block.force * self.setup.weight, block.read)
+        if (faults.lost > state.faults.lost).any():
+            # What was learnt of late was learnt from wrong readings.
+            return self.retract(state)._replace(faults=faults), np.nan, 0.0
+        state = state._replace(
+            faults=faults, before=samples[-1], pending=np.zeros_like(state.pending), waiting=0, status=0
+        )
+        if (faults.lost > 0.5).any() or (block.read.mean(axis=0) < LEAST_READ).any():
+            return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
+        belief, published, tare = self._tare.take(
+            block, state.time, state.belief, state.published.mean, state.tare
+        )
+        rows = self._model.rows(block, published, self._product(state, tare, block.duration))
+        if not state.linked:
+            belief = self._begin_momentum(belief, rows)
+            nis = np.nan
+        else:
+            moved, added = self._model.moved(
+                belief.mean, rows.point - state.point, block.velocity.mean(axis=0)
+            )
+            belief = belief._replace(
+                mean=belief.mean @ moved.T + added, covariance=moved @ belief.covariance @ moved.T
+            )
+            ahead = rows.measured - rows.mean @ belief.mean[0] - rows.mean_rest
+            if abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration:
+                state = state._replace(linked=0, status=int(Flag.REJECTED))
+                return self._rest(state, block, good=False), np.nan, 0.0
+            mixed = mix(belief, self.columns, block.duration, self.config.mass_std)
+            step = learn(mixed, rows, state.noise, self.columns, block.duration)
+            belief, nis = step.belief, normalised(step.innovation, step.stated)
+            state = state._replace(
+                noise=self._follow_noise(state.noise, step.innovation, step.expected, rows, belief.chance[0])
+            )
+        if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
+            state = state._replace(linked=0, status=int(Flag.SINGULAR))
+            return self._rest(state, block, good=False), np.nan, 0.0
+        publication = self._publish(belief, state.drifted)
+        held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
+        state = state._replace(
+            belief=belief,
+            tare=tare,
+            linked=1,
+            point=rows.point,
+            published=publication,
+            covariance=self._map_covariance(publication),
+            status=held,
+        )
+        return self._rest(state, block, good=not held), nis, float(len(rows.measured))
+
+    def _begin_momentum(self, belief: Belief, rows: Rows) -> Belief:
+        """Let the momentum begin with what is measured at the block's end."""
+        columns, mean, covariance = self.columns, belief.mean.copy(), belief.covariance.copy()
+        for i, mode in enumerate(MODES):
+            begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, columns.components))
+            begin(mean[i], covariance[i], columns.momentum, np.zeros(columns.components))
+            mean[i, columns.momentum] = rows.at_end
+            covariance[i, columns.momentum, columns.momentum] = rows.variance
+        return belief._replace(mean=mean, covariance=covariance)
+
+    def _rest(self, state: MomentumState, block: Block, good: bool) -> MomentumState:
+        """Keep what is known now and then, and learn how cells share loads."""
+        a, b = self._line(state)
+        faults = self._faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
+        kept = state.kept
+        if kept.age + block.duration >= KEPT_TIME:
+            kept = Kept(kept.next_belief, kept.next_published, state.belief, state.published, 0.0)
+        else:
+            kept = kept._replace(age=kept.age + block.duration)
+        return state._replace(faults=faults, kept=kept)
+
+    def _product(self, state: MomentumState, tare: TareState, duration: float) -> Array:
+        """Return variances of forces in W^2 by open errors of scale and drift together, shape (K,)."""
+        columns = self.columns
+        variance = np.diagonal(state.published.covariance)
+        since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
+        one_error = np.minimum(since, PRODUCT_TIME) / duration
+        product: Array = one_error * variance[columns.scale] * variance[columns.drift]
+        return product
+
+    def _follow_noise(
+        self, noise: Array, innovation: Array, expected: Array, rows: Rows, free: float
+    ) -> Array:
+        """Return by how many times rows' variances are larger than stated, learnt upwards only."""
+        variance = np.diagonal(expected)
+        share = np.diagonal(rows.variance) * noise / variance
+        surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
+        return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
+
+    def _publish(self, belief: Belief, drifted: Array) -> Publication:
+        mean, covariance = combine(belief.chance, belief.mean, belief.covariance)
+        return self._severity.weigh(mean, covariance, drifted)
+
+    def _map_covariance(self, published: Publication) -> Array:
+        return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)
+
+    def _line(self, state: MomentumState) -> tuple[Array, Array]:
+        """Return a, and b in N, as they are handed out, shape (K,) each."""
+        columns, mean = self.columns, state.published.mean
+        a = mean[columns.scale]
+        return a, (mean[columns.offset] + a * mean[columns.drift]) * self.setup.weight
+
+    def _estimate(
+        self, state: MomentumState, sample: Sample, kinds: Array, nis: float, rows: float
+    ) -> Estimate:
+        """Apply the map, and say how sure it is."""
+        setup, faults = self.setup, state.faults
+        a, b = self._line(state)
+        c, d = a * np.asarray(setup.initial.scale), a * np.asarray(setup.initial.offset) + b
+        force, ahead = (
+            None if part is None else faults.spare @ (a * part + b) for part in (sample.force, sample.ahead)
+        )
+        estimate = self._front_end.report(sample, force, c, d, kinds | state.status, None, ahead)
+        learnt = state.covariance
+        return estimate._replace(
+            **uncertainty(estimate, sample, learnt, faults.spare, faults.spare_std),
+            nis=np.asarray(nis),
+            nis_rows=np.asarray(rows),
+            undetermined=state.published.undetermined,
+            contact_probability=contact_probability(
+                estimate.vgrf, sample.rows[:, 0], learnt, sample.force,
+                self.config.tare_noise * np.sqrt(NOISE_TIME / setup.dt) * setup.weight, setup.weight,
+            ),
+        )  # fmt: skip
+
+
+def momentum_filter(setup: OnlineSetup, config: MomentumConfig | None = None) -> OnlineMethod:
+    """Return the momentum filter as pure functions.
+
+    Args:
+        setup: The robot.
+        config: Options.
+    """
+    made = MomentumFilter(setup, config or MomentumConfig())
+    return OnlineMethod(made.init, made.update, made.retract)

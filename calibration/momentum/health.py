@@ -1,0 +1,92 @@
+"""How sure the estimates are: of forces, of the centre of pressure, of contact, and of the filter itself."""
+
+import numpy as np
+from scipy.special import ndtr
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.front_end.readings import Sample
+from surefoot.calibration.moment.uncertainty import to_cop, variances
+from surefoot.calibration.momentum.columns import Columns
+
+MOST_LOAD = 1.5
+"""Load in body weights up to which a foot that stands carries any with the same chance: a landing."""
+
+LEAST_ROW = 1e-6
+"""What a foot sees of the vertical at least, squared: a sole that stands on its edge sees nothing."""
+
+
+def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:
+    """Return the covariance of (a, b) in F = a F0 + b, b in N, shape (2K, 2K).
+
+    Args:
+        published: Scales, offsets, drift and centre of mass, shape (M,).
+        covariance: Theirs, shape (M, M).
+        columns: The unknowns.
+        weight: W in N.
+    """
+    K = columns.scale.stop
+    at = np.arange(K)
+    J = np.zeros((2 * K, len(published)))
+    J[at, at] = 1.0
+    J[K + at, at] = published[columns.drift] * weight
+    J[K + at, K + at] = weight
+    J[K + at, 2 * K + at] = published[columns.scale] * weight
+    learnt: Array = J @ covariance @ J.T
+    return learnt
+
+
+def uncertainty(
+    estimate: Estimate, sample: Sample, learnt: Array, spare: Array, spare_std: Array
+) -> dict[str, Array]:
+    """Return how sure an estimate is, by the names of its fields.
+
+    Args:
+        estimate: The estimate.
+        sample: The sample that it is of.
+        learnt: Covariance of (a, b), shape (2K, 2K).
+        spare: How forces are made of the channels that are not out, shape (K, K).
+        spare_std: Standard deviation of reconstructed forces in N, shape (K,).
+    """
+    to_force = spare @ np.hstack([np.diag(sample.force), np.eye(len(spare))])
+    variance = variances(to_force, learnt) + spare_std**2
+    row = sample.rows.sum(axis=0) @ to_force
+    turned = to_cop(row, estimate.cop, estimate.vgrf.sum() if estimate.cop_valid else 1.0)
+    return {
+        "covariance": learnt,
+        "force_std": np.sqrt(np.maximum(variance, 0.0)),
+        "cop_covariance": turned @ learnt @ turned.T,
+    }
+
+
+def contact_probability(
+    load: Array, rows: Array, learnt: Array, force: Array, noise: float, weight: float
+) -> Array:
+    """Return the probability that a foot bears load, shape (F,).
+
+    By Bayes, of two things that are as likely beforehand: a foot without load, of which the estimate is off
+    as its covariance says, and one with any load up to :data:`MOST_LOAD`.
+
+    Args:
+        load: Vertical forces of the feet in N, shape (F,).
+        rows: Of the vertical forces by channel, shape (F, K).
+        learnt: Covariance of (a, b), shape (2K, 2K).
+        force: F0 in N, shape (K,).
+        noise: Standard deviation of a channel's reading in N.
+        weight: W in N.
+    """
+    to_load = np.hstack([rows * force, rows])
+    own = np.maximum((rows**2).sum(axis=1), LEAST_ROW) * noise**2
+    std = np.sqrt(np.maximum(variances(to_load, learnt), 0.0) + own)
+    most = MOST_LOAD * weight
+    with_load = (ndtr(load / std) - ndtr((load - most) / std)) / most
+    without = np.exp(-0.5 * np.minimum(load / std, 30.0) ** 2) / (np.sqrt(2.0 * np.pi) * std)
+    # A pull of no sole counts as no load.
+    without = np.where(load <= 0.0, np.maximum(without, 1.0 / most), without)
+    found: Array = with_load / (with_load + without)
+    return found
+
+
+def normalised(innovation: Array, covariance: Array) -> float:
+    """Return the normalised innovation squared."""
+    return float(innovation @ np.linalg.solve(covariance, innovation))

@@ -1,0 +1,218 @@
+r"""What a block of forces does to the momentum, and what measures it: linear in the unknowns.
+
+With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + a u,
+
+    end of the block:   p + sum_n dt_n (C_n f_n + g_n + w)
+    mean over it:       p + sum_n s_n dt_n (C_n f_n + g_n + w)
+
+where s_n is the share of the block that comes after sample n, its own end included. A delay tau shifts what
+is measured by the force that acted, and the centre of mass by its velocity.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.cop import level_rows
+from surefoot.calibration.momentum.columns import SHEAR, Columns
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.state import Block
+from surefoot.calibration.setup import OnlineSetup
+
+LEAST_LOAD = 0.2
+"""Load in body weights that a centre of pressure is divided by at least: o is any point, and less of the
+weight is on the feet in the air only."""
+
+_ORDER = ([2, 3, 4], [2, 3, 4, 0, 1, 5])
+"""Components of (force, torque) in the order of the momentum: (P_z, H_x, H_y), then (P_x, P_y, H_z)."""
+
+
+class Rows(NamedTuple):
+    """What a block does to the momentum, and what measures it; C components, N unknowns.
+
+    Attributes:
+        mean: The block's mean momentum by the unknowns at its start, shape (C, N).
+        mean_rest: And what it is besides, shape (C,).
+        end: The momentum at its end, shape (C, N).
+        end_rest: As above.
+        measured: What was measured of the mean, shape (C,).
+        at_end: What was measured at the block's end, shape (C,).
+        variance: Of what was measured, as stated, shape (C, C).
+        walk: Variance that the block adds to the momentum at its end, shape (C, C).
+        point: o in m, shape (3,).
+        load: Mean vertical force in W as published.
+    """
+
+    mean: Array
+    mean_rest: Array
+    end: Array
+    end_rest: Array
+    measured: Array
+    at_end: Array
+    variance: Array
+    walk: Array
+    point: Array
+    load: float
+
+
+class Model:
+    """The rows of one setup.
+
+    Args:
+        setup: The robot.
+        config: Options.
+        columns: The unknowns.
+    """
+
+    def __init__(self, setup: OnlineSetup, config: MomentumConfig, columns: Columns) -> None:
+        self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
+        self._shear = columns.components == SHEAR
+        self._order = _ORDER[int(self._shear)]
+        self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
+        self._spin = config.momentum_noise**2
+        self._ripple = config.ripple
+        feet = len(setup.layout.feet)
+        self._side = np.where(setup.layout.foot_of_channel == 0, 1.0, -1.0) * (feet == 2)
+
+    def rows(self, block: Block, published: Array, product: Array) -> Rows:
+        """Write the rows of a block.
+
+        Args:
+            block: The samples.
+            published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
+            product: Variance of each channel's force in W^2 that the product of the open errors of its scale
+                and its drift has, as if all of the block were one error, shape (K,).
+        """
+        columns, dt = self._columns, block.dt
+        T, C = block.duration, columns.components
+        a, b, u = (published[part] for part in (columns.scale, columns.offset, columns.drift))
+        com, sole, rotation = block.com, block.sole, block.rotation
+        felt = block.force + u
+        force = a * felt + b
+        point, load = self._point(force, sole, rotation, dt)
+        unit = self._of_channels(sole - point, rotation)
+        gravity, along = self._weigh(com - point)
+        heading = _heading(rotation)
+        summed = np.einsum("nck,nk->nc", unit, force)
+        velocity = block.velocity.mean(axis=0)
+        # What of the block comes after a sample's interval begins: all of it for the first.
+        after = np.cumsum(dt[::-1])[::-1] / T
+
+        def add_up(share: Array) -> tuple[Array, Array, Array]:
+            H = np.zeros((C, columns.size))
+            weighted = unit * share[:, None, None]
+            reach = weighted.sum(axis=0)
+            H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
+            H[:, columns.offset], H[:, columns.drift] = reach, reach * a
+            H[:, columns.com] = share.sum() * along @ heading
+            H[:, columns.sole] = -((force * self._side).sum(axis=1) @ share) * along @ heading
+            pulled = share @ gravity
+            H[:, columns.mass] = -pulled[:, None]
+            H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
+            H[:, columns.momentum] = np.eye(C)
+            H[:, columns.wrench] = share.sum() * np.eye(C)
+            # a u is linear about what is published.
+            rest = pulled - reach @ (a * u)
+            return H, rest, reach
+
+        mean, mean_rest, _ = add_up(dt * after)
+        mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
+        end, end_rest, reach = add_up(dt)
+        each, variance = self._measure(block, point)
+        change = (
+            np.diff(summed, axis=0, prepend=summed[:1]) * (dt * self._ripple * _held(block.read))[:, None]
+        )
+        return Rows(
+            mean=mean,
+            mean_rest=mean_rest,
+            end=end,
+            end_rest=end_rest,
+            measured=dt @ each / T,
+            at_end=each[-1],
+            variance=variance,
+            walk=np.diag(reach**2 @ product) + change.T @ change,
+            point=point,
+            load=load,
+        )
+
+    def moved(self, mean: Array, step: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return how the momentum is about a point that has moved.
+
+        Args:
+            mean: Shape (..., N); not used but for its length.
+            step: By how much o has moved in m, shape (3,).
+            velocity: Of the centre of mass in m/s, whose level part cells do not see, shape (3,).
+
+        Returns:
+            A transition, shape (N, N), and what it adds, shape (N,).
+        """
+        columns, at = self._columns, self._columns.momentum.start
+        x, y, z = step.tolist()
+        transition, added = np.eye(columns.size), np.zeros(columns.size)
+        # H <- H - step x P
+        transition[at + 1, at], transition[at + 2, at] = -y, x
+        if self._shear:
+            transition[at + 1, at + 4], transition[at + 2, at + 3] = z, -z
+            transition[at + 5, at + 4], transition[at + 5, at + 3] = -x, y
+        else:
+            added[at + 1], added[at + 2] = z * velocity[1] / self._gravity, -z * velocity[0] / self._gravity
+        return transition, added
+
+    def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> tuple[Array, float]:
+        """Return the mean centre of pressure on the ground in m, shape (3,), and the load in W."""
+        total, x, y = np.einsum("nfck,nk,n->c", level_rows(self._wrench_map, sole, rotation), force, dt)
+        T = float(dt.sum())
+        least = max(float(total), LEAST_LOAD * T)
+        return np.array([x / least, y / least, sole[:, :, 2].min(axis=1).mean()]), float(total) / T
+
+    def _of_channels(self, sole: Array, rotation: Array) -> Array:
+        """Return the components of a unit of each channel, shape (n, C, K), of soles seen from o."""
+        force = rotation @ self._wrench_map[:, :3]
+        torque = rotation @ self._wrench_map[:, 3:]
+        if not self._shear:
+            # Cells see nothing of what acts along the ground, and the sole is on it.
+            force[..., :2, :] = 0.0
+        arm = np.broadcast_to(sole[..., None], force.shape)
+        torque = torque + np.cross(arm, force, axis=-2)
+        components: Array = np.concatenate([force, torque], axis=-2).sum(axis=1)[:, self._order]
+        return components
+
+    def _weigh(self, arm: Array) -> tuple[Array, Array]:
+        """Return the components of the weight, shape (n, C), and how they change with its error d (C, 2)."""
+        components = np.zeros((len(arm), self._columns.components))
+        components[:, 0], components[:, 1], components[:, 2] = -1.0, -arm[:, 1], arm[:, 0]
+        along = np.zeros((self._columns.components, 2))
+        along[1, 1], along[2, 0] = 1.0, -1.0
+        return components, along
+
+    def _measure(self, block: Block, point: Array) -> tuple[Array, Array]:
+        """Return the momentum by the robot's motion, shape (n, C), and its stated variance, shape (C, C)."""
+        arm, velocity = block.end - point, block.velocity
+        components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / self._gravity
+        x, y, z = arm.mean(axis=0).tolist()
+        turned = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        noise = np.zeros((6, 6))
+        noise[:3, :3] = np.diag(self._velocity)
+        noise[3:, :3] = turned * self._velocity
+        noise[:3, 3:] = noise[3:, :3].T
+        noise[3:, 3:] = (turned * self._velocity) @ turned.T + self._spin * np.eye(3)
+        order = self._order
+        return components[:, order], noise[np.ix_(order, order)] / self._gravity**2
+
+
+def force_and_wrench(components: int) -> Array:
+    """Return which components are forces (1), and which torques (0), shape (C,)."""
+    return np.array([1.0, 0.0, 0.0, 1.0, 1.0, 0.0][:components])
+
+
+def _heading(rotation: Array) -> Array:
+    """Return the rotation from axes that head as the feet do, level, shape (2, 2)."""
+    x, y = rotation[:, :, :2, 0].mean(axis=(0, 1)).tolist()
+    norm = float(np.hypot(x, y)) or 1.0
+    return np.array([[x, -y], [y, x]]) / norm
+
+
+def _held(read: Array) -> float:
+    """Return for how many samples a reading stands on the average: more than 1 where some are held."""
+    return len(read) / max(float(read.sum(axis=0).min()), 1.0)

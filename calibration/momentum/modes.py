@@ -1,0 +1,217 @@
+r"""What acts on the robot besides its feet: nothing much, a hand, or a load.
+
+An outside wrench w comes and goes with a time constant, and how large it may be is what modes differ in. They
+are an interacting multiple model (Blom and Bar-Shalom, 1988): each mode is a Kalman filter of its own, they
+are mixed before each block by how likely one turns into the other, and weighed by their innovations
+afterwards. Who changes mode begins with a w of its own.
+
+* **free**: what the model leaves out, and small pushes.
+* **held**: a hand, a gantry, a chair. It takes the innovations, and the cells learn nothing of them.
+* **loaded**: free, but heavier by something that was picked up or put on, and stays.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.momentum.columns import Columns
+from surefoot.calibration.momentum.model import Rows, force_and_wrench
+from surefoot.calibration.momentum.state import Belief
+
+
+class Mode(NamedTuple):
+    """How an outside wrench behaves, and what weighs on the robot.
+
+    Attributes:
+        time: The wrench's time constant in s.
+        force: Its standard deviation in W.
+        torque: The same about the feet's centre of pressure in W m.
+        load: Standard deviation of what the robot carries, as a share of its weight.
+        shift: By how much a load moves the centre of mass along each axis, in m.
+    """
+
+    time: float
+    force: float
+    torque: float
+    load: float = 0.0
+    shift: float = 0.0
+
+
+FREE = Mode(2.0, 0.003, 0.003)
+"""A robot that nobody touches: air, cables and a model that is a little wrong, 0.3 % of its weight, 3 mm."""
+
+HELD = Mode(2.0, 0.3, 0.05)
+"""A robot that somebody holds: a third of its weight, 5 cm off."""
+
+LOADED = FREE._replace(load=0.1, shift=0.01)
+"""A robot that carries a tenth of its weight, ten centimetres from its centre of mass."""
+
+MODES = FREE, HELD, LOADED
+
+RATES = np.array([(0.0, 1 / 60, 1 / 300), (1 / 20, 0.0, 1 / 300), (1 / 300, 1 / 60, 0.0)])
+"""How often modes (in rows) turn into others (in columns), in 1/s: somebody takes hold of a robot once in a
+minute of work with it and lets it go after 20 s, and it picks something up in five minutes."""
+
+FIRST_CHANCE = np.array([0.977, 0.02, 0.003])
+"""How likely modes are at the start."""
+
+LEAST_CHANCE = 1e-6
+"""Chance that a mode keeps: who was free for an hour is believed to be held within two blocks."""
+
+GATE = 3.0
+"""Standard deviations beyond which an innovation pulls no harder: a false alarm in 370."""
+
+
+def wrench_variance(mode: Mode, components: int) -> Array:
+    """Return the variances of an outside wrench, shape (C,)."""
+    force = force_and_wrench(components)
+    return force * mode.force**2 + (1.0 - force) * mode.torque**2
+
+
+def mix(belief: Belief, columns: Columns, duration: float, mass_std: float) -> Belief:
+    """Let modes turn into each other.
+
+    Args:
+        belief: What modes hold.
+        columns: The unknowns.
+        duration: For how long, in s.
+        mass_std: How far the mass is thought to be off without a load, relative.
+    """
+    turning = RATES * duration
+    turning = turning + np.diag(1.0 - turning.sum(axis=1))
+    chance = belief.chance @ turning
+    share = turning * belief.chance[:, None] / chance
+    means, covariances = [], []
+    for j in range(len(MODES)):
+        parts = [
+            _turn_into(j, belief, i, columns, mass_std) if i != j else _part(belief, i)
+            for i in range(len(MODES))
+        ]
+        mean, covariance = combine(share[:, j], *(np.stack(part) for part in zip(*parts, strict=True)))
+        means.append(mean)
+        covariances.append(covariance)
+    return Belief(np.stack(means), np.stack(covariances), chance)
+
+
+def _part(belief: Belief, i: int) -> tuple[Array, Array]:
+    return belief.mean[i], belief.covariance[i]
+
+
+def _turn_into(j: int, belief: Belief, i: int, columns: Columns, mass_std: float) -> tuple[Array, Array]:
+    """Return what mode i holds as it turns into mode j: w begins anew, and so does what it carries."""
+    before, mode = MODES[i], MODES[j]
+    mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
+    begin(mean, covariance, columns.wrench, wrench_variance(mode, columns.components))
+    if mode.load != before.load:
+        begin(mean, covariance, columns.mass, np.array([mass_std**2 + mode.load**2]))
+        at = np.arange(columns.com.start, columns.com.stop)
+        covariance[at, at] += (mode.shift - before.shift) ** 2
+    return mean, covariance
+
+
+def begin(mean: Array, covariance: Array, part: slice, variance: Array) -> None:
+    """Let unknowns begin anew in place, at 0."""
+    mean[part] = 0.0
+    covariance[part], covariance[:, part] = 0.0, 0.0
+    covariance[part, part] = np.diag(variance)
+
+
+def combine(chance: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the mean and the covariance of a mixture, shapes (J,), (J, N), (J, N, N) to (N,), (N, N)."""
+    mixed = chance @ mean
+    apart = mean - mixed
+    return mixed, np.tensordot(chance, covariance, 1) + (chance * apart.T) @ apart
+
+
+class Step(NamedTuple):
+    """What a block taught; J modes.
+
+    Attributes:
+        belief: What modes hold at its end.
+        innovation: Of the free mode, shape (C,).
+        expected: Its covariance with variances as they were used, shape (C, C).
+        stated: Its covariance with variances as stated, shape (C, C).
+    """
+
+    belief: Belief
+    innovation: Array
+    expected: Array
+    stated: Array
+
+
+def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: float) -> Step:
+    """Predict the block's mean momentum in each mode, measure it, and go on to the block's end.
+
+    Args:
+        belief: What modes hold about the block's point o.
+        rows: The block.
+        noise: By how many times rows' variances are larger than stated, shape (C,).
+        columns: The unknowns.
+        duration: Of the block in s.
+    """
+    larger = np.sqrt(noise)
+    # The mean over a block of what walks within it has a third of its variance at the end.
+    stated = rows.variance + rows.walk / 3.0
+    variance = rows.variance * np.outer(larger, larger) + rows.walk / 3.0
+    means, covariances, likelihoods, seen = [], [], [], []
+    wrench = np.arange(columns.wrench.start, columns.wrench.stop)
+    momentum = columns.momentum
+    for i, mode in enumerate(MODES):
+        mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
+        decay = np.exp(-duration / mode.time)
+        mean[wrench] *= decay
+        covariance[wrench] *= decay
+        covariance[:, wrench] *= decay
+        covariance[wrench, wrench] += wrench_variance(mode, len(wrench)) * (1.0 - decay**2)
+        innovation = rows.measured - rows.mean @ mean - rows.mean_rest
+        prior = rows.mean @ covariance @ rows.mean.T
+        expected = prior + variance
+        likelihoods.append(
+            -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
+        )
+        seen.append((innovation, expected, prior + stated))
+        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966).
+        considered = columns.mass if mode.load == 0.0 else slice(0)
+        mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
+        forward = np.eye(len(mean))
+        forward[momentum] = rows.end
+        mean = forward @ mean
+        mean[momentum] += rows.end_rest
+        covariance = forward @ covariance @ forward.T
+        covariance[momentum, momentum] += rows.walk
+        if mode.load > 0.0:
+            # A load is positive: the robot is heavier, and the believed mass too small.
+            at = columns.mass.start
+            likelihoods[-1] += log_ndtr(-mean[at] / np.sqrt(covariance[at, at]))
+        means.append(mean)
+        covariances.append(0.5 * (covariance + covariance.T))
+    weight = belief.chance * np.exp(np.array(likelihoods) - max(likelihoods))
+    chance = np.maximum(weight / weight.sum(), LEAST_CHANCE)
+    learnt = Belief(np.stack(means), np.stack(covariances), chance / chance.sum())
+    return Step(learnt, *seen[0])
+
+
+def update(
+    mean: Array, covariance: Array, H: Array, innovation: Array, variance: Array, considered: slice
+) -> tuple[Array, Array]:
+    """Take in rows by Joseph's form; one beyond the gate pulls no harder than at it.
+
+    Args:
+        mean: Shape (N,).
+        covariance: Shape (N, N).
+        H: Rows, shape (m, N).
+        innovation: Shape (m,).
+        variance: Of the rows, shape (m, m).
+        considered: Unknowns that are considered and not estimated (Schmidt, 1966).
+    """
+    predicted = H @ covariance
+    S = predicted @ H.T + variance
+    excess = np.diag(np.maximum((innovation / GATE) ** 2 - np.diagonal(S), 0.0))
+    variance = variance + excess
+    gain = np.linalg.solve(S + excess, predicted).T
+    gain[considered] = 0.0
+    keep = np.eye(len(mean)) - gain @ H
+    joseph = keep @ covariance @ keep.T + gain @ variance @ gain.T
+    return mean + gain @ innovation, 0.5 * (joseph + joseph.T)

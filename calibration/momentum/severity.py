@@ -1,0 +1,104 @@
+r"""How bad the sensors are: the posterior under several priors, weighed by evidence.
+
+The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds what the data say: the information
+I = P^-1 - P0^-1, and i = P^-1 (x - x0). Under another prior D,
+
+    V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
+
+exactly so for sensors that stay as they are. What is handed out is the mixture of all of them. A mixture of
+modes may be wider than P0 in some direction: there the data say nothing.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.momentum.columns import SMALLEST_DRIFT, WIDE, Columns, Spread, first_mean
+from surefoot.calibration.momentum.modes import combine
+from surefoot.calibration.momentum.state import Publication
+
+SEVERITIES = (0.04, 0.2, 1.0, 3.0)
+"""How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
+
+LIKELY = (0.04, 0.08, 0.78, 0.1)
+"""How likely each of them is before anything was seen: a few directions that happen to agree are no proof of
+good sensors, and a swing shows eight offsets at once."""
+
+LEAST_SHARE = 1e-12
+"""Least share of its variance that anything is known to: less is rounding."""
+
+
+class Severity:
+    """Weighs priors for one setup.
+
+    Args:
+        columns: The unknowns.
+        spread: How sure they are at the start, as stated.
+    """
+
+    def __init__(self, columns: Columns, spread: Spread) -> None:
+        self._columns, self._spread = columns, spread
+        self._start = first_mean(columns)[columns.weighed]
+        pairs = list(product(range(len(SEVERITIES)), repeat=2))
+        self._of_scale, self._of_offset = (
+            np.array([SEVERITIES[pair[part]] for pair in pairs]) ** 2 for part in (0, 1)
+        )
+        self._likely = np.log([LIKELY[i] * LIKELY[j] for i, j in pairs])
+
+    def prior(self, scale: Array, offset: Array, drifted: Array) -> Array:
+        """Return the variances of priors.
+
+        Args:
+            scale: Factor on the stated variances of scales, shape (S,).
+            offset: The same of offsets, shape (S,).
+            drifted: Variances that scales and zeros have drifted by, shape (2,).
+
+        Returns:
+            Shape (S, M).
+        """
+        spread, columns = self._spread, self._columns
+        parts = (
+            scale[:, None] * (spread.scale + drifted[0]),
+            offset[:, None] * spread.offset,
+            offset[:, None] * drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2,
+            np.broadcast_to(spread.com, (len(scale), columns.com.stop - columns.com.start)),
+        )
+        return np.concatenate(parts, axis=1)
+
+    def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Publication:
+        """Return the posterior under all severities together.
+
+        Args:
+            mean: The filter's unknowns, shape (N,).
+            covariance: Theirs, shape (N, N).
+            drifted: As of :meth:`prior`.
+        """
+        of = self._columns.weighed
+        wide = np.array([WIDE**2])
+        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1] / WIDE**2]))[0])
+        # In standard deviations of the wide prior, which is 1 there.
+        share, axes = np.linalg.eigh(covariance[of, of] / np.outer(std, std))
+        share = np.clip(share, LEAST_SHARE, None)
+        informed = share < 1.0
+        information = np.where(informed, 1.0 / share - 1.0, 0.0)
+        pull = axes @ np.where(informed, (axes.T @ ((mean[of] - self._start) / std)) / share, 0.0)
+        seen = (axes * information) @ axes.T
+        prior = self.prior(self._of_scale, self._of_offset, drifted) / std**2
+        at = np.arange(len(std))
+        precision = np.repeat(seen[None], len(prior), axis=0)
+        precision[:, at, at] += 1.0 / prior
+        V = np.linalg.inv(precision)
+        found = V @ pull
+        evidence = 0.5 * (found @ pull - np.linalg.slogdet(precision)[1] - np.log(prior).sum(axis=1))
+        evidence = evidence + self._likely
+        weight = np.exp(evidence - evidence.max())
+        weight = weight / weight.sum()
+        mixed, within = combine(weight, found, V)
+        K = self._spread.scale.size
+        open_share = np.diagonal(within)[:K] / (weight @ prior[:, :K])
+        return Publication(
+            mean=self._start + std * mixed,
+            covariance=0.5 * (within + within.T) * np.outer(std, std),
+            undetermined=np.clip(open_share, 0.0, 1.0),
+        )

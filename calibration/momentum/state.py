@@ -1,0 +1,186 @@
+"""The state of the momentum filter, and the samples of a block that wait."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array, in_a_row
+from surefoot.calibration.front_end.readings import FrontState
+from surefoot.calibration.moment.faults import ChannelState
+from surefoot.calibration.momentum.motion import Track
+
+
+class SampleColumns(NamedTuple):
+    """Where the parts of a sample stand in a row of the samples that wait; F feet.
+
+    The motion is in axes that do not turn; :class:`Block` says what the parts are.
+    """
+
+    force: slice
+    read: slice
+    end: slice
+    com: slice
+    velocity: slice
+    spin: slice
+    sole: slice
+    rotation: slice
+    swing: slice
+    dt: slice
+
+    @classmethod
+    def of(cls, channels: int, feet: int) -> "SampleColumns":
+        """Return the columns of a robot."""
+        return cls(*in_a_row(channels, channels, 3, 3, 3, 3, 3 * feet, 9 * feet, feet, 1))
+
+
+class Block(NamedTuple):
+    """n samples in a row; K channels, F feet.
+
+    Attributes:
+        force: F0 in W, shape (n, K).
+        read: Whether it was read (0 or 1), shape (n, K).
+        end: Centre of mass at the ends of the samples' intervals in m, shape (n, 3).
+        com: Centre of mass while they were taken in m, shape (n, 3).
+        velocity: Its velocity at the ends in m/s, shape (n, 3).
+        spin: Angular momentum by the mass there in m^2/s, shape (n, 3).
+        sole: Soles while they were taken in m, shape (n, F, 3).
+        rotation: Their rotations to the axes that do not turn, shape (n, F, 3, 3).
+        swing: Feet surely in the air (0 or 1), the sample before the block first, shape (n + 1, F).
+        dt: Lengths of the intervals in s, shape (n,).
+    """
+
+    force: Array
+    read: Array
+    end: Array
+    com: Array
+    velocity: Array
+    spin: Array
+    sole: Array
+    rotation: Array
+    swing: Array
+    dt: Array
+
+    @classmethod
+    def of(cls, before: Array, samples: Array, columns: SampleColumns, feet: int) -> "Block":
+        """Take a block out of the row before it, and its own rows."""
+        return cls(
+            force=samples[:, columns.force],
+            read=samples[:, columns.read],
+            end=samples[:, columns.end],
+            com=samples[:, columns.com],
+            velocity=samples[:, columns.velocity],
+            spin=samples[:, columns.spin],
+            sole=samples[:, columns.sole].reshape(-1, feet, 3),
+            rotation=samples[:, columns.rotation].reshape(-1, feet, 3, 3),
+            swing=np.vstack([before[columns.swing], samples[:, columns.swing]]),
+            dt=samples[:, columns.dt.start],
+        )
+
+    @property
+    def duration(self) -> float:
+        """Its length in s."""
+        return float(self.dt.sum())
+
+
+class Belief(NamedTuple):
+    """What the modes hold, and how likely they are; J modes, N unknowns.
+
+    Attributes:
+        mean: Shape (J, N).
+        covariance: Shape (J, N, N).
+        chance: Shape (J,).
+    """
+
+    mean: Array
+    covariance: Array
+    chance: Array
+
+
+class Publication(NamedTuple):
+    """What is handed out: the posterior of scales, offsets, drift and centre of mass, M unknowns.
+
+    Attributes:
+        mean: Shape (M,).
+        covariance: Shape (M, M).
+        undetermined: Share of each scale's variance that the data have left, shape (K,).
+    """
+
+    mean: Array
+    covariance: Array
+    undetermined: Array
+
+
+class TareState(NamedTuple):
+    """What the last tares of the feet showed.
+
+    Attributes:
+        reading: Mean reading of each channel in W, shape (K,).
+        centre: Reading that the offset belongs to: the first tare's, shape (K,).
+        time: When it ended in s, -1 before the first, shape (F,).
+        rate: By how many times sensors drift faster than stated.
+    """
+
+    reading: Array
+    centre: Array
+    time: Array
+    rate: float
+
+
+class Kept(NamedTuple):
+    """What was known some seconds ago, to go back to.
+
+    Attributes:
+        belief: What modes held, the last time but one.
+        published: What was handed out then.
+        next_belief: What they held the last time.
+        next_published: What was handed out then.
+        age: Time in s since the last time.
+    """
+
+    belief: Belief
+    published: Publication
+    next_belief: Belief
+    next_published: Publication
+    age: float
+
+
+class MomentumState(NamedTuple):
+    """All that the momentum filter remembers.
+
+    Attributes:
+        front: What the way of a sample remembers.
+        track: The motion of late.
+        faults: What is known of channels' faults.
+        pending: Samples that wait, by :class:`SampleColumns`, shape (n, S).
+        before: The sample before them, shape (S,).
+        waiting: How many wait; -1 before there is one before them.
+        linked: Whether the momentum is known at the sample before them.
+        point: o in m, of the last block, shape (3,).
+        time: Time in s since the start.
+        belief: What the modes hold.
+        drifted: Variances that scales and zeros have drifted by since the start, shape (2,).
+        noise: By how many times rows' variances are larger than stated, shape (C,).
+        tare: What tares showed.
+        published: What is handed out.
+        covariance: Covariance of (a, b) by it, b in N, shape (2K, 2K).
+        kept: What was known some seconds ago.
+        status: Flags of the last block.
+    """
+
+    front: FrontState
+    track: Track
+    faults: ChannelState
+    pending: Array
+    before: Array
+    waiting: int
+    linked: int
+    point: Array
+    time: float
+    belief: Belief
+    drifted: Array
+    noise: Array
+    tare: TareState
+    published: Publication
+    covariance: Array
+    kept: Kept
+    status: int

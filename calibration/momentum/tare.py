@@ -1,0 +1,147 @@
+r"""A foot in the air shows its zeros.
+
+Its mean reading r obeys a (r + u) + b = 0. At the first tare that ties b to a; from then on u is what the
+zeros have drifted since, known by definition, u = r_first - r, and the row says of scales what it said then.
+From tare to tare the readings show how fast zeros drift, and scales are thought to drift with them.
+"""
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.momentum.columns import Columns, Spread
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.modes import update
+from surefoot.calibration.momentum.state import Belief, Block, TareState
+from surefoot.calibration.setup import OnlineSetup
+
+LEAST_SHARE = 0.45
+"""Share of a block's time that a foot must surely be in the air for."""
+
+NOISE_TIME = 0.2
+"""Time in s that the noise of a tare is stated for."""
+
+LEAST_APART = 0.3
+"""Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
+
+RATE_SHARE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 10.0, 9.0
+"""How much of the learnt drift rate one tare decides; the rate in stated ones that it is believed up to; and
+the squared surprise, in expected ones, of which more counts no more (three standard deviations)."""
+
+LEAP = 5.0
+"""Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
+
+LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
+"""Mean reading of a channel, and sum of a foot's, in body weights by the starting map, from which on a foot
+is not in the air after all: three offsets of sensors three times as bad as stated, and less than half of what
+a foot bears that stands."""
+
+
+class Tare:
+    """The tares of one setup.
+
+    Args:
+        setup: The robot.
+        config: Options.
+        columns: The unknowns.
+        spread: How sure they are at the start.
+    """
+
+    def __init__(self, setup: OnlineSetup, config: MomentumConfig, columns: Columns, spread: Spread) -> None:
+        self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
+        self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
+        self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
+
+    def take(
+        self, block: Block, time: float, belief: Belief, published: Array, state: TareState
+    ) -> tuple[Belief, Array, TareState]:
+        """Tare the feet that hang in a block.
+
+        Args:
+            block: The samples.
+            time: At its end in s.
+            belief: What modes hold.
+            published: What is handed out, about which a u is linear, shape (M,).
+            state: What tares showed before.
+
+        Returns:
+            The belief, what is handed out with the drift that is known now, and the state.
+        """
+        for foot, channels in enumerate(self._feet):
+            reading, seconds = self._reading(block, foot, channels)
+            if seconds >= LEAST_SHARE * block.duration:
+                belief, published, state = self._tare(
+                    foot, channels, reading, seconds, time, belief, published, state
+                )
+        return belief, published, state
+
+    def _reading(self, block: Block, foot: int, channels: slice) -> tuple[Array, float]:
+        """Return a foot's mean reading in the air, and how long it hung in s."""
+        swing = block.swing[:, foot] > 0.5
+        # The sample before and the one after are in the air as well.
+        sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
+        sure &= (block.read[:, channels] > 0.5).all(axis=1)
+        if not sure.any():
+            return np.zeros(channels.stop - channels.start), 0.0
+        reading = block.force[sure, channels].mean(axis=0)
+        large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
+        total = abs(float((reading / self._unit[channels]).sum()))
+        in_air = not large.any() and total <= LARGEST_SUM
+        return reading, float(block.dt[sure].sum()) * in_air
+
+    def _tare(
+        self,
+        foot: int,
+        channels: slice,
+        reading: Array,
+        seconds: float,
+        time: float,
+        belief: Belief,
+        published: Array,
+        state: TareState,
+    ) -> tuple[Belief, Array, TareState]:
+        columns = self._columns
+        at = np.arange(channels.start, channels.stop)
+        scale, offset, drift = (at + part.start for part in (columns.scale, columns.offset, columns.drift))
+        a, last = published[scale], float(state.time[foot])
+        noise = self._noise[channels] / seconds
+        centre = reading + published[drift] if last < 0.0 else state.centre[channels]
+
+        walked = noise * 2.0
+        leapt = np.zeros(len(at), dtype=bool)
+        rate = state.rate
+        if last >= 0.0:
+            change = reading - state.reading[channels]
+            walked = walked + rate**2 * self._drift[channels] * (time - last)
+            leapt = change**2 > LEAP**2 * walked
+            if time - last > LEAST_APART:
+                rate = self._follow(rate, change, walked)
+        H = np.zeros((len(at), columns.size))
+        rows = np.arange(len(at))
+        H[rows, scale], H[rows, offset], H[rows, drift] = centre, 1.0, a
+        asked = a * (centre - reading)
+        means, covariances = [], []
+        for mean, covariance in zip(belief.mean, belief.covariance, strict=True):
+            if leapt.any():
+                covariance = covariance.copy()
+                covariance[drift[leapt], drift[leapt]] += (reading - state.reading[channels])[leapt] ** 2
+            mean, covariance = update(
+                mean, covariance, H, asked - H @ mean, np.diag(a**2 * noise), columns.mass
+            )
+            means.append(mean)
+            covariances.append(covariance)
+        published = published.copy()
+        published[drift] = centre - reading
+        shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
+        shown[channels], centres[channels], times[foot] = reading, centre, time
+        belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
+        return belief, published, TareState(shown, centres, times, rate)
+
+    def _follow(self, rate: float, change: Array, expected: Array) -> float:
+        """Return by how many times sensors drift faster than stated, by what changed since the last tare.
+
+        What is common to a foot's channels is not drift alone: a sole's own inertia is in it.
+        """
+        count = len(change)
+        own = (change - change.mean()) ** 2 * count / max(count - 1, 1)
+        surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
+        return float(np.clip(rate * np.sqrt(1.0 + RATE_SHARE * (surprise - 1.0)), 1.0, LARGEST_RATE))

@@ -1,0 +1,235 @@
+"""The momentum filter on a robot whose momentum is exact."""
+
+import numpy as np
+import pytest
+from _momentum import WEIGHT, Errors, move
+from _synthetic import DT, LAYOUT, MASS, NOMINAL
+
+from surefoot.calibration import (
+    Flag,
+    FootCalibrator,
+    MomentumReference,
+    OnlineSetup,
+    Parameters,
+    Reference,
+    replay,
+)
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.filter import MomentumFilter
+
+STATED = Errors.stated()
+
+
+def calibrated(log, **options):
+    given = {"mass": MASS, "initial": NOMINAL, "lag": 0}
+    return replay(LAYOUT, "momentum", log.raw, log.reference, DT, **given, **options)
+
+
+def rmse(estimate, log, start, end=None):
+    """Of cells, in shares of the weight, between two times in s."""
+    rows = slice(round(start / DT), None if end is None else round(end / DT))
+    return float(np.sqrt(np.mean((estimate.force[rows] - log.force[rows]) ** 2))) / WEIGHT
+
+
+def raw_rmse(log, start):
+    rows = slice(round(start / DT), None)
+    return float(np.sqrt(np.mean((NOMINAL.force(log.raw[rows]) - log.force[rows]) ** 2))) / WEIGHT
+
+
+def lifted(share, start=8.0, end=14.0, seconds=20.0):
+    time = np.arange(round(seconds / DT)) * DT
+    return share * np.clip(np.minimum(time - start, end - time) / 0.3, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("walking", [True, False])
+def test_perfect_sensors_and_beliefs_stay_perfect(walking):
+    log = move(0, 12.0, walking=walking)
+    np.testing.assert_allclose(calibrated(log).force, log.force, atol=1e-10)
+
+
+def test_a_robot_that_walks_finds_its_errors():
+    log = move(0, 14.0, STATED)
+    assert rmse(calibrated(log), log, 8.0) < 0.25 * raw_rmse(log, 8.0)
+
+
+@pytest.mark.slow
+def test_errors_agree_with_the_covariance():
+    # 16 parameters of 16 robots, of which half walk; the mean of as many squares strays by 0.09.
+    nees = []
+    for seed in range(16):
+        log = move(100 + seed, 10.0, STATED, walking=seed % 2 == 0)
+        last = calibrated(log)
+        found = Parameters(last.scale[-1], last.offset[-1]).relative_to(NOMINAL)
+        off = np.concatenate(
+            [a - b for a, b in zip(found, (part[-1] for part in log.correction), strict=True)]
+        )
+        nees.append(off @ np.linalg.solve(last.covariance[-1], off) / len(off))
+    assert 0.7 < np.mean(nees) < 1.4
+
+
+def test_innovations_agree_with_what_is_stated():
+    # These readings are means over their intervals.
+    found = calibrated(move(0, 12.0, STATED), ripple=0.5)
+    assert 0.6 < np.nanmean(found.nis) / found.nis_rows.max() < 1.4
+
+
+def test_what_is_not_seen_stays_and_is_told():
+    log = move(3, 6.0, STATED, walking=False)
+    estimate = calibrated(log)
+    np.testing.assert_allclose(estimate.undetermined[0], 1.0)
+    assert rmse(estimate, log, 3.0) < raw_rmse(log, 3.0)
+    # A robot that sways shows sums of its cells, and hardly how they are shared.
+    walked = calibrated(move(3, 6.0, STATED))
+    assert walked.undetermined[-1].mean() < 0.5 * estimate.undetermined[-1].mean()
+
+
+@pytest.mark.parametrize("share", [0.15, 0.35])
+def test_nothing_is_learnt_from_a_robot_that_is_held(share):
+    log = move(1, 16.0, STATED, lifted=lifted(share, 6.0, 12.0, 16.0))
+    estimate = calibrated(log)
+    before = rmse(estimate, log, 4.0, 6.0)
+    assert rmse(estimate, log, 6.5, 11.5) < 1.1 * before
+    assert rmse(estimate, log, 13.0) < 1.1 * before
+    held = ((estimate.flags & Flag.HELD) > 0).any(axis=1)
+    assert held[round(6.5 / DT) : round(11.5 / DT)].mean() > 0.5
+    assert not held[: round(6.0 / DT)].any()
+    assert not held[round(13.5 / DT) :].any()
+    accused = Flag.LOST | Flag.SWAPPED | Flag.FLIPPED | Flag.DEAD | Flag.STUCK
+    assert not (estimate.flags & accused).any()
+
+
+def test_a_load_that_stays_is_no_error_of_the_cells():
+    log = move(2, 16.0, STATED, lifted=-lifted(0.1, 6.0, 1e9, 16.0))
+    estimate = calibrated(log)
+    assert rmse(estimate, log, 10.0) < 1.5 * rmse(estimate, log, 4.0, 6.0)
+
+
+def test_zeros_that_leap_are_tared_at_the_next_swing():
+    log = move(4, 10.0, Errors(noise=1e-3))
+    raw = log.raw.copy()
+    raw[round(5.0 / DT) :] += 0.06 * WEIGHT / NOMINAL.scale  # three newtons on all cells at once
+    estimate = calibrated(log._replace(raw=raw))
+    assert rmse(estimate, log, 8.0) < 0.008
+    assert not (estimate.flags & (Flag.LOST | Flag.SWAPPED)).any()
+
+
+def test_bursts_and_gaps_teach_as_well():
+    log, rng = move(5, 10.0, STATED), np.random.default_rng(0)
+    raw, missing = log.raw.copy(), rng.random(len(log.raw)) < 0.3
+    raw[missing] = np.nan
+    estimate = calibrated(log._replace(raw=raw))
+    # What is held is wrong where the load changes; samples that came are judged.
+    late = ~missing & (np.arange(len(raw)) > round(7.0 / DT))
+    off = estimate.force[late] - log.force[late]
+    before = NOMINAL.force(log.raw[late]) - log.force[late]
+    assert np.sqrt(np.mean(off**2)) < 0.25 * np.sqrt(np.mean(before**2))
+
+
+def test_accelerations_are_added_up():
+    """A reference that holds accelerations of the same motion teaches almost as much."""
+    log = move(6, 10.0, Errors(scale=0.12, offset=0.03, noise=1e-3))
+    belief, still = log.reference, np.zeros((len(log.raw), 3))
+    rate = np.diff(belief.angular_momentum, axis=0, prepend=belief.angular_momentum[:1]) / DT
+    reference = Reference(
+        com=belief.com,
+        com_acceleration=np.diff(belief.com_velocity, axis=0, prepend=belief.com_velocity[:1]) / DT,
+        angular_momentum_rate=rate,
+        position_sole=belief.position_sole,
+        R_level_sole=belief.R_level_sole,
+        stance=belief.stance,
+        swing=belief.swing,
+        accelerometer=still,
+        gyroscope=still,
+    )
+    estimate = calibrated(log._replace(reference=reference))
+    assert rmse(estimate, log, 7.0) < 0.3 * raw_rmse(log, 7.0)
+
+
+def test_axes_that_turn_are_no_error():
+    """Accelerations come in axes that head as the robot does; what they teach does not depend on it."""
+    log = move(7, 3.0, Errors(scale=0.12, offset=0.03))
+    belief = log.reference
+    rate = np.diff(belief.angular_momentum, axis=0, prepend=belief.angular_momentum[:1]) / DT
+    acceleration = np.diff(belief.com_velocity, axis=0, prepend=belief.com_velocity[:1]) / DT
+    still = np.zeros((len(log.raw), 3))
+
+    def seen(turned):
+        angle = turned * 0.5 * np.arange(len(log.raw)) * DT
+        cos, sin, zero, one = np.cos(angle), np.sin(angle), 0.0 * angle, 1.0 + 0.0 * angle
+        R = np.moveaxis(np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, one]]), -1, 0)
+        vectors = [np.einsum("nij,nj->ni", R, part) for part in (belief.com, acceleration, rate)]
+        soles = np.einsum("nij,nfj->nfi", R, belief.position_sole)
+        return Reference(
+            *vectors, soles, R[:, None] @ belief.R_level_sole, belief.stance, belief.swing, still, still
+        )
+
+    ahead, turning = (calibrated(log._replace(reference=seen(turned))) for turned in (0.0, 1.0))
+    np.testing.assert_allclose(turning.force, ahead.force, atol=1e-8 * WEIGHT)
+
+
+def test_the_contact_probability_is_sure_of_steps():
+    log = move(8, 8.0, STATED)
+    estimate = calibrated(log)
+    rows = slice(round(4.0 / DT), None)
+    loads = np.add.reduceat(log.force[rows], (0, 4), axis=1)
+    for foot in (0, 1):
+        stands = loads[:, foot] > 0.05 * WEIGHT
+        probability = estimate.contact_probability[rows, foot]
+        assert (probability[stands] > 0.5).mean() > 0.99
+        assert (probability[~stands] < 0.5).mean() > 0.99
+
+
+def test_what_was_learnt_of_late_is_taken_back():
+    log = move(9, 6.0, STATED)
+    calibrator = FootCalibrator(LAYOUT, "momentum", mass=MASS, initial=NOMINAL, lag=0)
+    scales = []
+    for k in range(len(log.raw)):
+        row = MomentumReference(*(part[k] for part in log.reference))
+        scales.append(calibrator.update(log.raw[k], row).scale)
+    calibrator.retract()
+    still = MomentumReference(*(part[-1] for part in log.reference))
+    back = calibrator.update(log.raw[-1], still).scale
+    late = [k for k, scale in enumerate(scales) if np.array_equal(scale, back)]
+    assert 1.4 < (len(scales) - late[-1]) * DT < 3.2
+
+
+def test_other_methods_want_accelerations():
+    calibrator = FootCalibrator(LAYOUT, "tare", mass=MASS, initial=NOMINAL, lag=0)
+    log = move(0, 0.1)
+    with pytest.raises(TypeError, match="'reference' must be a Reference, got MomentumReference"):
+        calibrator.update(log.raw[0], MomentumReference(*(part[0] for part in log.reference)))
+    with pytest.raises(
+        ValueError, match="'zero_phase' filters accelerations, which a MomentumReference has none"
+    ):
+        replay(LAYOUT, "momentum", log.raw, log.reference, DT, mass=MASS, initial=NOMINAL, zero_phase=True)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"block": 0.0}, "'block' must be positive and finite, got 0.0"),
+        ({"scale_drift": -1.0}, "'scale_drift' must not be negative and must be finite, got -1.0"),
+        ({"velocity_noise": np.nan}, "'velocity_noise' must be positive and finite, got nan"),
+    ],
+)
+def test_an_option_without_meaning_is_refused(option, message):
+    with pytest.raises(ValueError, match=message):
+        MomentumConfig(**option)
+
+
+def test_there_are_few_options():
+    assert len(MomentumConfig.__dataclass_fields__) <= 15
+
+
+def test_a_block_is_full_when_its_time_is():
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0, dt=DT)
+    made = MomentumFilter(setup, MomentumConfig())
+    log = move(0, 3.0)
+    for step in (DT, 2.0 * DT):
+        state, learnt = made.init(log.raw[0]), []
+        for k in range(80):
+            row = MomentumReference(*(part[k] for part in log.reference))
+            state, _ = made.update(state, log.raw[k], row, step)
+            learnt.append(state.time)
+        assert np.diff(np.unique(learnt)).min() == pytest.approx(0.1, abs=1.01 * step)
+        assert state.time == pytest.approx(79 * step, abs=0.11)

@@ -1,0 +1,226 @@
+"""The momentum filter's model against what it is a model of, by differences and by hand."""
+
+import numpy as np
+import pytest
+from _momentum import move
+from _synthetic import DT, LAYOUT, MASS, NOMINAL
+
+from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
+from surefoot.calibration.momentum.columns import Columns, Spread, first_mean, first_variance
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.health import contact_probability
+from surefoot.calibration.momentum.model import Model
+from surefoot.calibration.momentum.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
+from surefoot.calibration.momentum.severity import LIKELY, SEVERITIES, Severity
+from surefoot.calibration.momentum.state import Belief, Block
+
+CONFIG = MomentumConfig()
+WEIGHT = MASS * GRAVITY
+ANKLES = FeetLayout(
+    tuple(FootLayout.force_torque(name, position_sensor_sole=(0.01, 0.0, 0.05)) for name in ("left", "right"))
+)
+
+
+def setup(layout=LAYOUT):
+    start = NOMINAL if layout is LAYOUT else None
+    length = {} if layout is LAYOUT else {"foot_length": 0.2}
+    channels = layout.channels
+    from surefoot.calibration import Parameters
+
+    initial = start or Parameters(np.ones(channels), np.zeros(channels))
+    return OnlineSetup(layout=layout, mass=MASS, initial=initial, lag=0, dt=DT, **length)
+
+
+def block(layout=LAYOUT, seed=0):
+    """Eight samples of a robot that moves, with any forces."""
+    rng, log, rows = np.random.default_rng(seed), move(seed, 1.0), slice(40, 48)
+    motion = log.reference
+    return Block(
+        force=0.1 + 0.05 * rng.normal(size=(8, layout.channels)),
+        read=np.ones((8, layout.channels)),
+        end=motion.com[rows],
+        com=motion.com[rows],
+        velocity=motion.com_velocity[rows],
+        spin=motion.angular_momentum[rows] / MASS,
+        sole=motion.position_sole[rows] + 0.01 * rng.normal(size=(8, 2, 3)),
+        rotation=motion.R_level_sole[rows],
+        swing=np.zeros((9, 2)),
+        dt=np.full(8, DT),
+    )
+
+
+def momentum_of(block, layout, point, x, columns):
+    """Add up sample by sample what acts, about a point, in another way: the momenta at the samples' ends."""
+    a, b, u = x[columns.scale], x[columns.offset], x[columns.drift]
+    d, side, m = x[columns.com], x[columns.sole], float(x[columns.mass][0])
+    momentum, total = np.concatenate([x[columns.momentum], np.zeros(6 - columns.components)]), []
+    wrench = np.concatenate([x[columns.wrench], np.zeros(6 - columns.components)])
+    P = np.array([momentum[3], momentum[4], momentum[0]])
+    H = np.array([momentum[1], momentum[2], momentum[5]])
+    shear = columns.components == 6
+    for n in range(len(block.dt)):
+        f = a * block.force[n] + b + a * u
+        P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - (1.0 - m)])
+        H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
+        arm = block.com[n] - point - np.append(d, 0.0)
+        H = H + block.dt[n] * np.cross(arm, (0.0, 0.0, -(1.0 - m)))
+        for foot, (layout_of, where) in enumerate(zip(layout.feet, layout.slices, strict=True)):
+            local = layout_of.wrench_map @ f[where]
+            force = block.rotation[n, foot] @ local[:3]
+            torque = block.rotation[n, foot] @ local[3:]
+            if not shear:
+                force = np.array([0.0, 0.0, force[2]])
+            shift = np.append(side * (-1.0 if foot == 0 else 1.0), 0.0)
+            P = P + block.dt[n] * force
+            H = H + block.dt[n] * (torque + np.cross(block.sole[n, foot] - point + shift, force))
+        total.append([P[2], H[0], H[1], P[0], P[1], H[2]][: columns.components])
+    return np.array(total)
+
+
+@pytest.mark.parametrize("layout", [LAYOUT, ANKLES], ids=["cells", "ankles"])
+def test_rows_are_the_derivatives_of_what_acts(layout):
+    columns = Columns.of(layout)
+    made, samples = Model(setup(layout), CONFIG, columns), block(layout)
+    rng = np.random.default_rng(1)
+    x = first_mean(columns) + 0.03 * rng.normal(size=columns.size)
+    x[columns.com], x[columns.sole], x[columns.mass], x[columns.delay] = 0.0, 0.0, 0.0, 0.0
+    rows = made.rows(samples, x[columns.weighed], np.zeros(layout.channels))
+
+    def both(x):
+        momenta = momentum_of(samples, layout, rows.point, x, columns)
+        return momenta.mean(axis=0), momenta[-1]
+
+    mean, end = both(x)
+    np.testing.assert_allclose(rows.mean @ x + rows.mean_rest, mean, atol=1e-12)
+    np.testing.assert_allclose(rows.end @ x + rows.end_rest, end, atol=1e-12)
+    for i in set(range(columns.size)) - {columns.delay.start}:
+        step = np.zeros(columns.size)
+        step[i] = 1e-6
+        for k, (above, below) in enumerate(zip(both(x + step), both(x - step), strict=True)):
+            found = (rows.mean, rows.end)[k][:, i]
+            # The side of a sole shifts what a foot carries, whose force is not all vertical on six axes.
+            if columns.components == 6 and columns.sole.start <= i < columns.sole.stop:
+                continue
+            np.testing.assert_allclose(found, (above - below) / 2e-6, atol=1e-8)
+
+
+def test_a_delay_shifts_what_is_measured():
+    columns, samples = Columns.of(LAYOUT), block()
+    rows = Model(setup(), CONFIG, columns).rows(samples, first_mean(columns)[columns.weighed], np.zeros(8))
+    momenta = momentum_of(samples, LAYOUT, rows.point, first_mean(columns), columns)
+    slope = momenta[-1] / samples.duration
+    velocity = samples.velocity.mean(axis=0)
+    # The sum of the shares of what is left of the block is half of it, and half a sample.
+    left = 0.5 * (samples.duration + DT)
+    turned = left * np.array([0.0, -velocity[1], velocity[0]])
+    np.testing.assert_allclose(rows.mean[:, columns.delay.start], turned - slope, atol=1e-12)
+
+
+def test_the_momentum_about_another_point():
+    for layout in (LAYOUT, ANKLES):
+        columns = Columns.of(layout)
+        made = Model(setup(layout), CONFIG, columns)
+        rng = np.random.default_rng(2)
+        P, H, step = rng.normal(size=(3, 3))
+        x = np.zeros(columns.size)
+        x[columns.momentum] = [P[2], H[0], H[1], P[0], P[1], H[2]][: columns.components]
+        transition, added = made.moved(x, step, P * GRAVITY)
+        moved = H - np.cross(step, P)
+        expected = [P[2], moved[0], moved[1], P[0], P[1], moved[2]][: columns.components]
+        np.testing.assert_allclose((transition @ x + added)[columns.momentum], expected, atol=1e-12)
+
+
+def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_them():
+    """One linear row after another, on a wide prior and on each prior itself; then weighed by hand."""
+    columns, rng = Columns.of(LAYOUT), np.random.default_rng(3)
+    spread = Spread.of(setup(), CONFIG)
+    severity, of = Severity(columns, spread), columns.weighed
+    H = np.zeros((6, columns.size))
+    H[:, of] = rng.normal(size=(6, of.stop)) * np.sqrt(first_variance(columns, spread, CONFIG)[of])
+    y, R = 0.5 * rng.normal(size=6), 0.01 * np.eye(6)
+    drifted = np.array([1e-4, 2e-4])
+
+    def posterior(prior):
+        mean, covariance = first_mean(columns), np.diag(first_variance(columns, spread, CONFIG))
+        covariance[of, of] = np.diag(prior)
+        S = H @ covariance @ H.T + R
+        off = y - H @ mean
+        gain = covariance @ H.T @ np.linalg.inv(S)
+        likelihood = -0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1])
+        return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
+
+    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
+    found = severity.weigh(*posterior(wide)[:2], drifted)
+    means, covariances, chances = [], [], []
+    for one, likely_one in zip(SEVERITIES, LIKELY, strict=True):
+        for other, likely_other in zip(SEVERITIES, LIKELY, strict=True):
+            prior = severity.prior(np.array([one**2]), np.array([other**2]), drifted)[0]
+            mean, covariance, likelihood = posterior(prior)
+            means.append(mean[of])
+            covariances.append(covariance[of, of])
+            chances.append(likelihood + np.log(likely_one * likely_other))
+    chance = np.exp(np.array(chances) - max(chances))
+    mean, covariance = combine(chance / chance.sum(), np.array(means), np.array(covariances))
+    np.testing.assert_allclose(found.mean, mean, atol=1e-6)
+    scale = np.sqrt(np.diagonal(covariance))
+    np.testing.assert_allclose(
+        found.covariance / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-4
+    )
+    assert ((found.undetermined >= 0.0) & (found.undetermined <= 1.0)).all()
+
+
+def test_without_data_all_is_undetermined():
+    columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
+    covariance = np.diag(first_variance(columns, spread, CONFIG))
+    found = Severity(columns, spread).weigh(first_mean(columns), covariance, np.zeros(2))
+    np.testing.assert_allclose(found.undetermined, 1.0)
+    np.testing.assert_allclose(found.mean, first_mean(columns)[columns.weighed])
+
+
+def test_modes_keep_their_chance_and_what_they_know():
+    columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
+    mean, variance = first_mean(columns), first_variance(columns, spread, CONFIG)
+    covariances = []
+    for mode in MODES:
+        variance[columns.wrench] = wrench_variance(mode, columns.components)
+        covariances.append(np.diag(variance))
+    belief = Belief(np.stack([mean] * 3), np.stack(covariances), FIRST_CHANCE)
+    mixed = mix(belief, columns, 0.1, CONFIG.mass_std)
+    assert mixed.chance.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(mixed.mean, belief.mean)
+    for before, after in zip(belief.covariance, mixed.covariance, strict=True):
+        assert (np.linalg.eigvalsh(after) >= -1e-15).all()
+        np.testing.assert_allclose(after[columns.map, columns.map], before[columns.map, columns.map])
+    # A load comes with a mass that is open, which is nearly as open for who has had it.
+    at = columns.mass.start
+    assert mixed.covariance[2, at, at] > 20.0 * mixed.covariance[0, at, at]
+
+
+def test_a_row_beyond_the_gate_pulls_no_harder():
+    mean, covariance, H = np.zeros(2), np.eye(2), np.array([[1.0, 0.0]])
+    pulls = []
+    for innovation in (1.0, 4.2, 50.0, 500.0):
+        found, after = update(mean, covariance, H, np.array([innovation]), np.eye(1), slice(1, 2))
+        pulls.append(found[0])
+        assert (np.linalg.eigvalsh(after) > 0.0).all()
+        assert found[1] == 0.0
+    assert pulls[0] == pytest.approx(0.5)
+    assert pulls[1] == pytest.approx(2.1)
+    assert pulls[3] < pulls[2] < pulls[1]
+
+
+def test_contact_is_likelier_the_more_a_foot_bears():
+    learnt = np.diag(np.r_[np.full(8, 1e-4), np.full(8, 0.04)])
+    rows = np.repeat(np.eye(2), 4, axis=1)
+
+    def of(load):
+        return contact_probability(
+            np.array([load, WEIGHT - load]), rows, learnt, np.full(8, 2.0), 0.05, WEIGHT
+        )
+
+    found = np.array([of(load)[0] for load in (-40.0, -1.0, 0.0, 0.5, 1.0, 2.0, 4.0, 20.0, 50.0)])
+    assert (np.diff(found[1:]) >= 0.0).all()
+    assert found[0] < 0.01
+    assert found[2] < 0.02
+    assert found[-3] > 0.99
+    assert of(0.0)[1] > 0.999
