@@ -67,7 +67,8 @@ def replay(
     method = method_name(method)
     readings = np.asarray(raw, dtype=np.float64)
     check_kind("layout", layout, FeetLayout)
-    check_kind("reference", reference, Reference)
+    if not isinstance(reference, MomentumReference):
+        check_kind("reference", reference, Reference)
     layout.check_raw(readings)
     if readings.ndim != 2 or len(readings) == 0:
         way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""

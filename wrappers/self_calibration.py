@@ -7,9 +7,10 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 from gymnasium import spaces
 
-from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
@@ -167,7 +168,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return self.robot.calibrator
 
     @property
-    def beliefs(self) -> Beliefs | NativeBeliefs:
+    def beliefs(self) -> Beliefs | NativeBeliefs | MomentumBeliefs:
         """The robot's beliefs, from the first reset on."""
         return self.robot.beliefs
 
@@ -177,7 +178,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return self.robot.estimate
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> Reference | MomentumReference:
         """The calibrator's last reference."""
         return self.robot.reference
 

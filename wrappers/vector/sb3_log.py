@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.cop import cop_of_feet
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.extras import not_installed
@@ -113,7 +113,7 @@ class CalibrationLog(BaseCallback):
             if share:
                 self.logger.record(f"{FLAGGED}/{str(flag.name).lower()}", share)
 
-    def _samples(self) -> Iterator[tuple[Estimate, Reference, Any]]:
+    def _samples(self) -> Iterator[tuple[Estimate, Reference | MomentumReference, Any]]:
         """Yield each robot's estimate, its reference and the true wrenches at its soles (2, 6)."""
         if self._many is not None:
             wrenches = self._many.venv.truth["wrench_sole"]
