@@ -58,7 +58,7 @@ def synchronise(
         step = sum(one[1] for one in found) / max(sum(one[2] for one in found), np.finfo(float).tiny)
         if not np.isfinite(step) or abs(delay + step) > _LONGEST:
             return sets, 0.0, []
-        if abs(step) < _SETTLED:
+        if abs(step) < (_SETTLED if delay else _SHORTEST):
             break
         delay += float(step)
         shifted = tuple(_shift(data, delay) for data in sets)

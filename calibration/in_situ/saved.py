@@ -44,6 +44,9 @@ _NAMES = {
     "accelerometer_bias": "accelerometer_bias_m_s2",
 }
 
+_NEW = ("maker_known", "accelerometer_bias")
+"""Fields that files of the same version may lack."""
+
 
 def facts_of(
     fit: InSituFit,
@@ -124,7 +127,9 @@ def read_calibration(path: Path) -> InSituFit:
 def _fit_of(given: dict[str, Any]) -> InSituFit:
     if given.get("nonlinear") is not None:
         raise ValueError("a polynomial, which fits no longer have")
-    values = {field: _array(given[name]) for field, name in _NAMES.items() if given.get(name) is not None}
+    older = {name: None for field, name in _NAMES.items() if field in _NEW}
+    given = older | given
+    values = {field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None}
     limb = given["limb"]
     return InSituFit(
         limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),

@@ -40,8 +40,8 @@ _EARTH = 0.006
 _ARM = 1.0
 """Deviation in m of the arm from the point that a limb turns about: a leg's length."""
 
-_SAMPLES = 4000
-"""Samples of a set that are looked at."""
+_SAMPLES = 8000
+"""Samples of all sets that are looked at."""
 
 _BLOCK = 3.0
 """Time in s beyond which errors of the length hang together no more."""
@@ -113,7 +113,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     for one in sets:
         data, _ = with_turning(one)
         rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
-        rows = rows[:: max(len(rows) // _SAMPLES, 1)]
+        rows = rows[:: max(len(rows) * len(sets) // _SAMPLES, 1)]
         felt = felt_by_turning(data, rows)
         whole = np.isfinite(felt).all(axis=(1, 2))
         gravity.append(data.gravity[rows[whole]])

@@ -127,15 +127,13 @@ class Fit(Settings):
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        self.options(None)
+        self.options(Sensor())
         return self
 
-    def options(self, sensor: Sensor | None) -> InSituOptions:
+    def options(self, sensor: Sensor) -> InSituOptions:
         """Return the options of the fit for a sensor."""
-        given = self.model_dump(exclude={"sets", "keep_matrix"})
-        if sensor is None:
-            return InSituOptions(**given)
         scale = None if sensor.full_scale is None else tuple(sensor.full_scale.tolist())
+        given = self.model_dump(exclude={"sets", "keep_matrix"})
         return InSituOptions(**given, code_range=sensor.range_count, full_scale=scale)
 
 

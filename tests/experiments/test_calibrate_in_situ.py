@@ -151,7 +151,8 @@ def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: P
     for name, column in zip(WRENCH, driven.T, strict=True):
         table = table.append_column(name, [column])
     pq.write_table(table, path)
-    told = config.model_dump() | {"units": {"raw": "N"}, "factory": {}, "sensor": {}}
+    sheet = {"full_scale": config.sensor.full_scale}
+    told = config.model_dump() | {"units": {"raw": "N"}, "factory": {}, "sensor": sheet}
     result = calibrate_in_situ_log(path, InSituConfig.read(told, "driver.toml"), folder=tmp_path)
     plain = calibrate_in_situ_log(short, folder=tmp_path)
     # Where the data leave a matrix to the maker's, each of the two may choose another share of it.
