@@ -63,8 +63,9 @@ _SIGMAS = 3.0
 _THIN = 0.1
 """Time in s over which gravity is averaged before its turning is taken."""
 
-_SMOOTHED, _FEWEST = 0.3, 5
-"""Time in s, and rows at least, over which the turning of gravity is taken."""
+_SMOOTHED, _SWEPT, _FEWEST = 0.3, 2.0, 5
+"""Time in s, the second for slow sweeps, and rows at least, over which the turning of gravity is taken. By a
+noisy turning too little of the length is explained, and a bias takes the rest."""
 
 _STEP, _ALIKE = 0.3, 0.5
 """Time in s between two looks at gravity, and the correlation of its changes from which on it turns
@@ -179,7 +180,7 @@ def _long_run(off: Vector, blocks: Sequence[int]) -> float:
     return max(1.0, width * float(np.var(means)) / max(float(np.var(off)), np.finfo(float).tiny))
 
 
-def turning(data: InSituSet) -> InSituSet:
+def turning(data: InSituSet, smoothed: float = _SMOOTHED) -> InSituSet:
     """Return a set that was taken to be at rest with the motion that gravity shows: none about its direction.
 
     Where gaps or few samples hide it, the set itself is returned.
@@ -187,7 +188,7 @@ def turning(data: InSituSet) -> InSituSet:
     if data.time is None or len(data.time) < 2:
         return data
     dt = float(np.median(np.diff(data.time)))
-    window = max(_FEWEST, 2 * round(0.5 * _SMOOTHED / dt) + 1)
+    window = max(_FEWEST, 2 * round(0.5 * smoothed / dt) + 1)
     if len(data.time) <= 2 * window or not np.isfinite(data.gravity).all():
         return data
     g = data.gravity
@@ -209,7 +210,7 @@ def with_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
     columns = columns[: len(columns) // width * width].reshape(-1, width, 5).mean(axis=1)
     raw = np.zeros((len(columns), data.channels))
     thin = replace(data, raw=raw, time=columns[:, 1], gravity=columns[:, 2:], temperature=None)
-    moved = turning(thin)
+    moved = turning(thin, _SWEPT)
     return moved if moved.moves and _steady(thin) else thin, columns[:, 0]
 
 
