@@ -93,7 +93,7 @@ class GammaRow(NamedTuple):
     refusal: str = ""
 
 
-_TOLERANT: dict[str, Any] = {"residual_tolerance": 0.2, "scale_tolerance": 0.5}
+_TOLERANT: dict[str, Any] = {"residual_tolerance": 0.2, "bending_tolerance": 0.05, "scale_tolerance": 0.5}
 
 _FOOT: dict[str, tuple[float | None, float, dict[str, Any], bool]] = {
     "in situ, mass known to 1 %": (0.01, 0.005, {"drift": 0}, True),

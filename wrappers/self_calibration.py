@@ -7,12 +7,9 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 from gymnasium import spaces
 
-from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
+from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
-from surefoot.robot.beliefs.momentum import MomentumBeliefs
-from surefoot.robot.beliefs.native import NativeBeliefs
-from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import DEFAULT, RAW, seen_below
 from surefoot.robot.streams import BELIEF_STREAM
@@ -168,8 +165,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return self.robot.calibrator
 
     @property
-    def beliefs(self) -> Beliefs | NativeBeliefs | MomentumBeliefs:
-        """The robot's beliefs, from the first reset on."""
+    def beliefs(self) -> Any:
+        """The robot's beliefs, of the kind that the method takes, from the first reset on."""
         return self.robot.beliefs
 
     @property
@@ -178,8 +175,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return self.robot.estimate
 
     @property
-    def reference(self) -> Reference | MomentumReference:
-        """The calibrator's last reference."""
+    def reference(self) -> Any:
+        """The calibrator's last reference: a ``Reference``, or for ``"momentum"`` a ``MomentumReference``."""
         return self.robot.reference
 
     @property

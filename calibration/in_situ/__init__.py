@@ -1,7 +1,6 @@
 """Calibrate six-axis force-torque sensors where they are built in, from gravity and known masses.
 
 * :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
-* :class:`NonlinearMap`: what a fit adds to the linear map of a sensor that is not linear.
 * :func:`read_calibration`: a fit that ``surefoot calibrate ft`` wrote.
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
@@ -22,7 +21,6 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_fit,
 )
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
-from surefoot.calibration.in_situ.nonlinear import NonlinearMap
 from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
@@ -42,7 +40,6 @@ __all__ = [
     "KnownLimb",
     "Limb",
     "MassCandidate",
-    "NonlinearMap",
     "OffsetFit",
     "PaperMatrixFit",
     "PlannedPose",

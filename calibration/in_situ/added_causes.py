@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.answer_checks import added_slope, projected
 from surefoot.calibration.in_situ.causes import Cause, Evidence
+from surefoot.calibration.in_situ.judge import added_slope, projected
 from surefoot.calibration.in_situ.model import (
     INERTIA,
     MASS,

@@ -17,6 +17,7 @@ and the offset is a weighted sum of rows (:class:`OffsetAt`). Nothing is squared
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +31,13 @@ from surefoot.calibration.in_situ.model import DIRECT, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.rows import FLOOR, SetRows, disagreeing, means, rows_of
 
-__all__ = ["CompressedSet", "compress", "triangle", "with_signals"]
+__all__ = ["UNUSED", "CompressedSet", "compress", "triangle", "with_signals"]
 
 Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+UNUSED = 1e-9
+"""Share of the largest variance of a set's rows below which a signal never varied."""
 
 _RANK = 1e-12
 """Singular values at or below this share of the largest, for columns of unit length, are rounding."""
@@ -82,6 +87,7 @@ class CompressedSet:
         width: Samples that made a row.
         colour: Of the noise that the rows are weighted by.
         source: The rows before they were weighted against drift.
+        raised: By which the variance of rows is more, as sets disagree.
     """
 
     name: str
@@ -103,6 +109,24 @@ class CompressedSet:
     width: int
     colour: Colour
     source: SetRows
+    raised: float = 1.0
+
+    @cached_property
+    def whiten(self) -> Matrix:
+        """What makes rows of :attr:`ur` ones of the variance of a row's noise, shape (s, s)."""
+        values, vectors = self._gram
+        return np.asarray((vectors / np.where(values > 0.0, np.sqrt(values), np.inf)) @ vectors.T)
+
+    @cached_property
+    def unwhiten(self) -> Matrix:
+        """The inverse of :attr:`whiten` where signals varied, shape (s, s)."""
+        values, vectors = self._gram
+        return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
+
+    @property
+    def _gram(self) -> tuple[Vector, Matrix]:
+        values, vectors = np.linalg.eigh(self.raised * self.gram)
+        return np.where(values > UNUSED * np.max(values, initial=0.0), values, 0.0), vectors
 
     @property
     def spacing(self) -> float:
@@ -254,7 +278,8 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     power = colour.left(len(white), rows.spacing)
     modes = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
     of_signals = dct(score, norm="ortho", axis=0)
-    near = _beside(np.sum(of_signals**2, axis=1))
+    # Rows without an order in time have no frequency: all speak of the noise alike.
+    near = _beside(np.sum(of_signals**2, axis=1)) if rows.timed else np.ones(len(modes))
     scatter, beside = modes.T @ modes, (near[:, None] * modes).T @ modes
     # Noise that depends on the load is nowhere less than on average.
     modes = np.sqrt(np.maximum(power, 1.0))[:, None] * of_signals

@@ -1,10 +1,10 @@
 r"""The covariance of an in-situ calibration, and of its noise.
 
-With whitened readings :math:`z = X \theta + e` the covariance is :math:`X^+ G X^{+\prime}`, where G is that
-of the rows' noise: they are free of drift, but what is left in them of hysteresis and of a limb that is not
-quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised or lowered as
-far as the sets disagree with each other by more or less than that (Birge, 1932). A sensor with hysteresis
-has no one slope; what that leaves open of its matrix comes on top.
+With rows of variance one, :math:`z = J \theta + e`, the covariance is :math:`J^+ J^{+\prime}`. The rows are
+free of drift, and weighted by what is left in them of hysteresis and of a limb that is not quite rigid
+(:mod:`~surefoot.calibration.in_situ.colour`). It is raised or lowered as far as the sets disagree with each
+other by more or less than that (Birge, 1932). A sensor with hysteresis has no one slope; what that leaves
+open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
@@ -28,17 +28,15 @@ from surefoot.calibration.in_situ.solve import (
 )
 
 __all__ = [
-    "UNUSED",
     "OpenErrors",
+    "beside_motion",
     "fit_covariance",
-    "noise_level",
     "output_derivatives",
     "pooled_noise",
     "unknowns_root",
     "weighted_inverse",
     "whitening",
     "with_disagreement",
-    "with_rows",
 ]
 
 Matrix = NDArray[np.float64]
@@ -49,9 +47,6 @@ _RAISES, _LOWERS = 4.0, 30.0
 where they show less noise, since to be too sure is worse than to be too unsure. Loops in the fit take most of
 the hysteresis at the motion's own frequency with them, and less of it elsewhere: the spectrum there is no
 guide, and few rows suffice either way."""
-
-UNUSED = 1e-9
-"""Share of the largest variance of a set's rows below which a signal never varied."""
 
 _AS_POOLED = 10.0
 """Modes beside the motion whose covariance counts for as much as the one of all modes."""
@@ -98,36 +93,49 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
-def with_disagreement(problem: Problem, solution: Solution) -> Problem:
-    """Return the problem with the noise of its rows as the sets show it by how much they disagree.
-
-    At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
-    signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
-    """
-    left, _ = orthonormal(solution.jacobian)
-    free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
-    size = np.array([np.diag(part.gram) for part in problem.sets])
-    used = size > UNUSED * np.max(size, axis=1, keepdims=True)
-    alike = np.linalg.solve(beside_motion(problem), solution.residual.swapaxes(1, 2)).swapaxes(1, 2)
-    square = np.sum(alike**2, axis=2) / np.where(used, size, np.inf)
-    freedom = np.where(used, free.sum(axis=2), 0.0)
-    shown, rows = square.sum(axis=0), freedom.sum(axis=0)
-    loops = problem.hysteresis or problem.channel_lags > 0
-    believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
-    root = np.sqrt((believed + shown) / (believed + rows))
-    parts = tuple(replace(part, gram=root[:, None] * part.gram * root) for part in problem.sets)
-    return replace(problem, sets=parts)
-
-
 def beside_motion(problem: Problem) -> Matrix:
     """Return a symmetric root of the shape of whitened noise about as fast as the signals, (k, k).
 
     Noise that depends on the load is in what the load moves, and white noise in all channels: channels whose
     noise is as large over all frequencies may differ there. How large it is in the mean, the spectrum says.
+    It is part of the covariance alone: weights by so few modes would make the answer less sure.
     """
     scatter = problem.whitening @ sum(part.beside for part in problem.sets) @ problem.whitening.T
     shape = _AS_POOLED * np.eye(len(scatter)) + scatter
     return noise_root(shape / np.mean(np.diag(shape)))
+
+
+def disagreement(problem: Problem, solution: Solution) -> Vector:
+    """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
+
+    At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
+    signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
+    """
+    shown, rows = _free(problem, solution)
+    return np.asarray(np.sqrt(_raised(problem, shown, rows)))
+
+
+def with_disagreement(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with the noise of all rows as the sets show it by how much they disagree."""
+    shown, rows = _free(problem, solution)
+    factor = float(_raised(problem, np.atleast_1d(np.sum(shown)), np.atleast_1d(np.sum(rows)))[0])
+    return replace(problem, sets=tuple(replace(part, raised=factor * part.raised) for part in problem.sets))
+
+
+def _free(problem: Problem, solution: Solution) -> tuple[Vector, Vector]:
+    """Return the squares of each signal's rows, and how many of these are free, shape (s,) each."""
+    left, _ = orthonormal(solution.jacobian)
+    free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
+    used = np.array([np.diag(part.unwhiten) > 0.0 for part in problem.sets])
+    alike = np.linalg.solve(beside_motion(problem), solution.residual.swapaxes(1, 2)).swapaxes(1, 2)
+    shown = np.where(used, np.sum(alike**2, axis=2), 0.0).sum(axis=0)
+    return shown, np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
+
+
+def _raised(problem: Problem, shown: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    loops = problem.hysteresis or problem.channel_lags > 0
+    believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
+    return np.asarray((believed + shown) / (believed + rows))
 
 
 def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
@@ -139,19 +147,15 @@ def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
     return left, right.T / singular / size[:, None]
 
 
-def noise_level(sets: Sequence[CompressedSet]) -> float:
-    """Return by how much the noise of the rows weighs more than white noise, over all sets; at least one."""
-    used = np.concatenate([np.diag(part.gram)[np.diag(part.gram) > UNUSED] for part in sets])
-    return max(float(np.mean(used)), 1.0) if len(used) else 1.0
-
-
 def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     """Return C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
     weighted = np.linalg.solve(noise, response)
     return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
 
 
-def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: OpenErrors) -> Matrix:
+def fit_covariance(
+    problem: Problem, solution: Solution, noise: Matrix, beside: OpenErrors, root: Matrix
+) -> Matrix:
     """Return the covariance of (C row by row, the last set's offset at its end, m, m c), (7 k + 4, 7 k + 4).
 
     Args:
@@ -159,20 +163,18 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: 
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
         beside: Errors that are no noise.
+        root: Of the covariance of the unknowns by noise and prior, as :func:`unknowns_root` returns it.
     """
     channels, inputs = solution.response.shape
     columns = FitColumns.of(channels)
     left, inverse = orthonormal(solution.jacobian)
-    of_rows = left[: len(beside.rows)].T @ beside.rows
-    root = np.concatenate([_noise_root(problem, left), of_rows], axis=1)
-    root = inverse @ root
+    rows = np.pad(beside.rows, ((0, len(left) - len(beside.rows)), (0, 0)))
+    root = np.concatenate([root, inverse @ (left.T @ rows)], axis=1)
     linear = channels * inputs
     # From W A to A, row by row.
-    unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
-    root[:linear] = unwhiten @ root[:linear]
-    to_output = output_derivatives(problem, solution, noise)
-    root = to_output @ root
-    root[columns.offset, -of_rows.shape[1] :] += beside.offset
+    root[:linear] = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs)) @ root[:linear]
+    root = output_derivatives(problem, solution, noise) @ root
+    root[columns.offset, -rows.shape[1] :] += beside.offset
     covariance = root @ root.T
     last = problem.sets[-1]
     covariance[columns.offset, columns.offset] += noise * last.end.variance
@@ -186,41 +188,16 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: 
 def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
     """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
     left, inverse = orthonormal(solution.jacobian)
-    return np.asarray(inverse @ _noise_root(problem, left))
-
-
-def _noise_root(problem: Problem, left: Matrix) -> Matrix:
-    """Return a root of the covariance of the rows in their orthonormal basis, shape (p, p).
-
-    Args:
-        problem: The problem, the rows of whose sets have the noise of :attr:`CompressedSet.gram`.
-        left: Orthonormal, of all rows, shape (n, p).
-    """
-    channels = len(problem.whitening)
-    of_channels = beside_motion(problem)
-    spread, first = [], 0
-    for part in problem.sets:
-        signals = len(part.uu)
-        rows = of_channels @ left[first : first + signals * channels].reshape(signals, channels, -1)
-        spread.append((noise_root(part.gram) @ rows.reshape(signals, -1)).reshape(signals * channels, -1))
-        first += signals * channels
-    return triangle(np.concatenate([*spread, np.sqrt(problem.level) * left[first:]])).T
+    of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
+    of_sets = beside_motion(problem) @ (disagreement(problem, solution)[:, None, None] * of_sets)
+    rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
+    return np.asarray(inverse @ triangle(rows).T)
 
 
 def noise_root(gram: Matrix) -> Matrix:
     """Return a symmetric root of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(gram)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def with_rows(covariance: Matrix, rows: Matrix) -> Matrix:
-    """Return a fit's covariance with others of the matrix's rows, shape (6, k, k), in their place."""
-    changed, columns = covariance.copy(), FitColumns.of(rows.shape[1])
-    for axis, row in enumerate(rows):
-        place = columns.row(axis)
-        changed[place] = changed[:, place] = 0.0
-        changed[place, place] = row
-    return changed
 
 
 def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:

@@ -1,13 +1,12 @@
 """The result of in-situ calibration, and where its unknowns stand in its covariance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
-from surefoot.calibration.in_situ.nonlinear import NonlinearMap
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["ErrorColumns", "FitColumns", "InSituFit", "Limb", "check_calibrated", "error_covariance"]
@@ -110,10 +109,17 @@ class InSituFit:
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
+        maker_known: Of each entry of D, A = A_0 (1 + D), the share that the readings know, 1 - posterior /
+            prior variance, shape (6, 6); None without a factory matrix.
         accepted: The reason that was given to pass the refusals; empty if none was passed.
-        nonlinear: What :meth:`wrench` adds for a sensor that is not linear; None if nothing.
         bending: Share of a set's spread that goes with gravity's squares, where that is more than noise or
             hysteresis; the covariance counts it.
+        scope: What was found, in words.
+        maker_share: How far the maker's matrix is off by the readings, as a share of full scale; None without
+            one.
+        accelerometer_bias: In m/s^2, shape (3,), which was taken off.
+        accelerometer_scale: By which its readings were multiplied.
+        delay: By which gravity was late against the readings in s, which was undone.
     """
 
     matrix: NDArray[np.float64]
@@ -137,9 +143,14 @@ class InSituFit:
     hysteresis: NDArray[np.float64] | None = None
     channel_hysteresis: NDArray[np.float64] | None = None
     data_share: NDArray[np.float64] | None = None
+    maker_known: NDArray[np.float64] | None = None
     accepted: str = ""
-    nonlinear: NonlinearMap | None = None
     bending: float = 0.0
+    scope: str = ""
+    maker_share: float | None = None
+    accelerometer_bias: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    accelerometer_scale: float = 1.0
+    delay: float = 0.0
 
     @property
     def columns(self) -> FitColumns:
@@ -170,7 +181,7 @@ class InSituFit:
         offset: NDArray[np.float64] | None = None,
         temperature: float | NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2), and what :attr:`nonlinear` adds.
+        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2).
 
         Args:
             raw: Counts, shape (..., k).
@@ -188,9 +199,7 @@ class InSituFit:
             o = o + warmer * self.temperature_coefficient
             if self.temperature_gain is not None:
                 gain = 1.0 + warmer * self.temperature_gain
-        above = np.asarray(raw, dtype=np.float64) - o
-        added = 0.0 if self.nonlinear is None else self.nonlinear.wrench(above)
-        return np.asarray(above @ self.matrix.T / gain + added)
+        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T / gain)
 
     def at_reference(
         self, raw: NDArray[np.float64], temperature: float | NDArray[np.float64]

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from surefoot.calibration.in_situ.added_causes import OF_ADDED
-from surefoot.calibration.in_situ.causes import ON_READINGS, SLOWLY, Cause, Evidence, speed
+from surefoot.calibration.in_situ.causes import ON_READINGS, Cause, Evidence, speed
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.input_checks import TOO_FAST
+from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.solve import Problem, Solution
-from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["Likely", "deviance", "explained", "likeliest", "whitened"]
 
@@ -92,7 +91,7 @@ def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
 def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
     """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
     found = []
-    between = solution.residual @ np.linalg.inv(problem.whitening).T
+    between = problem.unwhitened(solution.residual)
     for part, one in zip(problem.sets, between, strict=True):
         root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
         modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
@@ -100,14 +99,16 @@ def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
     return found
 
 
-def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequence[str]) -> CalibrationRefused:
-    """Return a refusal with what likeliest lies behind it; the symptom itself if no cause explains it.
+def explained(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
+    """Return a symptom with what likeliest lies behind it; the symptom itself if no cause explains it.
 
-    ``warnings`` are those of the sets, which may say it already.
+    Args:
+        symptom: Sets that contradict each other or themselves.
+        evidence: What causes are judged by.
+        drift: What may hide behind a drift, or None.
     """
-    fast = [text for text in warnings if TOO_FAST in text]
-    if fast:
-        return CalibrationRefused(f"{symptom.reason} {fast[0]}", SLOWLY)
+    if drift is not None:
+        symptom = symptom.explained(drift.reason, drift.cure)
     found = likeliest(evidence)
     if not found:
         return symptom
@@ -116,9 +117,9 @@ def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequenc
         shares[cause.words] = shares.get(cause.words, 0.0) + share
     named = [f"{words} ({_percent(share)})" for words, share in list(shares.items())[:2]]
     cure = found[0].cause.cure
-    if symptom.__cause__ is not None:  # a drift that may be behind it
+    if drift is not None:
         cure += f" If that is not it: {symptom.cure}"
-    return CalibrationRefused(f"{symptom.reason} Likeliest: {'; then '.join(named)}.", cure)
+    return symptom.explained(f"Likeliest: {'; then '.join(named)}.", cure)
 
 
 def _percent(share: float) -> str:

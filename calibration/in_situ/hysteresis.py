@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration.in_situ.compress import with_signals
-from surefoot.calibration.in_situ.covariance import UNUSED, noise_level, whitening
+from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
@@ -85,10 +85,8 @@ def criterion(problem: Problem, solution: Solution) -> float:
     these maps add up to what it leaves of the readings.
     """
     rows = sum(part.rows for part in problem.sets)
-    unwhiten = np.linalg.inv(problem.whitening).T
-    scatter = sum(part.scatter for part in problem.sets)
-    for part, residual in zip(problem.sets, solution.residual @ unwhiten, strict=True):
-        scatter = scatter + residual.T @ np.linalg.pinv(part.gram, UNUSED, hermitian=True) @ residual
+    between = solution.residual @ np.linalg.inv(problem.whitening).T
+    scatter = sum(part.scatter for part in problem.sets) + sum(one.T @ one for one in between)
     size = np.sqrt(np.diag(scatter))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
     free = solution.jacobian.shape[1]
@@ -138,7 +136,6 @@ def beside_loads(
             sets=parts,
             added=np.pad(plain.added, ((0, 0), (0, AXES))),
             whitening=whitening(parts),
-            level=noise_level(parts),
             basis=basis,
             limb=np.pad(plain.limb, (0, AXES)),
             limb_root=limb_root,
@@ -167,7 +164,6 @@ def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOp
         sets=parts,
         channel_lags=plain.channel_lags + columns[0].shape[1],
         whitening=whitening(parts),
-        level=noise_level(parts),
     )
 
 

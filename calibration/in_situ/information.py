@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.covariance import UNUSED, output_derivatives
+from surefoot.calibration.in_situ.covariance import output_derivatives
 from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.solve import Problem, Solution
-from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["DataShare", "data_share", "slow_turn"]
 
@@ -60,7 +60,7 @@ class DataShare:
     unseen: int
     left_open: tuple[str, ...]
 
-    def warnings(self, columns: FitColumns) -> tuple[str, ...]:
+    def findings(self, columns: FitColumns) -> list[Finding]:
         """Return what leans on what was known beforehand, if much does."""
         known = {
             "the matrix": float(np.mean(self.share[columns.matrix])),
@@ -68,9 +68,10 @@ class DataShare:
             "its centre of mass": float(np.mean(self.share[columns.limb][MOMENT])),
         }
         if min(known.values()) > _MOST:
-            return ()
+            return []
         listed = ", ".join(f"{share:.0%} of what is known of {name}" for name, share in known.items())
-        return (f"The readings alone give {listed}; the rest is what was known beforehand.",)
+        reason = f"The readings alone give {listed}; the rest is what was known beforehand."
+        return [Finding("share of the data", reason, value=min(known.values()), limit=_MOST, refuses=False)]
 
 
 def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: float) -> DataShare:
@@ -87,11 +88,6 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: f
     scale = _sizes(problem, solution)
     J = solution.jacobian * scale
     data, prior = J[:of_data], J[of_data:]
-    # The rows' noise beyond white: what counts is how sure the data are, not how many.
-    size = np.concatenate([np.repeat(np.diag(part.gram), channels) for part in problem.sets])
-    seen = size > UNUSED * np.max(size)
-    data = data[seen] / np.sqrt(size[seen])[:, None]
-    prior = prior / np.sqrt(problem.level)
     squares = data.T @ data
     asked = _asked(problem, channels, inputs, len(squares))
     values, vectors = np.linalg.eigh(_of_asked(squares, asked))
@@ -134,7 +130,7 @@ def _of_asked(squares: Matrix, asked: NDArray[np.bool_]) -> Matrix:
     return np.asarray(squares[np.ix_(asked, asked)] - across.T @ rest)
 
 
-def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
+def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Finding | None:
     """Return along which direction gravity turned no faster than offsets drift, and the cure; or None.
 
     The spread that the weights against drift leave is held against the spread that there was.
@@ -157,10 +153,14 @@ def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Cali
     spread = float(np.sqrt(direction @ seen @ direction / size))
     x, y, z = direction
     rest = spread * float(np.sqrt(max(shares[0], 0.0)))
-    return CalibrationRefused(
+    return Finding(
+        "slow turning",
         f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
         f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}.",
         "Go through these postures several times in a set, or come back to the first ones at its end.",
+        rest,
+        _SLOW * spread,
+        refuses=False,
     )
 
 

@@ -1,7 +1,7 @@
 """Options of in-situ calibration and of its tracker, and what may be known of the limb."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,6 @@ __all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 
 MOST_DRIFT = 8
 """Most cosines along which an offset may drift: more would follow the limb's turning."""
-
-DEGREES = (2, 3)
-"""Of polynomials on top of the linear map."""
 
 LEARN = ("offset", "axes", "matrix")
 """What a tracker can estimate: the offset alone, with one relative factor for each axis, with all of D."""
@@ -68,16 +65,16 @@ class InSituOptions:
     """Whether the sensor's hysteresis is part of the fit where sets have times and show it beyond chance."""
 
     factory_std: tuple[float, ...] | None = None
-    """How far each axis of the sensor may be from the factory matrix, as a share of its response, (6,). None
-    lets cross-validation choose; only used with a factory matrix."""
+    """How far each axis of the sensor may be from the factory matrix, as a share of its full scale, (6,).
+    None learns one share for all from the readings; only used with a factory matrix."""
 
     estimate_rotation: bool = False
     """Whether the rotation from the accelerometer's frame to the sensor's is unknown (in-situ paper, remark
     of II-B). Added masses at places known in the sensor's frame show it; limb at rest only."""
 
-    nonlinear: int | Literal["auto"] | None = None
-    """Degree of a polynomial on top of the linear map, 2 or 3, or "auto" for the better of both; an axis gets
-    it only where it predicts readings that took no part clearly better. None is for none."""
+    full_scale: tuple[float, ...] | None = None
+    """Full scales of the axes by the sensor's sheet in N and N m, (6,), in shares of which a maker's errors
+    are; None takes those that channels of one range would have by the factory matrix."""
 
     code_range: tuple[float, float] | None = None
     """Lowest and highest count of the converter; channels that stay there are saturated."""
@@ -88,7 +85,7 @@ class InSituOptions:
     bending_tolerance: float | None = None
     """Share of a set's spread that may go with gravity's squares before the set is refused; beyond a tenth of
     ``residual_tolerance``, or while hysteresis may be part of it a third, a warning says so, and matrix and
-    offset are as unsure. None is for no more than that, and for 0.01 beside a polynomial."""
+    offset are as unsure. None is for no more than that."""
 
     mass_tolerance: float = 0.05
     """Share of the largest added mass, or of its lever, by which readings may contradict what was added."""
@@ -108,11 +105,12 @@ class InSituOptions:
             raise ValueError(
                 f"'drift' must be a whole number from 0 to {MOST_DRIFT}, or None, got {self.drift!r}."
             )
-        if self.nonlinear not in (None, "auto", *DEGREES):
-            raise ValueError(f"'nonlinear' must be None, 'auto' or one of {DEGREES}, got {self.nonlinear!r}.")
         stds = self.factory_std
         if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
             raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")
+        scales = self.full_scale
+        if scales is not None and (len(scales) != 6 or not all(value > 0.0 for value in scales)):
+            raise ValueError(f"'full_scale' must hold six positive values in N and N m, got {scales!r}.")
         _check_code_range(self)
 
 

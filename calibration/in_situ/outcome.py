@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.answer_checks import (
-    DataRank,
-)
 from surefoot.calibration.in_situ.covariance import (
     weighted_inverse,
 )
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.information import DataShare
 from surefoot.calibration.in_situ.model import (
     AXES,
     MASS,
@@ -30,7 +28,7 @@ from surefoot.calibration.in_situ.solve import (
 )
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["outcome", "refused", "with_bending"]
+__all__ = ["outcome", "refused", "with_bending", "with_common_scale"]
 
 Matrix = NDArray[np.float64]
 
@@ -40,22 +38,15 @@ def outcome(
     solution: Solution,
     noise: Matrix,
     covariance: Matrix,
-    rank: DataRank,
-    matrix: Matrix | None,
-    warnings: tuple[str, ...],
+    known: DataShare,
 ) -> InSituFit:
-    """Return the fit; ``matrix`` is C where it leans on a factory matrix, else the response's inverse."""
-    if matrix is None:
-        matrix = weighted_inverse(solution.A, noise)
-    else:
-        response = np.concatenate([np.linalg.pinv(matrix), solution.direct], axis=1)
-        solution = replace(solution, response=response)
+    """Return the fit, without what is said of it."""
     parts, limb = problem.sets, solution.limb
     predicted = solution.response @ transforms(problem, solution)
     offsets = [part.middle.by(B) for part, B in zip(parts, predicted, strict=True)]
-    stats, set_stats = _stats(problem, solution, rank)
+    stats, set_stats = _stats(problem, solution, known)
     return InSituFit(
-        matrix=matrix,
+        matrix=weighted_inverse(solution.A, noise),
         offset=parts[-1].end.by(predicted[-1]),
         offsets=np.array(offsets),
         response=solution.A,
@@ -64,9 +55,9 @@ def outcome(
         noise=noise,
         temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
         rotation=solution.rotation,
-        result=FitResult.PARTLY_DETERMINED if rank.missing else FitResult.DETERMINED,
+        result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
         refusals=(),
-        warnings=warnings,
+        warnings=(),
         stats=stats,
         set_stats=set_stats,
         affine_residual=np.array([part.affine_residual for part in parts]),
@@ -75,6 +66,22 @@ def outcome(
         hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
         channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
     )
+
+
+def with_common_scale(fit: InSituFit, doubt: float, *, weighed: bool) -> InSituFit:
+    """Return a fit all of whose gains may be off by one factor of a deviation, and what it weighs with them.
+
+    Args:
+        fit: The fit.
+        doubt: The deviation.
+        weighed: Whether the limb's mass was given.
+    """
+    covariance, columns = fit.covariance.copy(), fit.columns
+    off = np.zeros(len(covariance))
+    off[columns.matrix] = doubt * fit.matrix.ravel()
+    if not weighed:
+        off[columns.limb] = doubt * fit.limb.parameters[:STATIC]
+    return replace(fit, covariance=covariance + np.outer(off, off))
 
 
 def with_bending(fit: InSituFit, share: float, load: Matrix, *, weighed: bool) -> InSituFit:
@@ -99,7 +106,7 @@ def with_bending(fit: InSituFit, share: float, load: Matrix, *, weighed: bool) -
     return replace(fit, covariance=covariance, bending=share)
 
 
-def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitStats, tuple[FitStats, ...]]:
+def _stats(problem: Problem, solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitStats, ...]]:
     """Return the statistics of all sets together and of each."""
     singular = np.linalg.svd(of_unit_length(solution.jacobian)[0], compute_uv=False)
     whole = FitStats(
@@ -107,12 +114,12 @@ def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitSta
         dropped=0,
         gated=0,
         residual_rms=0.0,
-        rank=rank.found,
-        unknowns=rank.found + rank.missing,
+        rank=known.seen,
+        unknowns=known.seen + known.unseen,
         condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
     )
     # What each set's response leaves of the common one, by its orthonormal signals, in counts.
-    left = np.asarray(solution.residual @ np.linalg.inv(problem.whitening).T)
+    left = problem.unwhitened(solution.residual)
     each = tuple(
         replace(
             whole,
@@ -132,8 +139,8 @@ def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitSta
     return whole, each
 
 
-def refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit:
-    """Return a fit whose values are NaN, with the reason."""
+def refused(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
+    """Return a fit whose values are NaN, with the reasons."""
 
     def unknown(*shape: int) -> Matrix:
         return np.full(shape, np.nan)
@@ -152,7 +159,7 @@ def refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit
         temperature_coefficient=None,
         rotation=np.eye(3),
         result=FitResult.REFUSED,
-        refusals=(refusal,),
+        refusals=refusals,
         warnings=(),
         stats=nothing,
         set_stats=(nothing,) * count,

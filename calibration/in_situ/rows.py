@@ -61,6 +61,7 @@ class SetRows(NamedTuple):
     place: NDArray[np.float64]
     width: int
     spacing: float
+    timed: bool
 
     @property
     def signals(self) -> Matrix:
@@ -104,6 +105,7 @@ def rows_of(
         mean.place,
         mean.width,
         spacing,
+        timed,
     )
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
-from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.calibration.state import LARGEST
 from surefoot.files import read_json
@@ -25,9 +24,7 @@ _CONVENTIONS = (
     "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
     "temperature_reference_degC); with a temperature gain each axis of the wrench counts for 1 + gain times "
     "that difference",
-    "with nonlinear, z = scale (raw - offset) - centre; its products of two (then three) components in order "
-    "of their numbers, less affine (1, z), times coefficients are added to the wrench where |ellipsoid z| <= "
-    "1; from there to 1.25 they are those of z / |ellipsoid z| and fade linearly to zero",
+    "gravity is (as read - accelerometer_bias) accelerometer_scale, and was read accelerometer_delay_s late",
     "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
 )
 _USED = ("matrix", "offset", "response", "noise")
@@ -46,7 +43,12 @@ _NAMES = {
     "affine_residual": "affine_residual_of_each_set",
     "covariance": "covariance",
     "data_share": "data_share_of_covariance",
+    "maker_known": "data_share_of_factory_errors",
+    "accelerometer_bias": "accelerometer_bias_m_s2",
 }
+
+_NEW = ("maker_known", "accelerometer_bias")
+"""Fields that files of the same version may lack."""
 
 
 def facts_of(
@@ -76,7 +78,10 @@ def facts_of(
             "offset_std_count": fit.offset_std,
             "temperature_reference_degC": fit.temperature_reference,
             "bending_share_of_spread": fit.bending,
-            "nonlinear": None if fit.nonlinear is None else dataclasses.asdict(fit.nonlinear),
+            "scope": fit.scope,
+            "factory_share_of_full_scale": fit.maker_share,
+            "accelerometer_scale": fit.accelerometer_scale,
+            "accelerometer_delay_s": fit.delay,
             "limb": {
                 "mass_kg": fit.limb.mass,
                 "mass_std_kg": fit.limb_mass_std,
@@ -128,6 +133,10 @@ def read_calibration(path: Path) -> InSituFit:
 
 
 def _fit_of(given: dict[str, Any]) -> InSituFit:
+    if given.get("nonlinear") is not None:
+        raise ValueError("a polynomial, which fits no longer have")
+    older = {name: None for field, name in _NAMES.items() if field in _NEW}
+    given = older | given
     values = {field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None}
     limb = given["limb"]
     return InSituFit(
@@ -141,17 +150,12 @@ def _fit_of(given: dict[str, Any]) -> InSituFit:
         set_names=tuple(one["name"] for one in given["sets"]),
         temperature_reference=float(given["temperature_reference_degC"]),
         bending=float(given.get("bending_share_of_spread", 0.0)),
-        nonlinear=_nonlinear_of(given.get("nonlinear")),
+        scope=given.get("scope", ""),
+        maker_share=given.get("factory_share_of_full_scale"),
+        accelerometer_scale=float(given.get("accelerometer_scale", 1.0)),
+        delay=float(given.get("accelerometer_delay_s", 0.0)),
         **{"temperature_coefficient": None, **values},
     )
-
-
-def _nonlinear_of(given: dict[str, Any] | None) -> NonlinearMap | None:
-    if given is None:
-        return None
-    arrays = {name: _array(value) for name, value in given.items() if name not in ("products", "degrees")}
-    products = Products(**{name: _array(value) for name, value in given["products"].items()})
-    return NonlinearMap(**arrays, products=products, degrees=tuple(given["degrees"]))
 
 
 def _array(value: Any) -> Any:

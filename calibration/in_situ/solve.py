@@ -6,8 +6,10 @@ noise is where it is,
 .. math:: r = A (M_b + M_a^j) g + o_j + e, \qquad A = C^{-1},
 
 bilinear in the response A and the limb's inertial parameters :math:`\varphi_b`. Given :math:`\varphi_b` (and
-a rotation of the accelerometer, if that is unknown) A is a linear least-squares solution, so only the few
-outer unknowns are searched (variable projection: Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
+a rotation of the accelerometer, if that is unknown) A is a linear least-squares solution, also with what the
+maker's matrix says of it (:class:`Maker`), so only the few outer unknowns are searched (variable projection:
+Golub and Pereyra, 1973; Jacobian of Kaufman, 1975). Rows of all sets have noise of variance one, so that what
+is known beforehand has its weight among them.
 """
 
 from collections.abc import Sequence
@@ -33,6 +35,7 @@ from surefoot.calibration.in_situ.model import (
 
 __all__ = [
     "ROUNDING",
+    "Maker",
     "Problem",
     "Solution",
     "expand",
@@ -67,6 +70,41 @@ _MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0,
 """Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
 
 
+class Maker(NamedTuple):
+    """What is known of the response beforehand: A = A_0 (1 + D), and what redundant channels read beside it.
+
+    Attributes:
+        response: A_0 in counts per N and N m, shape (k, 6).
+        std: Deviations of the entries of D, shape (6, 6).
+        beyond: Deviation of what lies beside the space of A_0, as a share of its columns.
+    """
+
+    response: Matrix
+    std: Matrix
+    beyond: float
+
+    def errors(self, whitening: Matrix, inputs: int) -> Matrix:
+        """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
+        inverse = np.linalg.pinv(self.response) @ np.linalg.inv(whitening)
+        R = np.zeros((AXES, AXES, len(whitening), inputs))
+        for j in range(AXES):
+            R[:, j, :, j] = inverse
+        return R.reshape(AXES**2, -1)
+
+    def rows(self, whitening: Matrix, inputs: int) -> tuple[Matrix, Vector]:
+        """Return rows by (W A row by row), shape (m, k inputs), of deviation one, and their right side."""
+        channels = len(whitening)
+        beside = np.linalg.svd(self.response)[0][:, AXES:].T @ np.linalg.inv(whitening)
+        more = np.zeros((len(beside), AXES, channels, inputs))
+        for j in range(AXES):
+            more[:, j, :, j] = beside / (self.beyond * np.linalg.norm(self.response[:, j]))
+        rows = self.errors(whitening, inputs) / self.std.reshape(-1, 1)
+        rows = np.concatenate([rows, more.reshape(len(beside) * AXES, channels * inputs)])
+        right = np.zeros(len(rows))
+        right[: AXES**2] = np.eye(AXES).ravel() / self.std.ravel()
+        return rows, right
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A least-squares problem in readings whitened by the noise, z = W r.
@@ -80,13 +118,10 @@ class Problem:
         temperature: Whether the temperature is a signal that acts on the readings directly.
         channel_lags: Number of such signals behind it, the lags of channels.
         rotation: Whether the accelerometer's rotation is unknown.
-        prior_response: A of the factory in counts per N and N m, shape (k, 6), or None.
-        prior_shares: How far each column of A may be from the factory's, as a share of its size, shape (6,).
+        maker: What is known of the response beforehand, or None.
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
-        level: Variance of the rows' noise over that of white noise. Rows of what is known beforehand are as
-            much heavier: what hangs together in time must not overrule it.
     """
 
     sets: tuple[CompressedSet, ...]
@@ -97,12 +132,10 @@ class Problem:
     temperature: bool
     channel_lags: int
     rotation: bool
-    prior_response: Matrix | None
-    prior_shares: Vector
+    maker: Maker | None
     limb: Vector
     limb_root: Matrix
     gains: int = 0
-    level: float = 1.0
 
     @property
     def parameters(self) -> int:
@@ -130,37 +163,26 @@ class Problem:
         return AXES + self.temperature + self.channel_lags
 
     @cached_property
-    def prior_root(self) -> Vector:
-        """Weight of the rows of each column of W A by the factory, shape (6,)."""
-        if self.prior_response is None:
-            return np.zeros(AXES)
-        size = np.sqrt(np.mean((self.whitening @ self.prior_response) ** 2, axis=0))
-        return np.asarray(np.sqrt(self.level) / (self.prior_shares * size))
-
-    @cached_property
-    def weighted_limb_root(self) -> Matrix:
-        """Rows that weigh phi - limb beside those of the readings, shape (q, p)."""
-        return np.asarray(np.sqrt(self.level) * self.limb_root)
-
-    @cached_property
     def signals(self) -> NDArray[np.float64]:
-        """The sets' compressed signals, shape (J, n, s)."""
-        return np.stack([part.uu for part in self.sets])
-
-    @cached_property
-    def prior_rows(self) -> Matrix:
-        """Rows of X that weigh W A against the factory's, below the sets': (6, inputs), or none."""
-        if self.prior_response is None:
-            return np.zeros((0, self.inputs))
-        return np.eye(AXES, self.inputs) * self.prior_root[:, None]
+        """The sets' compressed signals in rows of variance one, shape (J, n, s)."""
+        return np.stack([part.whiten @ part.uu for part in self.sets])
 
     @cached_property
     def readings(self) -> Matrix:
-        """Y: whitened readings of the sets' rows and, below them, the factory's response, weighed."""
-        rows = np.concatenate([part.ur for part in self.sets])
-        if self.prior_response is not None:
-            rows = np.concatenate([rows, self.prior_root[:, None] * self.prior_response.T])
-        return np.asarray(rows @ self.whitening.T)
+        """The sets' rows of readings, of variance one, shape (J n, k)."""
+        return np.asarray(np.concatenate([part.whiten @ part.ur for part in self.sets]) @ self.whitening.T)
+
+    @cached_property
+    def prior(self) -> tuple[Matrix, Vector]:
+        """Rows by (W A row by row) of what the maker says, shape (m, k inputs), and their right side."""
+        if self.maker is None:
+            return np.zeros((0, len(self.whitening) * self.inputs)), np.zeros(0)
+        return self.maker.rows(self.whitening, self.inputs)
+
+    def unwhitened(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the residual of the sets' rows, shape (J, n, k), in counts and by the sets' own rows."""
+        root = np.stack([part.unwhiten for part in self.sets])
+        return np.asarray(root @ residual @ np.linalg.inv(self.whitening).T)
 
     @property
     def outer(self) -> int:
@@ -177,7 +199,7 @@ class Solution:
         limb: phi_b, shape (p,).
         rotation: R_sensor_accelerometer, shape (3, 3).
         jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame).
-        residual: Of the rows of the sets, shape (J, s, k), whitened.
+        residual: Of the rows of the sets, of variance one, shape (J, s, k).
         cost: Half the sum of all squared rows.
         outer: The outer unknowns: phi_b and, where it is unknown, the rotation vector.
     """
@@ -281,27 +303,49 @@ def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
 
 
 class _Linear(NamedTuple):
-    """The inner problem X (W A)' = Y at outer unknowns: rows of the sets, then of the factory matrix."""
+    """The inner problem at outer unknowns: X (W A)' = Y in the sets' rows, and the maker's rows of W A."""
 
     outer: _Outer
     X: Matrix
-    Y: Matrix
     response: Matrix
     """(W A)' of least squares."""
     left: Matrix
-    """An orthonormal basis of the columns of X."""
+    """An orthonormal basis of the columns: of X, or with a maker of all rows."""
+    coupled: bool
+    """Whether the maker's rows couple the channels."""
 
     @classmethod
     def at(cls, problem: Problem, x: Vector) -> "_Linear":
         outer = _Outer.of(problem, x)
-        rows = problem.signals @ transforms(problem, outer).swapaxes(1, 2)
-        X, Y = np.concatenate([rows.reshape(-1, problem.inputs), problem.prior_rows]), problem.readings
-        unit, size = of_unit_length(X)
-        left, singular, right = np.linalg.svd(unit, full_matrices=False)
-        kept = singular > ROUNDING * singular[0]
-        left = left[:, kept]
-        response = (right[kept].T / singular[kept]) @ (left.T @ Y) / size[:, None]
-        return cls(outer, X, Y, response, left)
+        X = (problem.signals @ transforms(problem, outer).swapaxes(1, 2)).reshape(-1, problem.inputs)
+        channels = problem.readings.shape[1]
+        if problem.maker is None:
+            left, back = _orthonormal(X)
+            return cls(outer, X, back @ (left.T @ problem.readings), left, False)
+        prior, right = problem.prior
+        every = np.zeros((len(X) * channels + len(prior), channels * problem.inputs))
+        of_sets = every[: len(X) * channels].reshape(len(X), channels, channels, problem.inputs)
+        of_sets[:, np.arange(channels), np.arange(channels)] = X[:, None]
+        every[len(X) * channels :] = prior
+        left, back = _orthonormal(every)
+        found = back @ (left.T @ np.concatenate([problem.readings.ravel(), right]))
+        return cls(outer, X, found.reshape(channels, problem.inputs).T, left, True)
+
+    def free(self, of_sets: NDArray[np.float64], of_prior: int) -> NDArray[np.float64]:
+        """Return rows of sets, shape (..., n, k), and zeros of the prior, less what the response explains."""
+        *batch, n, k = of_sets.shape
+        if not self.coupled:
+            return np.asarray((of_sets - self.left @ (self.left.T @ of_sets)).reshape(*batch, n * k))
+        rows = np.concatenate([of_sets.reshape(*batch, n * k), np.zeros((*batch, of_prior))], axis=-1)
+        return np.asarray(rows - (rows @ self.left) @ self.left.T)
+
+
+def _orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
+    """Return an orthonormal basis of columns, and their pseudo-inverse by that basis."""
+    unit, size = of_unit_length(columns)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    kept = singular > ROUNDING * singular[0]
+    return left[:, kept], right[kept].T / singular[kept] / size[:, None]
 
 
 class _Residual:
@@ -320,28 +364,28 @@ class _Residual:
 
     def __call__(self, x: Vector) -> Vector:
         inner, problem = self._at(x), self._problem
-        limb = problem.weighted_limb_root @ (inner.outer.limb - problem.limb)
-        return np.concatenate([(inner.left @ (inner.left.T @ inner.Y) - inner.Y).ravel(), limb])
+        prior, right = problem.prior
+        known = prior @ inner.response.T.ravel() - right
+        limb = problem.limb_root @ (inner.outer.limb - problem.limb)
+        return np.concatenate([(inner.X @ inner.response - problem.readings).ravel(), known, limb])
 
     def jacobian(self, x: Vector) -> Matrix:
         """Return Kaufman's: what of dX A' the response could not undo."""
         inner, problem = self._at(x), self._problem
         axes = _left_jacobian(inner.outer.vector) if problem.rotation else np.eye(3)
         moved = _design_derivatives(problem, inner.outer, axes) @ inner.response
-        moved -= inner.left @ (inner.left.T @ moved)
-        rows = moved[0].size
-        found = np.zeros((rows + len(problem.limb_root), problem.outer))
-        found[:rows] = moved.reshape(problem.outer, -1).T
-        found[rows:, : problem.parameters] = problem.weighted_limb_root
-        return found
+        free = inner.free(moved, len(problem.prior[1])).T
+        known = np.zeros((len(problem.limb_root), problem.outer))
+        known[:, : problem.parameters] = problem.limb_root
+        return np.concatenate([free, known])
 
 
 def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix) -> NDArray[np.float64]:
     """Return dX by each inertial parameter and by turning further about each column of axes, one a row."""
-    signals, known = problem.signals, len(problem.prior_rows)
+    signals = problem.signals
     (J, n, _), s = signals.shape, problem.basis.shape[2]
-    dX = np.zeros((problem.outer, J * n + known, problem.inputs))
-    of_sets = dX[:, : J * n].reshape(problem.outer, J, n, problem.inputs)[..., :AXES]
+    dX = np.zeros((problem.outer, J * n, problem.inputs))
+    of_sets = dX.reshape(problem.outer, J, n, problem.inputs)[..., :AXES]
     basis = problem.basis
     if problem.rotation:
         basis = basis.copy()
@@ -364,23 +408,26 @@ def _left_jacobian(vector: Vector) -> Matrix:
     )
 
 
-def expand(problem: Problem, x: Vector) -> Solution:
-    """Return all that follows from outer unknowns (phi_b, rotation vector)."""
-    outer, X, Y, white, _ = _Linear.at(problem, x)
-    rows, channels = X @ white - Y, Y.shape[1]
+def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solution:
+    """Return all that follows from outer unknowns (phi_b, rotation vector), and from A if it is given."""
+    outer, X, white, *_ = _Linear.at(problem, x)
+    if response is not None:
+        white = response.T @ problem.whitening.T
+    rows, channels = X @ white - problem.readings, problem.readings.shape[1]
     linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
     bilinear = (_design_derivatives(problem, outer, np.eye(3)) @ white).reshape(problem.outer, -1).T
-    known = np.zeros((len(problem.limb_root), linear.shape[1] + problem.outer))
-    known[:, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.weighted_limb_root
-    limb_rows = problem.weighted_limb_root @ (outer.limb - problem.limb)
-    of_sets = sum(len(part.uu) for part in problem.sets)
+    prior, right = problem.prior
+    known = np.zeros((len(prior) + len(problem.limb_root), linear.shape[1] + problem.outer))
+    known[: len(prior), : linear.shape[1]] = prior
+    known[len(prior) :, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.limb_root
+    off = np.concatenate([prior @ white.T.ravel() - right, problem.limb_root @ (outer.limb - problem.limb)])
     return Solution(
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
         limb=outer.limb,
         rotation=outer.rotation,
         jacobian=np.concatenate([np.column_stack([linear, bilinear]), known]),
-        residual=rows[:of_sets].reshape(len(problem.sets), -1, channels),
-        cost=0.5 * float(np.sum(rows**2) + limb_rows @ limb_rows),
+        residual=rows.reshape(len(problem.sets), -1, channels),
+        cost=0.5 * float(np.sum(rows**2) + off @ off),
         outer=x,
     )
 

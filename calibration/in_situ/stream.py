@@ -97,12 +97,6 @@ class InSituStream:
 
     def __init__(self, fit: InSituFit, config: InSituTrackerConfig) -> None:
         check_calibrated(fit, "The tracker")
-        if fit.nonlinear is not None:
-            raise ValueError(
-                "The tracker follows a linear map, and this fit has a polynomial on top: track "
-                "dataclasses.replace(fit, nonlinear=None), and add fit.nonlinear.wrench(raw - offset) to its "
-                "wrench."
-            )
         self.config = config
         self.channels = channels = len(fit.offset)
         self._at = at = ErrorColumns.of(channels)

@@ -20,14 +20,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.covariance import UNUSED, whitening
+from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
+from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.hysteresis import beside_channels, beside_loads, criterion
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
-from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["about_one_temperature", "check_gauges", "drifting", "with_gains"]
 
@@ -113,7 +113,7 @@ def _left_by(
     return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
 
 
-def drifting(parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
+def drifting(parts: Sequence[CompressedSet]) -> Finding | None:
     """Return that an offset drifted as the temperature changed, and the cure; None if nothing shows it.
 
     A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
@@ -132,11 +132,13 @@ def drifting(parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
         return None
     channel = int(np.argmax(np.ptp(own, axis=0)))
     low, high = np.min(own[:, channel]), np.max(own[:, channel])
-    return CalibrationRefused(
+    return Finding(
+        "drift by temperature",
         "The offset drifted as the temperature changed: single sets show coefficients of channel "
         f"{channel} from {low:.3g} to {high:.3g} counts/K.",
         "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
         "without it.",
+        refuses=False,
     )
 
 

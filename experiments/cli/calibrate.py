@@ -70,6 +70,9 @@ def ft(
     time: Annotated[str | None, Option(help="Column of time.")] = None,
     set_: Annotated[str | None, Option("--set", help="Column that names the sets.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
+    keep_matrix: Annotated[
+        bool, Option("--keep-matrix", help="Leave the maker's matrix; find bias, mass and its place.")
+    ] = False,
     accept: Annotated[
         str | None,
         Option(help="Why to go on past what the fit refuses: every file says it.", metavar="REASON"),
@@ -98,6 +101,8 @@ def ft(
             for key, names in vectors.items()
         }
         given = given.override(time=time, set=set_, **parts)
+        if keep_matrix:
+            given = given.model_copy(update={"fit": given.fit.model_copy(update={"keep_matrix": True})})
         options: Any = {"folder": folder, "accept": accept or "", "topics": topics}
         result = calibrate_in_situ_log(paths, given, **options)
     show(result.tables, result.files, notices=result.notices, as_json=as_json)

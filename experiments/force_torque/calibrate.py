@@ -82,7 +82,8 @@ def _fit(log: InSituLog, accept: str) -> InSituFit:
         log.fitted,
         factory_matrix=config.factory.matrix,
         limb=None if mass is None or std is None else KnownLimb(mass, std),
-        options=config.fit.options(config.sensor.range_count),
+        matrix="keep" if config.fit.keep_matrix else "update",
+        options=config.fit.options(config.sensor),
         refuse=False,
         accept=accept,
     )
@@ -115,10 +116,6 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
         return stem.with_name(f"{stem.name}.{ending}")
 
     files: dict[str, Path] = {}
-    if fit.nonlinear is not None:
-        notices.append(
-            "Only the JSON and YAML files hold the polynomial: ROS 2's and the iCub's hold the linear map."
-        )
     sensor, temperature = log.config.sensor, log.fitted[-1].temperature
     if log.config.units.raw == "N":
         notices.append(

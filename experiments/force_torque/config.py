@@ -120,18 +120,21 @@ class Fit(Settings):
     hysteresis: StrictBool = InSituOptions.hysteresis
     estimate_rotation: StrictBool = InSituOptions.estimate_rotation
     factory_std: tuple[Number, ...] | None = None
+    keep_matrix: StrictBool = False
+    """Whether the factory matrix stays as it is, and bias, mass and centre of mass are found."""
     residual_tolerance: Number = InSituOptions.residual_tolerance
     bending_tolerance: Number | None = InSituOptions.bending_tolerance
-    nonlinear: int | Literal["auto"] | None = InSituOptions.nonlinear
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        self.options(None)
+        self.options(Sensor())
         return self
 
-    def options(self, code_range: tuple[float, float] | None) -> InSituOptions:
-        """Return the options of the fit for a converter's range."""
-        return InSituOptions(**self.model_dump(exclude={"sets"}), code_range=code_range)
+    def options(self, sensor: Sensor) -> InSituOptions:
+        """Return the options of the fit for a sensor."""
+        scale = None if sensor.full_scale is None else tuple(sensor.full_scale.tolist())
+        given = self.model_dump(exclude={"sets", "keep_matrix"})
+        return InSituOptions(**given, code_range=sensor.range_count, full_scale=scale)
 
 
 class AddedMass(Settings):

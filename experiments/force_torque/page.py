@@ -36,9 +36,6 @@ def _sections(folder: Path, found: tables.Calibrated) -> Iterator[Section]:
         yield Section("masses", "Added masses", (_say("masses"),), tables=weighed)
     matrix = (tables.matrix_table(found), tables.offset_table(found))
     yield Section("calibration", "The calibration", (_say("matrix"),), tables=matrix)
-    if found.fit.nonlinear is not None:
-        bent = (tables.nonlinear_table(found),)
-        yield Section("nonlinear", "Not linear", (_say("nonlinear"),), tables=bent)
     path = figures.raw_ellipsoids(folder / "raw.png", found)
     shown = (ReportFigure(path, "Figure 2", _say("raw_figure")),)
     yield Section("raw", "Raw readings", (_say("raw"),), figures=shown)

@@ -66,7 +66,8 @@ class Calibrated:
         fit = self.fit
         passed = [f"Refused: {refusal}" for refusal in fit.refusals]
         passed += [f"Accepted all the same, with this reason: {fit.accepted}"] if passed else []
-        return (*passed, *fit.warnings, *self.log.notices)
+        scope = (f"Found: {fit.scope}.",) if fit.scope else ()
+        return (*scope, *passed, *fit.warnings, *self.log.notices)
 
     @property
     def matrices(self) -> dict[str, Floats]:
@@ -83,19 +84,12 @@ class Calibrated:
         """Return a set's wrench by a matrix, (6, k), brought to rest, in N and N m, (n, 6); NaN: missing."""
         data = self.sets[index]
         wrench = (data.raw - self.offsets[index]) @ matrix.T
-        if matrix is self.fit.matrix:
-            wrench = wrench + self.bent(index)
         return np.asarray(wrench - motion_wrench(data, self.fit.limb))
-
-    def bent(self, index: int) -> Floats:
-        """Return what the polynomial adds to a set's wrench in N and N m, shape (n, 6); zero without one."""
-        above, found = self.sets[index].raw - self.offsets[index], self.fit.nonlinear
-        return np.zeros((len(above), 6)) if found is None else found.wrench(above)
 
     def residual(self, index: int) -> Floats:
         """Return what a set's counts leave of the fit with a constant offset, shape (n, k)."""
         data = self.sets[index]
-        expected = (expected_wrench(data, self.fit.limb) - self.bent(index)) @ self.fit.response.T
+        expected = expected_wrench(data, self.fit.limb) @ self.fit.response.T
         return np.asarray(data.raw - self.offsets[index] - expected)
 
 
@@ -193,26 +187,6 @@ def matrix_table(found: Calibrated) -> Table:
     )
     note = "With one standard deviation, each to the decimal that it lets be known."
     return Table("matrix", f"The matrix, per {of_what}", ("axis", *found.log.channels), rows, note)
-
-
-def nonlinear_table(found: Calibrated) -> Table:
-    """Return what the linear map and the polynomial left of the wrench that took no part, by axis."""
-    bent = found.fit.nonlinear
-    assert bent is not None
-    rows = tuple(
-        (
-            f"{name} (N{' m' * name.startswith('t')})",
-            str(bent.degrees[i]) if bent.degrees[i] > 1 else "linear",
-            *(number(value) for part in (bent.held_out_rms, bent.held_out_worst) for value in part[:, i]),
-        )
-        for i, name in enumerate(FORCE_TORQUE_NAMES)
-    )
-    columns = ("axis", "degree", "linear, rms", "polynomial, rms", "linear, worst", "polynomial, worst")
-    note = (
-        "Of stretches of time and of whole sets, each left out in turn, offsets fitted anew. Beyond the "
-        "readings of this log the polynomial fades, and the linear map holds."
-    )
-    return Table("nonlinear", "Error where nothing was fitted", columns, rows, note)
 
 
 def offset_table(found: Calibrated) -> Table:

@@ -165,7 +165,9 @@ def test_two_moving_sets_say_that_the_factory_matrix_knows_the_scale():
     rate = np.gradient(angles, time, axis=0)
     turning = np.gradient(rate, time, axis=0)
     moving = [replace(one, angular_velocity=rate, angular_acceleration=turning) for one in sets[1:3]]
-    fit = calibrate_in_situ(moving, factory_matrix=0.9 * matrix, options=InSituOptions(scale_tolerance=0.5))
+    # Nothing shows that all axes are off alike: how far they may be is what the maker knows.
+    options = InSituOptions(scale_tolerance=0.5, factory_std=(0.1,) * 6)
+    fit = calibrate_in_situ(moving, factory_matrix=0.9 * matrix, options=options)
     assert fit.result is FitResult.PARTLY_DETERMINED
     assert fit.data_share[fit.columns.limb][0] < 0.5
     assert abs(fit.limb.mass - mass) < 2.0 * fit.limb_mass_std

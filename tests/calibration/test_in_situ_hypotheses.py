@@ -8,7 +8,7 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, NOISE, SENSORS, noisy_sets
 from scipy.fft import idct
 from scipy.stats import multivariate_normal
 
-from surefoot.calibration.in_situ.calibrate import _evidence
+from surefoot.calibration.in_situ.calibrate import _evidence, _task
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings, beside_motion, whitening
@@ -24,12 +24,17 @@ COLOURS = {
 }
 
 
+def evidence_of(sets, **options):
+    """What causes of some sets are judged by."""
+    return _evidence(_task(sets, None, None, InSituOptions(**options), "update"), tuple(sets))
+
+
 def coloured_fit(colour, n=80):
     """Four short sets whose second mass is 20 % too heavy, with rows of a colour: problem, solution."""
     rng = np.random.default_rng(3)
     sets = noisy_sets("leg", rng, n=n)[0]
     sets[1] = replace(sets[1], added_mass=1.2 * ADDED_MASS[1], added_com=ADDED_COM_LEG[1])
-    evidence = _evidence(tuple(sets), None, None, InSituOptions(robust=False))
+    evidence = evidence_of(sets, robust=False)
     parts = tuple(_triangularise(part.source, colour) for part in evidence.problem.sets)
     problem = replace(evidence.problem, sets=parts, whitening=whitening(parts))
     return problem, solve(problem, [evidence.solution.outer])
@@ -74,16 +79,14 @@ def test_noise_beside_the_motion_has_a_shape_of_its_own():
         fitted = np.linalg.lstsq(one.gravity - one.gravity.mean(axis=0), quiet, rcond=None)[0]
         raw = (one.gravity - one.gravity.mean(axis=0)) @ fitted + wrench @ np.linalg.inv(matrix).T
         coloured.append(replace(one, raw=raw))
-    problem = _evidence(tuple(coloured), None, None, InSituOptions(robust=False)).problem
+    problem = evidence_of(coloured, robust=False).problem
     root = matrix @ np.linalg.inv(problem.whitening) @ beside_motion(problem)
     size = np.sqrt(np.diag(root @ root.T)) / NOISE
     assert size[:2].min() > 2.0 * size[2:].max()
 
 
 def test_a_shape_of_white_noise_is_no_shape():
-    problem = _evidence(
-        tuple(noisy_sets("leg", np.random.default_rng(7))[0]), None, None, InSituOptions()
-    ).problem
+    problem = evidence_of(noisy_sets("leg", np.random.default_rng(7))[0]).problem
     np.testing.assert_allclose(np.linalg.eigvalsh(beside_motion(problem)), 1.0, atol=0.25)
 
 

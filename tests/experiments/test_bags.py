@@ -463,7 +463,7 @@ def test_in_situ_sets_in_one_bag_give_the_calibration_of_the_log(tmp_path: Path)
     for source in (path, SAMPLE):
         log = read_in_situ_log(source)
         assert [one.name for one in log.sets] == list("12345678")
-        options = log.config.fit.options(log.config.sensor.range_count)
+        options = log.config.fit.options(log.config.sensor)
         fits.append(calibrate_in_situ(log.fitted, factory_matrix=log.config.factory.matrix, options=options))
         if source == path:
             assert any("'/imu'" in notice and "12.00" in notice for notice in log.notices)

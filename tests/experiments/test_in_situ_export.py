@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb, read_calibration
-from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import (
     offset_wrench,
@@ -53,15 +52,6 @@ def fit(channels: int = 6, **other: Any) -> InSituFit:
     return InSituFit(**{**values, **other})
 
 
-def polynomial() -> NonlinearMap:
-    """A polynomial of awkward numbers."""
-    rng = np.random.default_rng(8)
-    products = Products.of(rng.standard_normal((200, 6)), rng.standard_normal((6, 6)), 2)
-    return NonlinearMap(
-        products, rng.standard_normal((6, 21)), (2, 1, 2, 2, 1, 2), *rng.standard_normal((2, 2, 6))
-    )
-
-
 def refused() -> InSituFit:
     """A calibration that was refused: all NaN, with the reason."""
     nothing = FitStats(0, 0, 0, np.nan, 0, 40, np.inf)
@@ -87,8 +77,15 @@ CALIBRATIONS = {
     "accepted": lambda: fit(
         result=FitResult.ACCEPTED, refusals=(CalibrationRefused("A bump.", "Mind it."),), accepted="I saw it"
     ),
-    "not linear": lambda: fit(nonlinear=polynomial()),
     "with shares": lambda: fit(data_share=np.linspace(0.0, 1.0, 46)),
+    "leaning": lambda: fit(
+        scope="bias, mass and centre of mass; matrix kept (one load)",
+        maker_share=0.0123,
+        maker_known=np.linspace(0.0, 1.0, 36).reshape(6, 6),
+        accelerometer_bias=np.array([0.1, -0.2, 0.3]),
+        accelerometer_scale=1.01,
+        delay=0.012,
+    ),
 }
 
 

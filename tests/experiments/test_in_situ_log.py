@@ -11,7 +11,7 @@ import pytest
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituOptions
 from surefoot.experiments.force_torque.calibrate import SAMPLE
-from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
+from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, Sensor, read_config
 from surefoot.experiments.force_torque.icub import read_matrix, write_icub_matrix
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.logs.format import LogError
@@ -581,7 +581,7 @@ def test_a_matrix_with_decimal_commas_is_read(tmp_path: Path) -> None:
 def test_a_limb_may_bend_as_much_as_the_file_says(tmp_path: Path) -> None:
     path = tmp_path / "leg.toml"
     path.write_text("[fit]\nbending_tolerance = 0.005\n")
-    assert read_config(path).fit.options(None) == InSituOptions(bending_tolerance=0.005)
+    assert read_config(path).fit.options(Sensor()) == InSituOptions(bending_tolerance=0.005)
 
 
 def test_the_documentation_knows_every_key() -> None:

@@ -51,36 +51,33 @@ def predicted(printed, optical):
     return {row.method: row for row in printed.optical_sensor(optical)}
 
 
-def test_the_foots_forces_come_right_on_the_half_that_was_not_fitted(foot):
-    factory = foot["factory matrix, offset by the model", "first"].rmse
-    np.testing.assert_allclose(factory[:3], [0.469, 0.054, 0.179], atol=0.002)
-    row = foot[LOOSE, "first"]
-    assert np.all(row.rmse[:3] <= [0.076, 0.049, 0.034])
-    assert row.mass == pytest.approx(0.382, rel=0.02)
+@pytest.mark.parametrize("fitted", ["first", "second"])
+def test_the_foots_forces_are_better_on_the_half_that_was_not_fitted(foot, fitted):
+    factory = foot["factory matrix, offset by the model", fitted].rmse
+    filtered, counts = (foot[name, fitted].rmse for name in (LOOSE, "fitted to unfiltered counts"))
+    assert np.linalg.norm(filtered[:3]) < 0.85 * np.linalg.norm(factory[:3])
+    assert np.linalg.norm(counts[:3]) < 0.6 * np.linalg.norm(factory[:3])
+    # Noise that a filter has taken its fast part from is no noise that the fit knows.
+    assert np.linalg.norm(counts[:3]) < np.linalg.norm(filtered[:3])
+    assert foot[LOOSE, fitted].mass == pytest.approx(0.382, rel=0.02)
 
 
-def test_an_unknown_limb_of_the_foot_is_better_than_the_factory_matrix(foot):
-    factory = foot["factory matrix, offset by the model", "first"].rmse
-    assert np.all(foot["limb unknown", "first"].rmse[:3] < factory[:3])
+def test_the_foots_forces_come_right_by_its_unfiltered_counts(foot):
+    assert np.all(foot["fitted to unfiltered counts", "first"].rmse[:3] <= [0.09, 0.06, 0.13])
 
 
 @pytest.mark.parametrize("fitted", ["first", "second"])
 def test_knowing_where_the_foots_mass_is_keeps_the_torques_right(foot, fitted):
     factory = foot["factory matrix, offset by the model", fitted].rmse
     loose, tight = (foot[name, fitted].rmse for name in (LOOSE, TIGHT))
-    assert loose[4] > 3.0 * factory[4]
     assert np.linalg.norm(tight[3:]) < np.linalg.norm(factory[3:])
-    assert np.linalg.norm(tight[:3]) < 0.4 * np.linalg.norm(factory[:3])
+    assert np.linalg.norm(loose[3:]) < 3.0 * np.linalg.norm(factory[3:])
 
 
-def test_counts_that_were_not_filtered_serve_the_foot_worse(foot):
-    filtered, unfiltered = (foot[name, "first"].rmse for name in (LOOSE, "fitted to unfiltered counts"))
-    assert np.all(unfiltered[:3] > 1.5 * filtered[:3])
-
-
-def test_an_accelerometer_needs_its_own_calibration_before_it_gives_an_offset(gamma):
+def test_an_accelerometers_own_bias_no_longer_moves_the_offset(gamma):
     as_read, calibrated = gamma["accelerometer as it reads"], gamma["accelerometer calibrated first"]
-    assert as_read.error == pytest.approx(0.70, abs=0.02)
+    assert as_read.error == pytest.approx(0.70, abs=0.02)  # III-B
+    assert as_read.error_in_situ < 0.02
     assert calibrated.error < 0.02
     assert calibrated.error_in_situ < 0.02
 
@@ -95,7 +92,7 @@ def test_the_gammas_load_and_ellipsoid_are_those_of_independent_code(gamma):
 
 
 def test_a_printed_sensor_is_refused_for_not_being_linear(printed, optical):
-    with pytest.raises(CalibrationRefused, match="follows gravity in no linear way"):
+    with pytest.raises(CalibrationRefused, match="the limb bends as it turns, or the sensor is not linear"):
         calibrate_in_situ(optical.sets)
     refusals = printed.optical_refusals(optical)
     assert len(refusals) > 1

@@ -317,7 +317,7 @@ def test_consistency_is_that_of_chi_square():
         ("front-back", "in one plane"),
         ("two masses", "three are needed"),
         ("channel 0", "saturated"),
-        ("sign of one", r"Entry [2, 0]"),
+        ("sign of one", "entry [2, 0]"),
     ],
 )
 def test_spoilt_experiments_are_refused_with_the_reason(case, said):

@@ -1,14 +1,15 @@
-"""Checks of a fit's answer: what the data determine, and what contradicts them."""
+"""Checks between sets and of the answer: what the data determine, what contradicts them, what is absurd."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.covariance import noise_level, weighted_inverse
+from surefoot.calibration.in_situ.covariance import orthonormal, weighted_inverse
+from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.input_checks import Contradiction
+from surefoot.calibration.in_situ.maker import marginal_evidence
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -36,15 +37,15 @@ from surefoot.calibration.results import CalibrationRefused
 __all__ = [
     "DataRank",
     "added_slope",
+    "check_answer",
     "check_axes",
     "check_factory",
+    "check_limb",
     "check_masses",
     "check_rotation",
     "check_scale",
     "data_rank",
-    "limb_warnings",
     "projected",
-    "with_factory_scale",
 ]
 
 Matrix = NDArray[np.float64]
@@ -79,16 +80,20 @@ _ONE_TURN = float(np.cos(np.radians(5.0)))
 _AGED = 0.1
 """Share of what hangs there up to which no factory matrix is looked at."""
 
-_CORRUPT, _BETTER = 0.4, 0.7
-"""A factory matrix that misses the first share may be meant otherwise: that is named if it leaves less than
-the second share of it."""
+_MISPRINT = 0.7
+"""Share of its row's largest entry by which a misprinted entry must be off: sensors age by less."""
 
-_ALIKE = 0.02
-"""Shares that differ by less are alike."""
+_TRIED = 4
+"""Ways to read a matrix, and entries, that are compared by their evidence."""
 
-_ALONE, _MISPRINT = 0.6, 0.7
-"""One of its entries is to blame if another in its place leaves less than the first share, and if it must
-change by the second share of the row's largest entry: sensors age by less."""
+_BETTER = 0.7
+"""Share of what the matrix misses that another way to read it leaves at most."""
+
+_CLEARER = 10.0
+"""Nats by which another way to read it must be likelier than the matrix as it was given."""
+
+_OCCAM = float(np.log(36.0)) + 5.0
+"""Nats that an entry's free value, and the choice of it, cost."""
 
 _FACTORY_SCALE = (0.5, 2.0)
 """The loads that a factory matrix shows over the true ones must lie between these: sensors age by less."""
@@ -102,11 +107,15 @@ _APART = 3.0
 _LOADED = 0.1
 """Share of the largest load, torques over the lever, from which on an axis shows that scale."""
 
-_FACTORY_STD = 0.1
-"""Deviation of a factory matrix's scale, as a share: real sensors were off by 11 and 19 %."""
+_FACTORY_APART = 0.3
+"""Logarithm of the limb's mass by a factory matrix over the one that was given from which on it is refused:
+real sensors were off by 11 and 19 %."""
 
-_LET = 2.0
-"""Deviations of the limb's mass by the data alone up to which they let a factory matrix draw it away."""
+_LONGEST = 1.0
+"""Distance in m of a limb's centre of mass from its sensor: a humanoid's leg has 0.5."""
+
+_GAINS = (0.4, 2.5)
+"""Gains of the axes over the factory matrix's: real sensors that had aged had 0.8 to 1.2."""
 
 _SIGMAS = 4.0
 """Deviations between the limb by the readings and as it was given that are worth a warning."""
@@ -182,7 +191,7 @@ class DataRank:
 def data_rank(problem: Problem, limb: Vector) -> DataRank:
     """Return the rank of the fit's Jacobian at a limb, without the factory matrix."""
     outer = np.concatenate([limb[: problem.parameters], np.full(3 * problem.rotation, _SOME_TURN)])
-    J = expand(replace(problem, prior_response=None), outer).jacobian
+    J = expand(replace(problem, maker=None), outer).jacobian
     _, singular, right = np.linalg.svd(of_unit_length(J)[0], full_matrices=True)
     found = int(np.sum(singular > _UNSEEN * singular[0]))
     part = np.sum(right[found:] ** 2, axis=0) > _TAKES_PART
@@ -201,33 +210,70 @@ def data_rank(problem: Problem, limb: Vector) -> DataRank:
     return DataRank(found, J.shape[1] - found, tuple(name for name, taking in named.items() if taking.any()))
 
 
-def check_rotation(found: Sequence[Solution]) -> None:
-    """Raise CalibrationRefused if two rotations fit equally well, as for masses that hang in one plane."""
+def check_rotation(found: Sequence[Solution]) -> list[Finding]:
+    """Return a finding if two rotations fit equally well, as for masses that hang in one plane."""
     best = found[0].rotation
     for other in found[1:]:
         cosine = (np.trace(best.T @ other.rotation) - 1.0) / 2.0
         if cosine < _ONE_TURN:
-            CalibrationRefused(
-                "Two rotations of the accelerometer, "
-                f"{np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees apart, fit the readings "
-                "equally well: added masses in one plane do not tell a sensor from its mirror image.",
-                "Hang a mass off the plane of the others, or give a factory matrix.",
-            ).unless_accepted()
+            angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+            reason = (
+                f"Two rotations of the accelerometer, {angle:.0f} degrees apart, fit the readings equally "
+                "well: added masses in one plane do not tell a sensor from its mirror image."
+            )
+            cure = "Hang a mass off the plane of the others, or give a factory matrix."
+            return [Finding("rotation", reason, cure, angle)]
+    return []
 
 
-def check_scale(fit: InSituFit, options: InSituOptions) -> None:
-    """Raise CalibrationRefused if the limb's mass, and with it the scale of all forces, is unknown."""
+def check_scale(fit: InSituFit, options: InSituOptions, *, leaning: bool) -> list[Finding]:
+    """Return a finding if the limb's mass, and with it the scale of all forces, is unknown.
+
+    With ``leaning`` a factory matrix has a scale, as unsure as it may be.
+    """
     mass, deviation = fit.limb.mass, fit.limb_mass_std
-    if not (mass > 0.0 and deviation <= options.scale_tolerance * mass):
-        Contradiction(
-            f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
-            "the scale of all forces is as unsure.",
-            "Add larger masses or at places further apart, record for longer, or give the limb's mass.",
-        ).unless_accepted()
+    if mass > 0.0 and deviation <= options.scale_tolerance * mass:
+        return []
+    if mass > 0.0 and leaning:
+        reason = "The scale of all forces is the factory matrix's; weigh the limb to know it."
+        return [
+            Finding("scale", reason, value=deviation / mass, limit=options.scale_tolerance, refuses=False)
+        ]
+    reason = (
+        f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
+        "the scale of all forces is as unsure."
+    )
+    cure = "Add larger masses or at places further apart, record for longer, or give the limb's mass."
+    return [Finding("scale", reason, cure, deviation / abs(mass), options.scale_tolerance, contradicts=True)]
 
 
-def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> None:
-    """Raise CalibrationRefused if some axis was never seen, however well the limb's mass is known."""
+def check_answer(fit: InSituFit, factory: Matrix | None) -> list[Finding]:
+    """Return what no limb and no sensor is, however small the residual."""
+    found = []
+    arm = float(np.linalg.norm(fit.limb.com))
+    if not arm < _LONGEST:
+        reason = f"The limb's centre of mass comes out {arm:.2g} m away from the sensor."
+        cure = (
+            "Check the units of torques and places (N mm, mm), the signs of the axes, and that each channel "
+            "is where the factory matrix expects it."
+        )
+        found.append(Finding("centre of mass", reason, cure, arm, _LONGEST, contradicts=True))
+    if factory is None:
+        return found
+    gain = np.diag(factory @ fit.response)
+    if not _GAINS[0] < np.min(gain) <= np.max(gain) < _GAINS[1]:
+        shown = ", ".join(f"{value:.2f}" for value in gain)
+        reason = f"By the readings the sensor's axes give {shown} times what the factory matrix says."
+        cure = "Check that it is this sensor's, its units, the signs of the axes and the limb's mass."
+        found.append(
+            Finding("gains", reason, cure, float(np.max(np.abs(np.log(np.abs(gain))))), contradicts=True)
+        )
+    return found
+
+
+def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> list[Finding]:
+    """Return which axes were never seen, however well the limb's mass is known."""
+    found = []
     T = transforms(problem, solution)[:, :AXES]
     load = np.zeros(AXES)
     for part, t in zip(problem.sets, T, strict=True):
@@ -240,21 +286,29 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
         doubt = float(np.sqrt(np.sum(np.diag(spread) * load**2))) / max(float(load[axis]), _NO_LOAD)
         if not doubt < options.axis_tolerance:
-            CalibrationRefused(
-                f"The axis {name} is known to {doubt:.0%} of its load only.",
+            reason = f"The axis {name} is known to {doubt:.0%} of its load only."
+            cure = (
                 f"Hang masses where they load {name} differently, check that all {channels} channels are "
-                "connected, each once, or give a factory matrix.",
-            ).unless_accepted()
+                "connected, each once, or give a factory matrix."
+            )
+            found.append(Finding("axis", reason, cure, doubt, options.axis_tolerance))
+    return found
 
 
-def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> tuple[str, ...]:
-    """Raise CalibrationRefused if a factory matrix contradicts the readings, and name how it is to be read.
-
-    Return a warning if its scale is nearer to another unit of the masses than to what is expected.
+def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
+    """Return whether a factory matrix contradicts the readings, and how it is to be read.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
     against what hangs there: by a solution that does without it if the limb is determined or known, else by
-    the limb that it shows itself.
+    the limb that it shows itself. Where it misses much, other ways to read it are compared by the evidence of
+    the readings, each with errors of all likely sizes. A scale that is nearer to another unit of the masses
+    than to what is expected is a warning.
+
+    Args:
+        factory: As it was given, shape (6, k).
+        problem: With the prior by it.
+        solution: Without it, if the readings determine one.
+        determined: Whether they do.
     """
     limb_known = determined or len(problem.limb_root) == STATIC
     expected = _loads(problem, solution) if limb_known else _hangs(factory, problem, solution)
@@ -272,29 +326,28 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
 
     now = missed(factory)
     if now < _AGED:
-        return ()
+        return []
+    found = []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    readings = [(missed(matrix), words) for words, matrix in _other_readings(factory)]
-    least = min(share for share, _ in readings)
-    best, words = next(one for one in readings if one[0] < least + _ALIKE)
-    others = [] if expected is None else _other_entries(factory, measured, expected, missed)
-    (entry, changed), (second, _) = sorted([*others, (np.inf, ""), (np.inf, "")])[:2]
-    if now > _CORRUPT and best < min(_BETTER * now, entry):
-        CalibrationRefused(
-            f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {best:.0%}.",
-            "Correct that, or compare the matrix with the maker's sheet.",
-        ).unless_accepted()
-    # One set shows so little of an aged matrix that many an entry seems to explain it.
-    elif entry < _ALONE * (now if determined else min(now, second)):
-        CalibrationRefused(
-            f"{changed} leaves {entry:.0%} of what hangs there, and the matrix as it is {at_odds}.",
-            "Compare the matrix with the maker's sheet, its signs and exponents first.",
-        ).unless_accepted()
+    whole = sorted(((missed(one), words, one) for words, one in _other_readings(factory)), key=lambda x: x[0])
+    others = [] if expected is None else _other_entries(factory, measured, expected)
+    entries = sorted(((missed(one), words, one) for words, one in others), key=lambda x: x[0])
+    tried = [(one, 0.0) for one in whole[:_TRIED] if one[0] < _BETTER * now]
+    tried += [(one, _OCCAM) for one in entries[:_TRIED] if one[0] < _BETTER * now]
+    start = solution.outer if limb_known else problem.limb
+    base = _evidence_of(factory, problem, solution, start)
+    scores = [_evidence_of(one[2], problem, solution, start) - free for one, free in tried]
+    best = int(np.argmax(scores)) if scores else 0
+    if scores and scores[best] - base > _CLEARER:
+        left, words, _ = tried[best][0]
+        reason = f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {left:.0%}."
+        cure = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
+        found.append(Finding("factory matrix", reason, cure, scores[best] - base, _CLEARER))
     if expected is None:
-        return ()
+        return found
     scale, common = _scale(factory @ measured, expected, weight)
-    left = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
-    unit = min(left, key=left.__getitem__) if common else ""
+    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
+    unit = min(near, key=near.__getitem__) if common else ""
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
     if unit:
         shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
@@ -302,13 +355,19 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
         "those of the masses (kg)."
     )
-    if unit and left[unit] < _CLEARLY * left[""]:
-        CalibrationRefused(shows, check).unless_accepted()
-    elif not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        Contradiction(shows, check).unless_accepted()
-    if not unit:
-        return ()
-    return (f"{shows} {check}",)
+    if unit and near[unit] < _CLEARLY * near[""]:
+        return [*found, Finding("factory scale", shows, check, scale)]
+    if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
+        return [*found, Finding("factory scale", shows, check, scale, contradicts=True)]
+    return [*found, Finding("factory scale", shows, check, scale, refuses=False)] if unit else found
+
+
+def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Vector) -> float:
+    """Return the evidence of a factory matrix, from the limb that it shows."""
+    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
+    outer = start.copy()
+    outer[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
+    return marginal_evidence(problem, matrix, outer)
 
 
 def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool]:
@@ -354,21 +413,33 @@ def _other_readings(factory: Matrix) -> list[tuple[str, Matrix]]:
             ("places are in cm, and m are expected", 1.0, 1e2),
             ("units of the factory's torques are N mm", 1.0, 1e-3),
             ("units of the factory matrix are kgf", GRAVITY, GRAVITY),
+            ("units of the factory's torques are N cm", 1.0, 1e-2),
         )
     ]
+    for axis, name in enumerate("xyz"):
+        mirror = np.where(np.isin(np.arange(AXES), (axis, axis + 3)), -1.0, 1.0)[:, None]
+        words = f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame"
+        found.append((words, mirror * factory))
     found.append(("rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)))
     if factory.shape[0] == factory.shape[1]:
         inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
         found.append(("the factory matrix is transposed", factory.T))
         found.append(("the factory matrix is inverted: counts per N", inverse))
         found.append(("the factory matrix is inverted and transposed", inverse.T))
+    channels = factory.shape[1]
+    for a in range(channels):
+        sign = np.where(np.arange(channels) == a, -1.0, 1.0)
+        found.append((f"channel {a} has the other sign than in the factory matrix", factory * sign))
+        for b in range(a):
+            order = np.arange(channels)
+            order[[a, b]] = b, a
+            words = f"channels {b} and {a} are exchanged against the factory matrix"
+            found.append((words, factory[:, order]))
     return found
 
 
-def _other_entries(
-    factory: Matrix, measured: Matrix, expected: Matrix, missed: Callable[[Matrix], float]
-) -> list[tuple[float, str]]:
-    """Return what another value of each entry misses, and that value, in words."""
+def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> list[tuple[str, Matrix]]:
+    """Return the matrix with another value in each entry that could be misprinted, and that, in words."""
     wrong, found = expected - factory @ measured, []
     steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
     misprint = np.abs(steps) >= _MISPRINT * np.max(np.abs(factory), axis=1, keepdims=True)
@@ -376,28 +447,30 @@ def _other_entries(
         matrix = factory.copy()
         matrix[row, column] += steps[row, column]
         words = (
-            f"Entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, contradicts the "
-            f"readings: {matrix[row, column]:.4g} in its place"
+            f"entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, is "
+            f"{matrix[row, column]:.4g}"
         )
-        found.append((missed(matrix), words))
+        found.append((words, matrix))
     return found
 
 
 def check_masses(
     problem: Problem, solution: Solution, noise: Matrix, options: InSituOptions
-) -> tuple[str, ...]:
-    """Raise Contradiction if the readings contradict what was added; return warnings if they doubt it."""
-    freedom = solution.residual.size - solution.jacobian.shape[1]
+) -> list[Finding]:
+    """Return whether the readings contradict what was added, or doubt it."""
+    used = orthonormal(solution.jacobian)[0][: solution.residual.size]
+    freedom = solution.residual.size - float(np.sum(used**2))
     left = float(np.sum(solution.residual**2))
-    if not (freedom > 0 and left >= _STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
-        return ()
+    if not (freedom > 0.5 and left >= _STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
+        return []
     off = _disagreement(problem, _seen_masses(problem, solution, noise))
-    contradiction = Contradiction(
-        "The added masses contradict each other or the readings.",
-        "Weigh what was added and measure where it hung, or leave the set out.",
+    reason = "The added masses contradict each other or the readings."
+    cure = "Weigh what was added and measure where it hung, or leave the set out."
+    contradiction = Finding(
+        "added masses", reason, cure, float(np.max(off)), options.mass_tolerance, contradicts=True
     )
     if np.max(off) > options.mass_tolerance:
-        contradiction.unless_accepted()
+        return [contradiction]
     added = problem.added[:, :STATIC]
     for j in range(len(added)) if np.max(off) > _SLIGHT * options.mass_tolerance else ():
         changes = np.zeros((STATIC, *problem.added.shape))
@@ -407,21 +480,21 @@ def check_masses(
         changed[j] += step
         amount = float(np.max(_disagreement(problem, changed)))
         if explained > _CULPRIT * left and amount > _WEIGHED * options.mass_tolerance:
-            contradiction.unless_accepted()
+            return [contradiction]
     if problem.rotation:
-        return ()
+        return []
     turn, explained = _explained(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
     angle = float(np.linalg.norm(turn))
-    spread = max(left / freedom, noise_level(problem.sets))
-    if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * spread:
-        return ()
+    if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * left / freedom:
+        return []
     if angle > options.mass_tolerance:
-        contradiction.unless_accepted()
-    return (
+        return [contradiction]
+    reason = (
         f"The IMU seems to be turned by {np.degrees(angle):.1f} degrees against the sensor's frame, and the "
         "wrench with it: give its rotation (R_sensor_accelerometer), or let the fit find it "
-        "('estimate_rotation', with the limb at rest).",
+        "('estimate_rotation', with the limb at rest)."
     )
+    return [Finding("turned IMU", reason, value=angle, limit=options.mass_tolerance, refuses=False)]
 
 
 def _turn(added: Matrix, axis: Vector) -> Matrix:
@@ -446,7 +519,7 @@ def added_slope(problem: Problem, solution: Solution, change: Matrix) -> Vector:
     if problem.rotation:
         dT[..., DIRECT] = dT[..., DIRECT] @ solution.rotation
     white = problem.whitening @ solution.A
-    rows = [part.uu[:, : d.shape[1]] @ d.T @ white.T for part, d in zip(problem.sets, dT, strict=True)]
+    rows = [one[:, : d.shape[1]] @ d.T @ white.T for one, d in zip(problem.signals, dT, strict=True)]
     return np.stack(rows).ravel()
 
 
@@ -480,36 +553,37 @@ def _disagreement(problem: Problem, seen: Matrix) -> Vector:
     return np.asarray(np.maximum(off[:, MASS] / heaviest, np.max(off[:, MOMENT], axis=1) / reach))
 
 
-def limb_warnings(known: KnownLimb, fit: InSituFit, alone: tuple[float, float] | None) -> tuple[str, ...]:
-    """Return a warning if the readings alone give the limb another mass than was given.
+def check_limb(
+    known: KnownLimb,
+    by_data: tuple[float, float] | None,
+    by_maker: tuple[float, float] | None,
+    options: InSituOptions,
+) -> list[Finding]:
+    """Return whether the readings give the limb another mass than was given.
 
-    ``alone`` is the limb's mass and its deviation in kg by the readings; None if they do not determine it.
+    Args:
+        known: What was given.
+        by_data: The limb's mass and its deviation in kg by the readings alone; None: not determined.
+        by_maker: The same by the readings with the factory matrix; None without one.
+        options: Of the fit.
     """
-    mass, deviation = (fit.limb.mass, 0.0) if alone is None else alone
+    found = by_data or by_maker
+    if found is None:
+        return []
+    mass, deviation = found
     off = abs(mass - known.mass) / float(np.hypot(deviation, known.mass_std))
     if off < _SIGMAS:
-        return ()
-    return (
+        return []
+    reason = (
         f"By the readings the limb weighs {mass:.3f} kg, and {known.mass:.3f} kg were given, {off:.0f} "
-        "deviations apart: the added masses, their places or the limb's mass are not as given.",
+        "deviations apart: "
     )
-
-
-def with_factory_scale(fit: InSituFit, of_data: float = 0.0) -> InSituFit:
-    """Return a fit whose scale is the factory's with a covariance that doubts it, and a warning.
-
-    ``of_data`` is the share of the information on the scale that the data give. What is off in the factory
-    matrix by a common factor goes into the fit by the rest, but no further than the data let it.
-    """
-    covariance, columns = fit.covariance.copy(), fit.columns
-    doubt = _FACTORY_STD * (1.0 - of_data)
-    if of_data > 0.0:
-        doubt = min(doubt, _LET * fit.limb_mass_std / (fit.limb.mass * float(np.sqrt(of_data))))
-    scale = doubt * fit.matrix.ravel()
-    covariance[columns.matrix, columns.matrix] += np.outer(scale, scale)
-    weight = doubt * fit.limb.parameters[:STATIC]
-    covariance[columns.limb, columns.limb] += np.outer(weight, weight)
-    if of_data > 0.0:
-        return replace(fit, covariance=covariance)
-    warning = "The scale of all forces is the factory matrix's; weigh the limb to know it."
-    return replace(fit, covariance=covariance, warnings=(*fit.warnings, warning))
+    if by_data is not None:
+        reason += "the added masses, their places or the limb's mass are not as given."
+        limit = options.mass_tolerance
+    else:
+        reason += "the limb's mass or the scale of the factory matrix is not as given."
+        limit = _FACTORY_APART
+    cure = "Weigh all that hangs beyond the sensor, and nothing else; check the units of the factory matrix."
+    apart = abs(float(np.log(mass / known.mass))) if mass > 0.0 else np.inf
+    return [Finding("limb", reason, cure, apart, limit, refuses=apart > limit)]
