@@ -148,4 +148,5 @@ def record_walk(
 
 def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
     """Return what the robot assumes of a moment that lies ``early`` s before that of a reference."""
-    return env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
+    earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
+    return earlier
