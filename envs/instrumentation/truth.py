@@ -10,7 +10,7 @@ share what the ground exerts, and their centre of pressure is that of the contac
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import chain
 from typing import Any, Final, NamedTuple
 
@@ -445,17 +445,17 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
     return truth
 
 
+def _force_of_wrench(shares: Array, row: Array, wrench: Array) -> Array:
+    """Share wrenches at the soles among cells: the ``force_cell`` of robots with cells under a plate."""
+    force: Array = (wrench[..., None, :] @ shares)[..., 0, :]
+    return force
+
+
 def foot_places(layout: MeasuredRobot, start: int = 0) -> FootPlaces:
     """Return where the feet's columns are in rows of an instrumented robot, which begin at ``start``."""
 
     def each(part: slice) -> tuple[int, ...]:
         return tuple(start + FootColumns.width * foot + part.start for foot in range(len(layout.feet)))
-
-    shares = layout.force_of_wrench
-
-    def force_cell(row: Array, wrench: Array) -> Array:
-        force: Array = (wrench[..., None, :] @ shares)[..., 0, :]
-        return force
 
     return FootPlaces(
         ankle=each(FootColumns.ankle),
@@ -464,6 +464,6 @@ def foot_places(layout: MeasuredRobot, start: int = 0) -> FootPlaces:
         position_sole=each(FootColumns.position_sole),
         axes_sole=each(FootColumns.axes_sole),
         com=start + FootColumns.width * len(layout.feet) + TorsoColumns.com.start,
-        force_cell=None if layout.flaw else force_cell,
+        force_cell=None if layout.flaw else partial(_force_of_wrench, layout.force_of_wrench),
         flat=tuple(not foot.flaw for foot in layout.feet),
     )

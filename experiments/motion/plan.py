@@ -16,6 +16,7 @@ from surefoot.calibration import FeetLayout, Parameters, Reference
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.exercise.motion import motions_offered
+from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table
@@ -84,12 +85,12 @@ class Rehearsal:
         force, beliefs, margins = [], [], []
         torque, fell = 0.0, False
         while env.prelude.playing and not fell:
-            _, _, fell, _, info = calibrated.step(still)
+            _, _, fell, _, _ = calibrated.step(still)
             force.append(nominal.force(self._sensed.raw))
             beliefs.append(calibrated.reference)
             if len(force) * env.dt > SETTLING:
                 torque = max(torque, self._torque())
-                margins.append(self._margin(info["surefoot"]["truth"]))
+                margins.append(self._margin(env.truth))
         reference = Reference(*(np.array(part) for part in zip(*beliefs, strict=True)))
         margin = np.array(margins)
         # A tenth of a second on the edge, as a foot lands, tips nobody.
@@ -102,12 +103,13 @@ class Rehearsal:
         joints = np.abs(self.env.data.qfrc_actuator[self._dofs]) / self._most_of_joints
         return float(max(motors.max(), joints.max()))
 
-    def _margin(self, truth: dict[str, Any]) -> float:
-        loaded = truth["vgrf"] > BEARS * truth["vgrf"].sum()
+    def _margin(self, truth: FeetTruth) -> float:
+        load, cop = truth.vgrf(), truth.cop_sole[-1]
+        loaded = load > BEARS * load.sum()
         sole = self.env.motion.robot
-        off = np.abs(truth["cop_foot"] - sole.centre) / sole.half
+        off = np.abs(cop - sole.centre) / sole.half
         # A light robot's foot may bear its share and still have no centre of pressure.
-        judged = loaded & truth["cop_valid"][1:]
+        judged = loaded & np.isfinite(cop).all(axis=1)
         return float(1.0 - np.max(off[judged], initial=0.0)) if loaded.any() else 0.0
 
 
