@@ -21,7 +21,7 @@ from surefoot.experiments.walks.walkers import STAND_TIME
 
 pytestmark = pytest.mark.slow
 
-METHODS = {"none", "tare", "quasi-static", "window", "moment", "momentum"}
+METHODS = {"none", "tare", "quasi-static", "window", "moment"}
 
 
 @pytest.fixture(scope="module")
