@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.feet import check_names
 from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
@@ -66,7 +67,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     quantities are computed beside them.
 
     Raises:
-        TypeError: If the environment does not run on MuJoCo, ``feet`` is a single name, or ``cells`` or
+        TypeError: If the environment does not run on MuJoCo, ``feet`` is no sequence of names, or ``cells`` or
             ``soles`` name no feet.
         ValueError: If feet cannot be found, a body does not exist, names are taken, cells are asked for on a
             foot without area, or the description is of another robot.
@@ -89,12 +90,14 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         visuals: bool | None = None,
         prefix: str = "surefoot/",
     ) -> None:
+        if feet is not None:
+            check_names(feet)
         _check_types(cells, soles)
         # An MjSpec cannot be copied deeply; everything else is recorded as a copy.
         gym.utils.RecordConstructorArgs.__init__(
             self,
             _disable_deepcopy=True,
-            feet=None if feet is None else feet if isinstance(feet, str) else list(feet),
+            feet=None if feet is None else list(feet),
             cells=None if cells is None else {body: np.asarray(p).tolist() for body, p in cells.items()},
             margin=margin,
             soles={body: list(size) for body, size in soles.items()} if isinstance(soles, Mapping) else soles,

@@ -75,15 +75,14 @@ def find_feet(
         Their numbers.
 
     Raises:
-        TypeError: If ``names`` is a single name.
+        TypeError: If ``names`` is a single name, or holds something else.
         ValueError: If a body does not exist, is named twice or hangs on another foot, the feet hang on
             different robots, no pair of feet can be found, the robot does not stand on them, or feet that
             were guessed do not bear its weight.
     """
     if names is None:
         return _guess(model, data)
-    if isinstance(names, str):
-        raise TypeError(f"'feet' must be a sequence of names of bodies, such as ({names!r},); got a string.")
+    check_names(names)
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     if not names or len(set(names)) != len(names) or not set(names) <= set(bodies):
         raise ValueError(
@@ -112,6 +111,14 @@ _KEYFRAME: Final = (
     "Soles are measured where it stands: give its description with a keyframe 'home', 'stand' or 'standing', "
     "InstrumentedEnv(env, feet=(left, right), spec=...)."
 )
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise TypeError if names of feet are not a sequence of strings."""
+    if isinstance(names, str):
+        raise TypeError(f"'feet' must be a sequence of names of bodies, such as ({names!r},); got a string.")
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"'feet' must be a sequence of names of bodies, got {names!r}.")
 
 
 def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:

@@ -433,8 +433,9 @@ def test_bad_input_is_refused_before_the_first_step(path):
             InstrumentedEnv(gym.make("Humanoid-v5"), ["paw"], in_place=in_place)
         with pytest.raises(ValueError, match=r"no area: .* give it a flat geom: InstrumentedEnv\("):
             InstrumentedEnv(gym.make("Humanoid-v5"), cells={"left_foot": np.zeros((4, 2))}, in_place=in_place)
-    with pytest.raises(TypeError, match="got a string"):
-        InstrumentedEnv(gym.make("Humanoid-v5"), "left_foot")
+    for feet, got in (("left_foot", "a string"), (1, "1"), ([1, 2], r"\[1, 2\]"), (b"ab", "b'ab'")):
+        with pytest.raises(TypeError, match=f"'feet' must be a sequence of names of bodies.* got {got}"):
+            InstrumentedEnv(gym.make("Humanoid-v5"), feet)
     once = InstrumentedEnv(Toy(fullpath=path))
     with pytest.raises(ValueError, match="is instrumented already: use it as it is"):
         InstrumentedEnv(once)
