@@ -67,8 +67,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     quantities are computed beside them.
 
     Raises:
-        TypeError: If the environment does not run on MuJoCo, ``feet`` is no sequence of names, or ``cells`` or
-            ``soles`` name no feet.
+        TypeError: If the environment does not run on MuJoCo, ``feet`` are no names, or ``cells`` or ``soles``
+            name no feet.
         ValueError: If feet cannot be found, a body does not exist, names are taken, cells are asked for on a
             foot without area, or the description is of another robot.
 
