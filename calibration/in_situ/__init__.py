@@ -25,8 +25,7 @@ from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerCon
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
 from surefoot.calibration.in_situ.saved import read_calibration
-from surefoot.calibration.in_situ.stream import InSituEstimate
-from surefoot.calibration.in_situ.tracker import InSituTracker, in_situ_tracker
+from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker
 
 __all__ = [
     "ExcitationPlan",

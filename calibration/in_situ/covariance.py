@@ -33,6 +33,7 @@ __all__ = [
     "fit_covariance",
     "output_derivatives",
     "pooled_noise",
+    "slope_doubt",
     "unknowns_root",
     "weighted_inverse",
     "whitening",
@@ -179,7 +180,7 @@ def fit_covariance(
     last = problem.sets[-1]
     covariance[columns.offset, columns.offset] += noise * last.end.variance
     if problem.hysteresis or problem.channel_lags:
-        of_matrix, of_offset = _slope_doubt(problem, solution, noise)
+        of_matrix, of_offset = slope_doubt(problem, solution, noise)
         covariance[columns.matrix, columns.matrix] += of_matrix
         covariance[columns.offset, columns.offset] += of_offset
     return np.asarray(covariance)
@@ -200,7 +201,7 @@ def noise_root(gram: Matrix) -> Matrix:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
+def slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
     """Return covariances of C and o for want of one slope: an axis gives by s more for twice the swing."""
     A = solution.A
     C = weighted_inverse(A, noise)

@@ -107,6 +107,8 @@ class InSituFit:
         hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
             were not seen to lag.
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
+        offset_doubt: Covariance in counts^2, shape (k, k), of what hysteresis leaves open of the offset, part
+            of ``covariance``; None without hysteresis.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
         maker_known: Of each entry of D, A = A_0 (1 + D), the share that the readings know, 1 - posterior /
@@ -142,6 +144,7 @@ class InSituFit:
     temperature_gain: NDArray[np.float64] | None = None
     hysteresis: NDArray[np.float64] | None = None
     channel_hysteresis: NDArray[np.float64] | None = None
+    offset_doubt: NDArray[np.float64] | None = None
     data_share: NDArray[np.float64] | None = None
     maker_known: NDArray[np.float64] | None = None
     accepted: str = ""

@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.covariance import (
-    weighted_inverse,
-)
+from surefoot.calibration.in_situ.covariance import slope_doubt, weighted_inverse
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.information import DataShare
@@ -65,6 +63,9 @@ def outcome(
         temperature_gain=solution.limb[problem.of_loads][: problem.gains] if problem.gains else None,
         hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
         channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
+        offset_doubt=slope_doubt(problem, solution, noise)[1]
+        if problem.hysteresis or problem.channel_lags
+        else None,
     )
 
 

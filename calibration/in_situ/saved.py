@@ -42,12 +42,13 @@ _NAMES = {
     "rotation": "R_sensor_accelerometer",
     "affine_residual": "affine_residual_of_each_set",
     "covariance": "covariance",
+    "offset_doubt": "offset_covariance_by_hysteresis_count2",
     "data_share": "data_share_of_covariance",
     "maker_known": "data_share_of_factory_errors",
     "accelerometer_bias": "accelerometer_bias_m_s2",
 }
 
-_NEW = ("maker_known", "accelerometer_bias")
+_NEW = ("maker_known", "accelerometer_bias", "offset_doubt")
 """Fields that files of the same version may lack."""
 
 

@@ -79,6 +79,7 @@ class Sphere:
     Attributes:
         bias: b in m/s^2, shape (3,).
         covariance: Of the bias, shape (3, 3).
+        arm: p in m, shape (3,).
         length: rho in m/s^2.
         length_std: Its deviation.
         scale: By which readings are multiplied: one unless the length cannot be gravity's.
@@ -88,6 +89,7 @@ class Sphere:
 
     bias: Vector
     covariance: Matrix
+    arm: Vector
     length: float
     length_std: float
     scale: float
@@ -143,6 +145,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     return Sphere(
         bias=x[:3],
         covariance=covariance[:3, :3],
+        arm=x[4:],
         length=length,
         length_std=std,
         scale=1.0 if earthly else GRAVITY / length,
@@ -152,14 +155,20 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
 
 
 def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
-    """Return sets with gravity less its bias, of its own length where the limb is at rest."""
+    """Return sets with gravity less its bias, of its own length where the limb is at rest.
+
+    What turning adds is no noise: the sensor feels it as well.
+    """
     found = []
     for data in sets:
-        g = (data.gravity - sphere.bias) * sphere.scale
+        g = data.gravity - sphere.bias
         if not data.moves:
-            size = np.linalg.norm(g, axis=1, keepdims=True)
-            g *= sphere.length * sphere.scale / np.where(size > 0.0, size, np.nan)
-        found.append(replace(data, gravity=g))
+            moved, places = with_turning(data)
+            felt = felt_by_turning(moved, np.arange(len(places))) @ sphere.arm
+            added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
+            size = np.linalg.norm(g + added, axis=1, keepdims=True)
+            g = (g + added) * sphere.length / np.where(size > 0.0, size, np.nan) - added
+        found.append(replace(data, gravity=g * sphere.scale))
     return tuple(found)
 
 
