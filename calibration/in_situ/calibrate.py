@@ -8,7 +8,7 @@ so readings are what is fitted,
 over the errors D of a maker's matrix (or a response that nobody gave), the limb's inertial parameters and an
 offset for each set, each with what is known of it beforehand. One set or a hundred, at rest or moving, the
 way is the same: **data** that the accelerometer's own errors are taken off
-(:mod:`~surefoot.calibration.in_situ.sphere`, :mod:`~surefoot.calibration.in_situ.clock`), sets
+(:mod:`~surefoot.calibration.in_situ.gravity`, :mod:`~surefoot.calibration.in_situ.gravity`), sets
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
 likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
 in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. The paper's own regression is in
@@ -24,13 +24,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import ThreadpoolController
 
+from surefoot.calibration.in_situ.beside import (
+    about_one_temperature,
+    check_gauges,
+    drifting,
+    with_gains,
+    with_hysteresis,
+)
 from surefoot.calibration.in_situ.causes import Evidence
-from surefoot.calibration.in_situ.check import check_gravity, check_sets
-from surefoot.calibration.in_situ.clock import synchronise
+from surefoot.calibration.in_situ.check import check_bending, check_gravity, check_sets, check_within
 from surefoot.calibration.in_situ.compress import CompressedSet, compress
 from surefoot.calibration.in_situ.covariance import (
+    data_share,
     fit_covariance,
     pooled_noise,
+    slow_turn,
     unknowns_root,
     whitening,
     with_disagreement,
@@ -38,9 +46,8 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit
+from surefoot.calibration.in_situ.gravity import Sphere, fit_sphere, level, synchronise
 from surefoot.calibration.in_situ.hypotheses import explained
-from surefoot.calibration.in_situ.hysteresis import with_hysteresis
-from surefoot.calibration.in_situ.information import data_share, slow_turn
 from surefoot.calibration.in_situ.judge import (
     check_answer,
     check_axes,
@@ -73,9 +80,6 @@ from surefoot.calibration.in_situ.solve import (
     starts,
     transforms,
 )
-from surefoot.calibration.in_situ.sphere import Sphere, fit_sphere, level
-from surefoot.calibration.in_situ.temperature import about_one_temperature, check_gauges, drifting, with_gains
-from surefoot.calibration.in_situ.within import check_bending, check_within
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 __all__ = ["MatrixMode", "calibrate_in_situ"]

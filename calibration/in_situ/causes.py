@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.check import TOO_FAST
+from surefoot.calibration.in_situ.beside import beside_channels
+from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.hysteresis import beside_channels
+from surefoot.calibration.in_situ.gravity import turning
 from surefoot.calibration.in_situ.model import AXES, DIRECT, PAIRS, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
-from surefoot.calibration.in_situ.sphere import turning
-from surefoot.calibration.in_situ.within import BENT_CURE
 from surefoot.calibration.reference import GRAVITY
 
 __all__ = ["ON_READINGS", "Cause", "Evidence", "speed"]

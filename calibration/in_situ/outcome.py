@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.covariance import slope_doubt, weighted_inverse
+from surefoot.calibration.in_situ.covariance import DataShare, slope_doubt, weighted_inverse
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.information import DataShare
 from surefoot.calibration.in_situ.model import (
     AXES,
     MASS,

@@ -11,7 +11,7 @@ and an accelerometer that sits at p, and not at the sensor's origin, feels
 in every set, no residual shows them. A limb is no point: what it has of inertia about its centre of mass is
 nearly as large. They are no part of the fit but of its covariance: each moves the answer by a
 vector, and the sum of these vectors' squares is added. So does what is open of the accelerometer's bias
-(:mod:`~surefoot.calibration.in_situ.sphere`), which goes into the offset by the weight of what hangs there.
+(:mod:`~surefoot.calibration.in_situ.gravity`), which goes into the offset by the weight of what hangs there.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.covariance import OpenErrors
 from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.gravity import Sphere, felt_by_turning, with_turning
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -38,7 +39,6 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 from surefoot.calibration.in_situ.solve import Problem, Solution
-from surefoot.calibration.in_situ.sphere import Sphere, felt_by_turning, with_turning
 
 __all__ = ["errors_of_imu"]
 
