@@ -8,7 +8,7 @@ open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,6 @@ from surefoot.calibration.in_situ.solve import (
 __all__ = [
     "DataShare",
     "OpenErrors",
-    "beside_motion",
     "data_share",
     "fit_covariance",
     "output_derivatives",
@@ -42,7 +41,6 @@ __all__ = [
     "unknowns_root",
     "weighted_inverse",
     "whitening",
-    "with_disagreement",
 ]
 
 Matrix = NDArray[np.float64]
@@ -54,9 +52,6 @@ _RAISES, _LOWERS = 4.0, 30.0
 where they show less noise, since to be too sure is worse than to be too unsure. Loops in the fit take most of
 the hysteresis at the motion's own frequency with them, and less of it elsewhere: the spectrum there is no
 guide, and few rows suffice either way."""
-
-_AS_POOLED = 10.0
-"""Modes beside the motion whose covariance counts for as much as the one of all modes."""
 
 _FEW = 10.0
 """Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
@@ -100,49 +95,20 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
-def beside_motion(problem: Problem) -> Matrix:
-    """Return a symmetric root of the shape of whitened noise about as fast as the signals, (k, k).
-
-    Noise that depends on the load is in what the load moves, and white noise in all channels: channels whose
-    noise is as large over all frequencies may differ there. How large it is in the mean, the spectrum says.
-    It is part of the covariance alone: weights by so few modes would make the answer less sure.
-    """
-    scatter = problem.whitening @ sum(part.beside for part in problem.sets) @ problem.whitening.T
-    shape = _AS_POOLED * np.eye(len(scatter)) + scatter
-    return noise_root(shape / np.mean(np.diag(shape)))
-
-
 def disagreement(problem: Problem, solution: Solution) -> Vector:
     """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
 
     At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
     signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
     """
-    shown, rows = _free(problem, solution)
-    return np.asarray(np.sqrt(_raised(problem, shown, rows)))
-
-
-def with_disagreement(problem: Problem, solution: Solution) -> Problem:
-    """Return the problem with the noise of all rows as the sets show it by how much they disagree."""
-    shown, rows = _free(problem, solution)
-    factor = float(_raised(problem, np.atleast_1d(np.sum(shown)), np.atleast_1d(np.sum(rows)))[0])
-    return replace(problem, sets=tuple(replace(part, raised=factor * part.raised) for part in problem.sets))
-
-
-def _free(problem: Problem, solution: Solution) -> tuple[Vector, Vector]:
-    """Return the squares of each signal's rows, and how many of these are free, shape (s,) each."""
     left, _ = orthonormal(solution.jacobian)
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
     used = np.array([np.diag(part.unwhiten) > 0.0 for part in problem.sets])
-    alike = np.linalg.solve(beside_motion(problem), solution.residual.swapaxes(1, 2)).swapaxes(1, 2)
-    shown = np.where(used, np.sum(alike**2, axis=2), 0.0).sum(axis=0)
-    return shown, np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
-
-
-def _raised(problem: Problem, shown: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
+    rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
     loops = problem.hysteresis or problem.channel_lags > 0
     believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
-    return np.asarray((believed + shown) / (believed + rows))
+    return np.asarray(np.sqrt((believed + shown) / (believed + rows)))
 
 
 def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
@@ -156,8 +122,8 @@ def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
 
 def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     """Return C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
-    weighted = np.linalg.solve(noise, response)
-    return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
+    root = np.linalg.inv(np.linalg.cholesky(noise))
+    return np.asarray(np.linalg.pinv(root @ response, rcond=ROUNDING) @ root)
 
 
 def fit_covariance(
@@ -196,15 +162,9 @@ def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
     """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
     left, inverse = orthonormal(solution.jacobian)
     of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
-    of_sets = beside_motion(problem) @ (disagreement(problem, solution)[:, None, None] * of_sets)
+    of_sets = disagreement(problem, solution)[:, None, None] * of_sets
     rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
     return np.asarray(inverse @ triangle(rows).T)
-
-
-def noise_root(gram: Matrix) -> Matrix:
-    """Return a symmetric root of a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(gram)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
@@ -254,8 +214,7 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
     of_phi = channels * inputs
     of_rotation = of_phi + problem.parameters
     C = weighted_inverse(A, noise)
-    weighted = np.linalg.solve(noise, A)
-    steep = np.linalg.solve(A.T @ weighted, np.eye(AXES))
+    steep = np.linalg.pinv(A.T @ np.linalg.solve(noise, A), hermitian=True)
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
     slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
     last = problem.sets[-1]

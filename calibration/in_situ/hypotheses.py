@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.causes import ON_READINGS, Cause, Evidence, speed
+from surefoot.calibration.in_situ.causes import ON_READINGS, Cause, Evidence
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.judge import added_slope, projected
@@ -29,7 +29,8 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     limb_parameters,
 )
-from surefoot.calibration.in_situ.solve import Problem, Solution, minima, solve, starts
+from surefoot.calibration.in_situ.solve import Problem, Solution, minima, solve
+from surefoot.calibration.in_situ.starts import starts
 
 __all__ = ["Likely", "deviance", "explained", "likeliest", "whitened"]
 
@@ -45,18 +46,12 @@ class Likely(NamedTuple):
 
 
 def likeliest(evidence: Evidence) -> list[Likely]:
-    """Return causes that explain something, the likeliest first.
-
-    A limb that turns is felt at any speed: where that shows, it is beside every other cause, or it would be
-    taken for one that is smaller in the readings and worse for the answer, as a turned IMU.
-    """
-    tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1), *speed(evidence)]
-    felt = tried[int(np.argmin(_scores(tried)))]
-    beside = replace(evidence, problem=felt.problem, solution=felt.solution)
+    """Return causes that explain something, the likeliest first."""
+    tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1)]
     for look in (*ON_READINGS, *OF_ADDED):
         # What is garbage with one cause left out may have no answer with another.
         with suppress(np.linalg.LinAlgError):
-            tried += [cause._replace(free=cause.free + felt.free) for cause in look(beside)]
+            tried += look(evidence)
     scores = _scores(tried)
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()

@@ -84,7 +84,7 @@ def test_how_far_the_maker_may_be_off_can_be_stated():
     sets, _ = driver_sets(np.random.default_rng(83), 2, 0.01)
     tight, loose = (
         calibrate_in_situ(sets, factory_matrix=np.eye(6), options=InSituOptions(factory_std=(std,) * 6))
-        for std in (1e-6, 0.05)
+        for std in (1e-7, 0.05)
     )
     np.testing.assert_allclose(tight.matrix, np.eye(6), atol=1e-4)
     assert np.abs(loose.matrix - np.eye(6)).max() > 0.01
