@@ -312,9 +312,12 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         reason = f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {left:.0%}."
         cure = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
         found.append(Finding("factory matrix", reason, cure, scores[best] - base, _CLEARER))
-    if expected is None:
-        return found
-    scale, common = _scale(factory @ measured, expected, weight)
+    return found if expected is None else found + _check_units(factory @ measured, expected, weight)
+
+
+def _check_units(shown: Matrix, expected: Matrix, weight: Matrix) -> list[Finding]:
+    """Return whether loads that a matrix shows, shape (6, n), are those that hang there in another unit."""
+    scale, common = _scale(shown, expected, weight)
     near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
     unit = min(near, key=near.__getitem__) if common else ""
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
@@ -325,10 +328,10 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         "those of the masses (kg)."
     )
     if unit and near[unit] < _CLEARLY * near[""]:
-        return [*found, Finding("factory scale", shows, check, scale)]
+        return [Finding("factory scale", shows, check, scale)]
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        return [*found, Finding("factory scale", shows, check, scale, contradicts=True)]
-    return [*found, Finding("factory scale", shows, check, scale, refuses=False)] if unit else found
+        return [Finding("factory scale", shows, check, scale, contradicts=True)]
+    return [Finding("factory scale", shows, check, scale, refuses=False)] if unit else []
 
 
 def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Vector) -> float:
