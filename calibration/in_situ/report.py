@@ -24,6 +24,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.gravity import errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
     check_axes,
@@ -43,7 +44,6 @@ from surefoot.calibration.in_situ.model import (
     inertia_matrix,
 )
 from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.rest import errors_of_imu
 from surefoot.calibration.in_situ.solve import (
     Problem,
     Solution,
