@@ -5,7 +5,8 @@ r"""Gravity as the accelerometer shows it: its bias, its scale and its noise, by
 where :math:`K p` is what turning adds at the arm p from the point that the limb turns about; while nobody
 gave the motion, gravity's own turning shows it. A bias goes into the offset by the weight of what hangs
 there: it is taken off before all else. Noise along the length reads as a limb that bends: of a limb at rest
-it is taken off, but for what turning adds, which the sensor feels. What stays open of the bias is part of the offsets' covariance.
+it is taken off, but for what turning adds, which the sensor feels. What stays open of the bias is part of the
+offsets' covariance.
 
 All three are what is likeliest beside what is known of such sensors; data that do not show a bias leave it
 near zero, and unsure.
