@@ -22,7 +22,7 @@ from rich.console import Console
 from scipy.stats import binom
 
 from surefoot.calibration.in_situ import InSituFit, calibrate_in_situ
-from surefoot.calibration.in_situ.bound import normalised_error
+from surefoot.calibration.in_situ.validation import normalised_error
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,

@@ -5,8 +5,7 @@
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
-* :mod:`~surefoot.calibration.in_situ.validation` and :mod:`~surefoot.calibration.in_situ.bound`: how good a
-  calibrated sensor is, and how good one can be.
+* :mod:`~surefoot.calibration.in_situ.validation`: how good a calibrated sensor is, and how good one can be.
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
@@ -20,13 +19,11 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_factory,
     prior_from_fit,
 )
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
 from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
-from surefoot.calibration.in_situ.saved import read_calibration
-from surefoot.calibration.in_situ.stream import InSituEstimate
-from surefoot.calibration.in_situ.tracker import InSituTracker, in_situ_tracker
+from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker
 
 __all__ = [
     "ExcitationPlan",

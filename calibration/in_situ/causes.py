@@ -1,6 +1,6 @@
 r"""What may act on the readings of sets that contradict each other, each cause as it changes the problem.
 
-A cause adds signals: a step, a touch, a channel that ends early, a limb that bends or moves fast. With each
+A cause adds signals: a step, a touch, a limb that bends. With each
 the fit is made again, on compressed sets; :mod:`~surefoot.calibration.in_situ.hypotheses` compares them.
 """
 
@@ -12,17 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.check import TOO_FAST
+from surefoot.calibration.in_situ.beside import beside_channels
+from surefoot.calibration.in_situ.check import BENT_CURE
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.hysteresis import beside_channels
-from surefoot.calibration.in_situ.model import AXES, DIRECT, PAIRS, signals
+from surefoot.calibration.in_situ.model import AXES, PAIRS, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
-from surefoot.calibration.in_situ.sphere import turning
-from surefoot.calibration.in_situ.within import BENT_CURE
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = ["ON_READINGS", "Cause", "Evidence", "speed"]
+__all__ = ["ON_READINGS", "Cause", "Evidence"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -39,11 +37,7 @@ _FINER = 4
 _SHORTEST = 3
 """Rows that a touch must last."""
 
-_QUANTILES = (0.5, 0.65, 0.8, 0.9, 0.96)
-"""Shares of the samples below the thresholds that are tried."""
-
 _TOUCHING = "Leave that time out, or record the set again with nothing near the limb."
-SLOWLY = "Give the gyroscope's readings as well, or move slowly."
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,76 +174,6 @@ def _best_span(evidence: Evidence, j: int, spans: list[tuple[int, int]]) -> tupl
     return int(first[best]), int(last[best]), float(gains[best])
 
 
-def _ends(evidence: Evidence) -> Iterator[Cause]:
-    """Yield the channel of a set that likeliest ends early."""
-    best, column, words = 0.0, None, ""
-    for j, data in enumerate(evidence.sets):
-        predicted = _predicted(evidence, j)
-        for channel in range(data.channels):
-            for sign, side in ((1.0, "above"), (-1.0, "below")):
-                one = sign * predicted[:, channel]
-                tops = np.quantile(one, _QUANTILES)
-                hinges = np.maximum(one[:, None] - tops, 0.0)
-                gains = _gains(evidence, j, hinges)
-                k = int(np.argmax(gains))
-                if gains[k] > best:
-                    best, column, of_set = float(gains[k]), hinges[:, k], j
-                    words = f"channel {channel} of '{data.name}' is clipped {side} {sign * tops[k]:.4g}"
-    if column is None:
-        return
-    problem = evidence.alone(of_set, column)
-    choices = 2 * len(_QUANTILES) * len(evidence.problem.whitening) * len(evidence.sets)
-    yield Cause(
-        words,
-        "Take the load off, set the hardware's offset again, or lower the gain.",
-        problem,
-        solve(problem, [evidence.solution.outer]),
-        len(evidence.problem.whitening),
-        choices,
-    )
-
-
-def _predicted(evidence: Evidence, j: int) -> Matrix:
-    """Return readings of a set by its own linear fit, without its offset, shape (n, k)."""
-    u = signals(evidence.sets[j], evidence.problem.moving)
-    response = evidence.problem.sets[j].response[:, : u.shape[1]]
-    return np.asarray(np.nan_to_num(u @ response.T))
-
-
-def _postures(evidence: Evidence) -> Iterator[Cause]:
-    """Yield the likeliest end of the limb's range at which it touches something, in one set and in all."""
-    gains = []
-    for j, data in enumerate(evidence.sets):
-        hinges, names = _hinges(data)
-        gains.append(_gains(evidence, j, hinges))
-    table, channels = np.array(gains), len(evidence.problem.whitening)
-    j, k = divmod(int(np.argmax(table)), table.shape[1])
-    one = evidence.alone(j, _hinges(evidence.sets[j])[0][:, k])
-    everywhere = int(np.argmax(table.sum(axis=0)))
-    both = evidence.beside([_hinges(data)[0][:, [everywhere]] for data in evidence.sets])
-    for problem, name, where in ((one, f" in '{evidence.sets[j].name}'", k), (both, "", everywhere)):
-        yield Cause(
-            f"the limb touches something{name} where gravity has much of {names[where]}",
-            _TOUCHING,
-            problem,
-            solve(problem, [evidence.solution.outer]),
-            channels,
-            table.size if name else table.shape[1],
-        )
-
-
-def _hinges(data: InSituSet) -> tuple[Matrix, list[str]]:
-    """Return how far gravity is beyond thresholds along each axis, shape (n, K), and the axes' names."""
-    columns, names = [], []
-    for axis in range(3):
-        for sign, name in ((1.0, "+"), (-1.0, "-")):
-            along = sign * np.nan_to_num(data.gravity[:, axis])
-            for top in np.quantile(along, _QUANTILES):
-                columns.append(np.maximum(along - top, 0.0))
-                names.append(f"{name}{'xyz'[axis]}")
-    return np.stack(columns, axis=1), names
-
-
 # What holds for all sets.
 
 
@@ -282,27 +206,5 @@ def _bent(evidence: Evidence, columns: Sequence[Matrix]) -> Cause:
     )
 
 
-def speed(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a limb that moved too fast: what it turned by, as gravity shows it, acts on the readings."""
-    moving = [turning(data) for data in evidence.sets]
-    if evidence.problem.moving or not all(data.moves for data in moving):
-        return
-    columns = [signals(data, moving=True)[:, DIRECT.stop :] for data in moving]
-    problem = evidence.beside(columns)
-    yield Cause(
-        TOO_FAST,
-        SLOWLY,
-        problem,
-        solve(problem, [evidence.solution.outer]),
-        columns[0].shape[1] * len(problem.whitening),
-        1,
-    )
-
-
-ON_READINGS: tuple[Callable[[Evidence], Iterator[Cause]], ...] = (
-    _steps_and_touches,
-    _ends,
-    _postures,
-    _bending,
-)
+ON_READINGS: tuple[Callable[[Evidence], Iterator[Cause]], ...] = (_steps_and_touches, _bending)
 """What may act on the readings, each as it changes the problem."""

@@ -81,13 +81,11 @@ class CompressedSet:
         gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
         score: Signals less what is like b, orthonormal, of the m rows, shape (m, s).
         scatter: Squares of the residual, over the power that its modes have, shape (k, k).
-        beside: The same of the modes about as fast as the signals, each by what it is worth, shape (k, k).
         residual: What of the rows' readings no linear map of the signals explains, (m, k).
         index: Mean place in the set of the samples that made a row, shape (m,).
         width: Samples that made a row.
         colour: Of the noise that the rows are weighted by.
         source: The rows before they were weighted against drift.
-        raised: By which the variance of rows is more, as sets disagree.
     """
 
     name: str
@@ -103,13 +101,11 @@ class CompressedSet:
     gram: Matrix
     score: Matrix
     scatter: Matrix
-    beside: Matrix
     residual: Matrix
     index: NDArray[np.float64]
     width: int
     colour: Colour
     source: SetRows
-    raised: float = 1.0
 
     @cached_property
     def whiten(self) -> Matrix:
@@ -125,7 +121,7 @@ class CompressedSet:
 
     @property
     def _gram(self) -> tuple[Vector, Matrix]:
-        values, vectors = np.linalg.eigh(self.raised * self.gram)
+        values, vectors = np.linalg.eigh(self.gram)
         return np.where(values > UNUSED * np.max(values, initial=0.0), values, 0.0), vectors
 
     @property
@@ -278,9 +274,7 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     power = colour.left(len(white), rows.spacing)
     modes = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
     of_signals = dct(score, norm="ortho", axis=0)
-    # Rows without an order in time have no frequency: all speak of the noise alike.
-    near = _beside(np.sum(of_signals**2, axis=1)) if rows.timed else np.ones(len(modes))
-    scatter, beside = modes.T @ modes, (near[:, None] * modes).T @ modes
+    scatter = modes.T @ modes
     # Noise that depends on the load is nowhere less than on average.
     modes = np.sqrt(np.maximum(power, 1.0))[:, None] * of_signals
     return CompressedSet(
@@ -297,32 +291,12 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
         gram=modes.T @ modes,
         score=score,
         scatter=scatter,
-        beside=beside,
         residual=residual,
         index=rows.place,
         width=rows.width,
         colour=colour,
         source=rows,
     )
-
-
-def _beside(explained: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what modes of the residual are worth as samples of the noise along the signals, shape (m,).
-
-    Modes within an octave of one that signals explain, each by as much as they explain of it.
-
-    Args:
-        explained: Share of each mode that the signals explain, the constant first, shape (m,).
-    """
-    mode = np.arange(1, len(explained))
-    low, high = (mode + 1) // 2, np.minimum(2 * mode, len(mode)) + 1
-    summed = np.cumsum(np.concatenate([[0.0], [0.0], explained[1:] / (high - low)]))
-    near = summed[high] - summed[low]
-    left = np.maximum(1.0 - explained[1:], 0.0)
-    square = float(near**2 @ left)
-    # As many modes of equal weight would tell as much.
-    worth = near * float(near @ left) / square if square > 0.0 else near
-    return np.concatenate([[0.0], worth])
 
 
 def _offsets(rows: SetRows, colour: Colour, white: Matrix, bb: Matrix) -> tuple[OffsetAt, OffsetAt]:

@@ -8,7 +8,7 @@ open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.compress import CompressedSet, triangle
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
-from surefoot.calibration.in_situ.model import AXES, DIRECT, STATIC
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.solve import (
     ROUNDING,
     Problem,
@@ -28,28 +30,28 @@ from surefoot.calibration.in_situ.solve import (
 )
 
 __all__ = [
+    "DataShare",
     "OpenErrors",
-    "beside_motion",
+    "data_share",
     "fit_covariance",
     "output_derivatives",
     "pooled_noise",
+    "slope_doubt",
+    "slow_turn",
     "unknowns_root",
     "weighted_inverse",
     "whitening",
-    "with_disagreement",
 ]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
+
 
 _RAISES, _LOWERS = 4.0, 30.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them
 where they show less noise, since to be too sure is worse than to be too unsure. Loops in the fit take most of
 the hysteresis at the motion's own frequency with them, and less of it elsewhere: the spectrum there is no
 guide, and few rows suffice either way."""
-
-_AS_POOLED = 10.0
-"""Modes beside the motion whose covariance counts for as much as the one of all modes."""
 
 _FEW = 10.0
 """Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
@@ -93,49 +95,20 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
-def beside_motion(problem: Problem) -> Matrix:
-    """Return a symmetric root of the shape of whitened noise about as fast as the signals, (k, k).
-
-    Noise that depends on the load is in what the load moves, and white noise in all channels: channels whose
-    noise is as large over all frequencies may differ there. How large it is in the mean, the spectrum says.
-    It is part of the covariance alone: weights by so few modes would make the answer less sure.
-    """
-    scatter = problem.whitening @ sum(part.beside for part in problem.sets) @ problem.whitening.T
-    shape = _AS_POOLED * np.eye(len(scatter)) + scatter
-    return noise_root(shape / np.mean(np.diag(shape)))
-
-
 def disagreement(problem: Problem, solution: Solution) -> Vector:
     """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
 
     At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
     signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
     """
-    shown, rows = _free(problem, solution)
-    return np.asarray(np.sqrt(_raised(problem, shown, rows)))
-
-
-def with_disagreement(problem: Problem, solution: Solution) -> Problem:
-    """Return the problem with the noise of all rows as the sets show it by how much they disagree."""
-    shown, rows = _free(problem, solution)
-    factor = float(_raised(problem, np.atleast_1d(np.sum(shown)), np.atleast_1d(np.sum(rows)))[0])
-    return replace(problem, sets=tuple(replace(part, raised=factor * part.raised) for part in problem.sets))
-
-
-def _free(problem: Problem, solution: Solution) -> tuple[Vector, Vector]:
-    """Return the squares of each signal's rows, and how many of these are free, shape (s,) each."""
     left, _ = orthonormal(solution.jacobian)
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
     used = np.array([np.diag(part.unwhiten) > 0.0 for part in problem.sets])
-    alike = np.linalg.solve(beside_motion(problem), solution.residual.swapaxes(1, 2)).swapaxes(1, 2)
-    shown = np.where(used, np.sum(alike**2, axis=2), 0.0).sum(axis=0)
-    return shown, np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
-
-
-def _raised(problem: Problem, shown: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
+    rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
     loops = problem.hysteresis or problem.channel_lags > 0
     believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
-    return np.asarray((believed + shown) / (believed + rows))
+    return np.asarray(np.sqrt((believed + shown) / (believed + rows)))
 
 
 def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
@@ -149,8 +122,8 @@ def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
 
 def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     """Return C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
-    weighted = np.linalg.solve(noise, response)
-    return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
+    root = np.linalg.inv(np.linalg.cholesky(noise))
+    return np.asarray(np.linalg.pinv(root @ response, rcond=ROUNDING) @ root)
 
 
 def fit_covariance(
@@ -179,7 +152,7 @@ def fit_covariance(
     last = problem.sets[-1]
     covariance[columns.offset, columns.offset] += noise * last.end.variance
     if problem.hysteresis or problem.channel_lags:
-        of_matrix, of_offset = _slope_doubt(problem, solution, noise)
+        of_matrix, of_offset = slope_doubt(problem, solution, noise)
         covariance[columns.matrix, columns.matrix] += of_matrix
         covariance[columns.offset, columns.offset] += of_offset
     return np.asarray(covariance)
@@ -189,18 +162,12 @@ def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
     """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
     left, inverse = orthonormal(solution.jacobian)
     of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
-    of_sets = beside_motion(problem) @ (disagreement(problem, solution)[:, None, None] * of_sets)
+    of_sets = disagreement(problem, solution)[:, None, None] * of_sets
     rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
     return np.asarray(inverse @ triangle(rows).T)
 
 
-def noise_root(gram: Matrix) -> Matrix:
-    """Return a symmetric root of a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(gram)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
+def slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
     """Return covariances of C and o for want of one slope: an axis gives by s more for twice the swing."""
     A = solution.A
     C = weighted_inverse(A, noise)
@@ -247,8 +214,7 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
     of_phi = channels * inputs
     of_rotation = of_phi + problem.parameters
     C = weighted_inverse(A, noise)
-    weighted = np.linalg.solve(noise, A)
-    steep = np.linalg.solve(A.T @ weighted, np.eye(AXES))
+    steep = np.linalg.pinv(A.T @ np.linalg.solve(noise, A), hermitian=True)
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
     slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
     last = problem.sets[-1]
@@ -272,3 +238,161 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
             slopes[columns.offset, of_rotation + axis] = -A @ M @ turned
     slopes[columns.limb, of_phi : of_phi + STATIC] = np.eye(STATIC)
     return slopes
+
+
+_MOST = 0.9
+"""Share of the information that the data give from which on the rest is not worth a word."""
+
+_SLOW, _TURNED = 0.15, 0.02
+"""A turn is slow if drift leaves less than the first share of its spread; one below the second share of
+gravity's size is none."""
+
+_UNKNOWN = 1e3
+"""What nobody knows counts as known to so many times its size."""
+
+_REACH = 0.1
+"""Lever in m by which first moments are judged at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class DataShare:
+    """What the data know of a fit.
+
+    Attributes:
+        share: Of the information on each entry of the fit's covariance, shape (7 k + 4,), from 0 to 1.
+        seen: Directions that the data alone know.
+        unseen: Directions that they do not.
+        left_open: What takes part in those, in words.
+    """
+
+    share: Vector
+    seen: int
+    unseen: int
+    left_open: tuple[str, ...]
+
+    def findings(self, columns: FitColumns) -> list[Finding]:
+        """Return what leans on what was known beforehand, if much does."""
+        known = {
+            "the matrix": float(np.mean(self.share[columns.matrix])),
+            "the limb's mass": float(self.share[columns.limb][MASS]),
+            "its centre of mass": float(np.mean(self.share[columns.limb][MOMENT])),
+        }
+        if min(known.values()) > _MOST:
+            return []
+        listed = ", ".join(f"{share:.0%} of what is known of {name}" for name, share in known.items())
+        reason = f"The readings alone give {listed}; the rest is what was known beforehand."
+        return [Finding("share of the data", reason, value=min(known.values()), limit=_MOST, refuses=False)]
+
+
+def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: float) -> DataShare:
+    """Return what the data know of a fit at its solution.
+
+    Args:
+        problem: With what was known beforehand.
+        solution: Its solution.
+        noise: Covariance of a sample, shape (k, k).
+        tolerance: Deviation as a share of its size up to which a direction is seen.
+    """
+    channels, inputs = solution.response.shape
+    of_data = sum(len(part.uu) for part in problem.sets) * channels
+    scale = _sizes(problem, solution)
+    J = solution.jacobian * scale
+    data, prior = J[:of_data], J[of_data:]
+    squares = data.T @ data
+    asked = _asked(problem, channels, inputs, len(squares))
+    values, vectors = np.linalg.eigh(_of_asked(squares, asked))
+    weak = values < (1.0 / tolerance) ** 2
+    taking = np.zeros(len(squares), dtype=np.bool_)
+    taking[asked] = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
+    to_output = output_derivatives(problem, solution, noise) * scale
+    to_output[:, : channels * inputs] = to_output[:, : channels * inputs] @ np.kron(
+        np.linalg.inv(problem.whitening), np.eye(inputs)
+    )
+    alone = _variance(squares, to_output)
+    known = _variance(squares + prior.T @ prior, to_output)
+    last = problem.sets[-1]
+    own = np.zeros(len(known))
+    own[FitColumns.of(channels).offset] = np.diag(noise) * last.end.variance
+    share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
+    return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(taking, channels, inputs))
+
+
+def _variance(squares: Matrix, outputs: Matrix) -> Vector:
+    """Return the variances of outputs, shape (q, p), by the information on the unknowns, shape (p, p)."""
+    values, vectors = np.linalg.eigh(squares)
+    return np.asarray((outputs @ vectors) ** 2 @ (1.0 / (np.maximum(values, 0.0) + 1.0 / _UNKNOWN**2)))
+
+
+def _asked(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[np.bool_]:
+    """Return which unknowns an answer holds: neither loops nor the limb's inertia, shape (count,)."""
+    asked = np.ones(count, dtype=np.bool_)
+    response, limb = np.split(asked, [channels * inputs])
+    response.reshape(channels, inputs)[:, inputs - problem.channel_lags :] = False
+    limb[STATIC : problem.parameters] = False
+    return asked
+
+
+def _of_asked(squares: Matrix, asked: NDArray[np.bool_]) -> Matrix:
+    """Return the information on what is asked, whatever the rest may be, shape (q, q)."""
+    own = squares[np.ix_(~asked, ~asked)]
+    across = squares[np.ix_(~asked, asked)]
+    rest = np.linalg.solve(own + np.eye(len(own)) / _UNKNOWN**2, across)
+    return np.asarray(squares[np.ix_(asked, asked)] - across.T @ rest)
+
+
+def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Finding | None:
+    """Return along which direction gravity turned no faster than offsets drift, and the cure; or None.
+
+    The spread that the weights against drift leave is held against the spread that there was.
+    """
+    seen, left, size = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for data, part in zip(sets, parts, strict=True):
+        gravity = data.gravity[part.used]
+        centred = gravity - gravity.mean(axis=0)
+        seen += centred.T @ centred
+        size += float(np.sum(gravity**2))
+        left += part.uu[:, DIRECT].T @ part.uu[:, DIRECT]
+    values, vectors = np.linalg.eigh(seen)
+    wide = values > (_TURNED**2) * size
+    root = vectors[:, wide] / np.sqrt(values[wide])
+    shares, turned = np.linalg.eigh(root.T @ left @ root)
+    if not len(shares) or shares[0] > _SLOW**2:
+        return None
+    direction = root @ turned[:, 0]
+    direction /= np.linalg.norm(direction)
+    spread = float(np.sqrt(direction @ seen @ direction / size))
+    x, y, z = direction
+    rest = spread * float(np.sqrt(max(shares[0], 0.0)))
+    return Finding(
+        "slow turning",
+        f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
+        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}.",
+        "Go through these postures several times in a set, or come back to the first ones at its end.",
+        rest,
+        _SLOW * spread,
+        refuses=False,
+    )
+
+
+def _sizes(problem: Problem, solution: Solution) -> Vector:
+    """Return the sizes of the unknowns (W A row by row, phi, rotation)."""
+    white = problem.whitening @ solution.response
+    columns = np.sqrt(np.mean(white**2, axis=0))
+    mass = abs(float(solution.limb[MASS]))
+    reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), _REACH)
+    limb = np.full(problem.outer, mass * reach**2)
+    limb[MASS], limb[MOMENT] = mass, mass * reach
+    limb[problem.of_loads] = 1.0
+    limb[problem.parameters :] = 1.0
+    return np.concatenate([np.tile(columns, len(white)), limb])
+
+
+def _names(taking: NDArray[np.bool_], channels: int, inputs: int) -> tuple[str, ...]:
+    response = taking[: channels * inputs].reshape(channels, inputs)
+    limb = taking[channels * inputs :]
+    named = {
+        "the matrix": response[:, :AXES],
+        "the limb's mass": limb[MASS],
+        "its centre of mass": limb[MOMENT],
+    }
+    return tuple(name for name, parts in named.items() if parts.any())

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from surefoot.calibration.in_situ.covariance import orthonormal, weighted_inverse
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.maker import marginal_evidence
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -21,17 +20,9 @@ from surefoot.calibration.in_situ.model import (
     different_masses,
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.solve import (
-    ROUNDING,
-    Problem,
-    Solution,
-    expand,
-    hanging,
-    of_unit_length,
-    transforms,
-)
+from surefoot.calibration.in_situ.solve import ROUNDING, Problem, Solution, expand, of_unit_length, transforms
+from surefoot.calibration.in_situ.starts import hanging
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
-from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
 __all__ = [
@@ -39,7 +30,6 @@ __all__ = [
     "added_slope",
     "check_answer",
     "check_axes",
-    "check_factory",
     "check_limb",
     "check_masses",
     "check_rotation",
@@ -77,35 +67,6 @@ _NO_LOAD = 1e-300
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
 
-_AGED = 0.1
-"""Share of what hangs there up to which no factory matrix is looked at."""
-
-_MISPRINT = 0.7
-"""Share of its row's largest entry by which a misprinted entry must be off: sensors age by less."""
-
-_TRIED = 4
-"""Ways to read a matrix, and entries, that are compared by their evidence."""
-
-_BETTER = 0.7
-"""Share of what the matrix misses that another way to read it leaves at most."""
-
-_CLEARER = 10.0
-"""Nats by which another way to read it must be likelier than the matrix as it was given."""
-
-_OCCAM = float(np.log(36.0)) + 5.0
-"""Nats that an entry's free value, and the choice of it, cost."""
-
-_FACTORY_SCALE = (0.5, 2.0)
-"""The loads that a factory matrix shows over the true ones must lie between these: sensors age by less."""
-
-_CLEARLY = 0.5
-"""Another unit is a refusal if it leaves less than this share of that factor's logarithm, else a warning."""
-
-_APART = 3.0
-"""Axes whose factors differ by less than this have aged from a common one."""
-
-_LOADED = 0.1
-"""Share of the largest load, torques over the lever, from which on an axis shows that scale."""
 
 _FACTORY_APART = 0.3
 """Logarithm of the limb's mass by a factory matrix over the one that was given from which on it is refused:
@@ -126,17 +87,6 @@ _STRAINED = 3.0
 _SLIGHT = 0.15
 """Share of the tolerance up to which no set is looked at by itself."""
 
-_POUND = 0.45359237
-"""In kg."""
-
-_UNITS = {
-    "": 1.0,
-    "masses are in lb, and kg are expected": 1.0 / _POUND,
-    "masses in kg were taken for lb and converted": _POUND,
-    "masses are in grams": 1e3,
-    "units of the factory matrix are kgf": GRAVITY,
-}
-"""What loads that hang there may be too large by over those that a factory matrix shows."""
 
 _CULPRIT, _WEIGHED = 0.8, 0.3
 """A set is looked at if another mass in it explains the first share of what is left, and is off by more than
@@ -292,165 +242,6 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
                 "connected, each once, or give a factory matrix."
             )
             found.append(Finding("axis", reason, cure, doubt, options.axis_tolerance))
-    return found
-
-
-def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
-    """Return whether a factory matrix contradicts the readings, and how it is to be read.
-
-    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
-    against what hangs there: by a solution that does without it if the limb is determined or known, else by
-    the limb that it shows itself. Where it misses much, other ways to read it are compared by the evidence of
-    the readings, each with errors of all likely sizes. A scale that is nearer to another unit of the masses
-    than to what is expected is a warning.
-
-    Args:
-        factory: As it was given, shape (6, k).
-        problem: With the prior by it.
-        solution: Without it, if the readings determine one.
-        determined: Whether they do.
-    """
-    limb_known = determined or len(problem.limb_root) == STATIC
-    expected = _loads(problem, solution) if limb_known else _hangs(factory, problem, solution)
-    measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
-    masses = problem.added[:, MASS]
-    levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
-    lever = max(float(np.max(levers, initial=0.0)), _REACH)
-    weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
-
-    def missed(matrix: Matrix) -> float:
-        hangs = expected if limb_known else _hangs(matrix, problem, solution)
-        if hangs is None:
-            return np.inf
-        return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
-
-    now = missed(factory)
-    if now < _AGED:
-        return []
-    found = []
-    at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    whole = sorted(((missed(one), words, one) for words, one in _other_readings(factory)), key=lambda x: x[0])
-    others = [] if expected is None else _other_entries(factory, measured, expected)
-    entries = sorted(((missed(one), words, one) for words, one in others), key=lambda x: x[0])
-    tried = [(one, 0.0) for one in whole[:_TRIED] if one[0] < _BETTER * now]
-    tried += [(one, _OCCAM) for one in entries[:_TRIED] if one[0] < _BETTER * now]
-    start = solution.outer if limb_known else problem.limb
-    base = _evidence_of(factory, problem, solution, start)
-    scores = [_evidence_of(one[2], problem, solution, start) - free for one, free in tried]
-    best = int(np.argmax(scores)) if scores else 0
-    if scores and scores[best] - base > _CLEARER:
-        left, words, _ = tried[best][0]
-        reason = f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {left:.0%}."
-        cure = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
-        found.append(Finding("factory matrix", reason, cure, scores[best] - base, _CLEARER))
-    if expected is None:
-        return found
-    scale, common = _scale(factory @ measured, expected, weight)
-    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
-    unit = min(near, key=near.__getitem__) if common else ""
-    shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
-    if unit:
-        shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
-    check = (
-        "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
-        "those of the masses (kg)."
-    )
-    if unit and near[unit] < _CLEARLY * near[""]:
-        return [*found, Finding("factory scale", shows, check, scale)]
-    if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        return [*found, Finding("factory scale", shows, check, scale, contradicts=True)]
-    return [*found, Finding("factory scale", shows, check, scale, refuses=False)] if unit else found
-
-
-def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Vector) -> float:
-    """Return the evidence of a factory matrix, from the limb that it shows."""
-    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
-    outer = start.copy()
-    outer[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
-    return marginal_evidence(problem, matrix, outer)
-
-
-def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool]:
-    """Return the factor between loads that a matrix shows and those that hang there, and if axes share it.
-
-    Axes age each by itself, and units change all alike: it is the geometric mean of the axes that are loaded
-    (shape (6, n) each), or that of the forces where these axes differ by more than age.
-    """
-    load = np.sqrt(np.sum((weight * expected) ** 2, axis=1))
-    loaded = load > _LOADED * np.max(load)
-    of_axis = np.sum(shown * expected, axis=1)[loaded] / np.sum(expected**2, axis=1)[loaded]
-    if np.min(of_axis) > np.max(of_axis) / _APART:
-        return float(np.exp(np.mean(np.log(of_axis)))), True
-    return float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2)), False
-
-
-def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
-    """Return T of all sets side by side with the limb that a matrix shows; None if its mass is negative."""
-    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
-    limb = solution.limb.copy()
-    limb[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
-    return None if limb[MASS] <= 0.0 else _loads(problem, replace(solution, limb=limb))
-
-
-def _loads(problem: Problem, solution: Solution) -> Matrix:
-    """Return the loads of all sets side by side, by as much as gravity turned in each, shape (6, 3 J)."""
-    T = transforms(problem, solution)[:, :AXES, DIRECT]
-    return np.concatenate([t @ part.turned.T for part, t in zip(problem.sets, T, strict=True)], axis=1)
-
-
-def _other_readings(factory: Matrix) -> list[tuple[str, Matrix]]:
-    """Return what may be wrong with a whole matrix, or with units, and the matrix as it then is."""
-    forces, torques = np.repeat([1.0, 0.0], 3)[:, None], np.repeat([0.0, 1.0], 3)[:, None]
-    found = [
-        (words, (force * forces + torque * torques) * factory)
-        for words, force, torque in (
-            ("the sign of gravity or of the factory matrix is turned", -1.0, -1.0),
-            ("all places of the masses, or the factory's torques, are negated", 1.0, -1.0),
-            ("the factory's forces are negated", -1.0, 1.0),
-            ("masses are in grams", 1e3, 1e3),
-            ("masses are in lb, and kg are expected", 1.0 / _POUND, 1.0 / _POUND),
-            ("places are in mm, and m are expected", 1.0, 1e3),
-            ("places are in cm, and m are expected", 1.0, 1e2),
-            ("units of the factory's torques are N mm", 1.0, 1e-3),
-            ("units of the factory matrix are kgf", GRAVITY, GRAVITY),
-            ("units of the factory's torques are N cm", 1.0, 1e-2),
-        )
-    ]
-    for axis, name in enumerate("xyz"):
-        mirror = np.where(np.isin(np.arange(AXES), (axis, axis + 3)), -1.0, 1.0)[:, None]
-        words = f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame"
-        found.append((words, mirror * factory))
-    found.append(("rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)))
-    if factory.shape[0] == factory.shape[1]:
-        inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
-        found.append(("the factory matrix is transposed", factory.T))
-        found.append(("the factory matrix is inverted: counts per N", inverse))
-        found.append(("the factory matrix is inverted and transposed", inverse.T))
-    channels = factory.shape[1]
-    for a in range(channels):
-        sign = np.where(np.arange(channels) == a, -1.0, 1.0)
-        found.append((f"channel {a} has the other sign than in the factory matrix", factory * sign))
-        for b in range(a):
-            order = np.arange(channels)
-            order[[a, b]] = b, a
-            words = f"channels {b} and {a} are exchanged against the factory matrix"
-            found.append((words, factory[:, order]))
-    return found
-
-
-def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> list[tuple[str, Matrix]]:
-    """Return the matrix with another value in each entry that could be misprinted, and that, in words."""
-    wrong, found = expected - factory @ measured, []
-    steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
-    misprint = np.abs(steps) >= _MISPRINT * np.max(np.abs(factory), axis=1, keepdims=True)
-    for row, column in np.argwhere(misprint):
-        matrix = factory.copy()
-        matrix[row, column] += steps[row, column]
-        words = (
-            f"entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, is "
-            f"{matrix[row, column]:.4g}"
-        )
-        found.append((words, matrix))
     return found
 
 

@@ -1,7 +1,6 @@
 """Options of in-situ calibration and of its tracker, and what may be known of the limb."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,6 @@ __all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 
 MOST_DRIFT = 8
 """Most cosines along which an offset may drift: more would follow the limb's turning."""
-
-LEARN = ("offset", "axes", "matrix")
-"""What a tracker can estimate: the offset alone, with one relative factor for each axis, with all of D."""
-
-_MINUTE = 60.0
-"""In s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,25 +104,18 @@ class InSituOptions:
         scales = self.full_scale
         if scales is not None and (len(scales) != 6 or not all(value > 0.0 for value in scales)):
             raise ValueError(f"'full_scale' must hold six positive values in N and N m, got {scales!r}.")
-        _check_code_range(self)
+        _check_code_range(self.code_range)
 
 
 @dataclass(frozen=True, kw_only=True)
 class InSituTrackerConfig:
     """Options of :class:`~surefoot.calibration.in_situ.InSituTracker`, for strain gauges in a leg."""
 
-    learn: str = "offset"
-    """What is estimated: ``"offset"`` alone, ``"axes"`` with a relative factor for each axis, or
-    ``"matrix"`` with all 36 relative errors of the response. The rest is considered."""
-
-    drift_force: float = 0.1 / _MINUTE**0.5
+    drift_force: float = 0.1 / 60.0**0.5
     """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
 
-    drift_torque: float = 0.002 / _MINUTE**0.5
+    drift_torque: float = 0.002 / 60.0**0.5
     """The same for torques in N m/sqrt(s)."""
-
-    drift_scale: float = 5e-4 / _MINUTE**0.5
-    """Random walk of each axis's relative scale in 1/sqrt(s)."""
 
     since_fit_force: float = 0.5
     """How far the offset may have moved along each axis since the calibration, in N: offsets jump from one
@@ -139,45 +125,40 @@ class InSituTrackerConfig:
     """The same for torques in N m."""
 
     lag: float | None = None
-    """Standard deviation of what hysteresis adds to an axis, as a share of half the load's size; None takes
-    the shares that the fit found, or none."""
+    """Width of the loop of hysteresis, as a share of the load's swing; None takes the shares that the fit
+    found, or none."""
 
     lag_angle: float = 0.5
-    """Angle in rad by which gravity turns before hysteresis has forgotten."""
+    """Angle in rad by which gravity turns before h is another: a quarter of a swing of two radians."""
 
     added_mass: float = 0.0
-    """Mass in kg that hangs on the limb, known, such as a shoe."""
+    """Mass in kg that hangs on the limb, known, such as a shoe ..."""
 
     added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Its centre of mass in the sensor's frame in m."""
-
-    gate: float = 3.0
-    """Standard deviations beyond which a row pulls no harder."""
+    """... and its centre of mass in the sensor's frame in m."""
 
     reject: float = 5.0
     """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
-    it adds is also beyond ``touch``."""
+    it adds is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
 
     touch: float = 0.05
     """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
-    an error of the sensor, however unlikely: it pulls at the gate."""
+    an error of the sensor, however unlikely."""
 
     code_range: tuple[float, float] | None = None
     """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value has no meaning."""
-        if self.learn not in LEARN:
-            raise ValueError(f"'learn' must be one of {LEARN}, got {self.learn!r}.")
-        check_positive(self, "lag_angle", "gate", "reject")
-        drifts = ("drift_force", "drift_torque", "drift_scale", "since_fit_force", "since_fit_torque")
+        check_positive(self, "lag_angle", "reject")
+        drifts = ("drift_force", "drift_torque", "since_fit_force", "since_fit_torque")
         check_not_negative(self, *drifts, "added_mass", "touch")
         if self.lag is not None:
             check_not_negative(self, "lag")
-        _check_code_range(self)
+        _check_code_range(self.code_range)
 
 
-def _check_code_range(options: Any) -> None:
-    span = options.code_range
+def _check_code_range(span: tuple[float, float] | None) -> None:
+    """Raise ValueError unless a range of counts is (lowest, highest) or None."""
     if span is not None and not span[0] < span[1]:
         raise ValueError(f"'code_range' must be (lowest, highest), got {span!r}.")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import surefoot
 from surefoot.calibration.in_situ import InSituFit
-from surefoot.calibration.in_situ.saved import facts_of
+from surefoot.calibration.in_situ.fit import facts_of
 from surefoot.experiments.study.tables import flat
 from surefoot.files import write_text
 

@@ -565,13 +565,13 @@ def test_few_samples_show_no_hysteresis():
 
 def test_one_thread_solves_and_the_others_come_back(monkeypatch):
     module = sys.modules[calibrate_in_situ.__module__]
-    fit, seen = module._fit, []
+    fit, seen = module.fit_of, []
 
     def watched(*given):
         seen.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
         return fit(*given)
 
-    monkeypatch.setattr(module, "_fit", watched)
+    monkeypatch.setattr(module, "fit_of", watched)
     with threadpool_limits(limits=2, user_api="blas"):
         calibrate_in_situ(paper_sets("leg", np.random.default_rng(0), n=50, noise=0.001)[0])
         after = [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]

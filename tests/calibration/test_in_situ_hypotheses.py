@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_COM_LEG, ADDED_MASS, NOISE, SENSORS, noisy_sets
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, noisy_sets
 from scipy.fft import idct
 from scipy.stats import multivariate_normal
 
 from surefoot.calibration.in_situ.calibrate import _evidence, _task
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
-from surefoot.calibration.in_situ.covariance import _doublings, beside_motion, whitening
+from surefoot.calibration.in_situ.covariance import _doublings, whitening
 from surefoot.calibration.in_situ.hypotheses import deviance, whitened
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import solve, transforms
@@ -60,34 +60,6 @@ def test_deviance_is_that_of_a_dense_normal_distribution(colour):
         for one, cov in zip(left, dense, strict=True)
     )
     assert deviance(problem.sets, whitened(problem, solution)) == pytest.approx(expected, rel=1e-9)
-
-
-def test_noise_beside_the_motion_has_a_shape_of_its_own():
-    """Two axes whose noise is slow, and as large in the mean as the white noise of the others."""
-    rng = np.random.default_rng(6)
-    sets = noisy_sets("leg", rng, n=600)[0]
-    matrix = SENSORS["leg"][0]
-    power = Part(0.5, 2.0, 0.1).power(np.arange(1, 601) / 120.0)
-    slow = idct(
-        np.sqrt(power / np.mean(power))[:, None] * rng.standard_normal((600, 2)), norm="ortho", axis=0
-    )
-    coloured = []
-    for one in sets:
-        wrench = rng.standard_normal((600, 6)) * NOISE
-        wrench[:, :2] = NOISE[:2] * slow
-        quiet = one.raw - one.raw.mean(axis=0)
-        fitted = np.linalg.lstsq(one.gravity - one.gravity.mean(axis=0), quiet, rcond=None)[0]
-        raw = (one.gravity - one.gravity.mean(axis=0)) @ fitted + wrench @ np.linalg.inv(matrix).T
-        coloured.append(replace(one, raw=raw))
-    problem = evidence_of(coloured, robust=False).problem
-    root = matrix @ np.linalg.inv(problem.whitening) @ beside_motion(problem)
-    size = np.sqrt(np.diag(root @ root.T)) / NOISE
-    assert size[:2].min() > 2.0 * size[2:].max()
-
-
-def test_a_shape_of_white_noise_is_no_shape():
-    problem = evidence_of(noisy_sets("leg", np.random.default_rng(7))[0]).problem
-    np.testing.assert_allclose(np.linalg.eigvalsh(beside_motion(problem)), 1.0, atol=0.25)
 
 
 def test_slopes_are_open_by_how_far_swings_of_like_axes_lie_apart():

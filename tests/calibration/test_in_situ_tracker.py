@@ -1,7 +1,5 @@
 """The in-situ tracker: honest deviations, observability, touch, bad samples, one law for all libraries."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from _in_situ import swept_gravity
@@ -33,15 +31,14 @@ def normalised(error, covariance):
     return np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=-1)
 
 
-def walked(tracker, runs, steps, dt, seed, turn=True):
+def walked(tracker, runs, steps, dt, seed, fit=None):
     """Track sensors drawn from the fit's covariance, whose offsets drift as the tracker assumes."""
     rng = np.random.default_rng([41, seed])
     config = tracker.config
-    truth = draw_truth(make_fit(), rng, runs, config.since_fit_force, config.since_fit_torque)
+    truth = draw_truth(fit or make_fit(), rng, runs, config.since_fit_force, config.since_fit_torque)
     walk = RESPONSE * np.repeat([config.drift_force, config.drift_torque], 3) * dt**0.5
-    gravity = swept_gravity(steps) if turn else np.tile(swept_gravity(steps)[7], (steps, 1))
     nis = []
-    for g in gravity:
+    for g in swept_gravity(steps):
         truth = truth._replace(offset=truth.offset + rng.standard_normal((runs, 6)) @ walk.T)
         raw = truth.read(g) + rng.standard_normal((runs, 6)) @ NOISE_ROOT.T
         estimate = tracker.update(raw, np.tile(g, (runs, 1)), dt)
@@ -49,54 +46,33 @@ def walked(tracker, runs, steps, dt, seed, turn=True):
     return truth, estimate, np.array(nis)
 
 
-@cache
-def tracked(learn):
-    return walked(InSituTracker(make_fit(), learn=learn), 150, 80, 1.0, seed=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("learn", ["offset", "axes", "matrix"])
-def test_offsets_are_off_by_as_much_as_is_claimed(learn):
+def test_offsets_are_off_by_as_much_as_is_claimed():
     runs = 150
-    truth, estimate, nis = tracked(learn)
-    nees = normalised(estimate.offset - truth.offset, estimate.covariance[:, :6, :6])
-    # Six degrees of freedom a run: 4 deviations of the mean.
-    assert abs(nees.mean() / 6.0 - 1.0) < 4.0 * np.sqrt(2.0 / (6.0 * runs))
-    assert abs(np.nanmean(nis) / 6.0 - 1.0) < 0.1
-    D = np.linalg.solve(RESPONSE, truth.response) - np.eye(6)
-    z = (estimate.scale - np.eye(6) - D) / estimate.scale_std
-    assert 0.9 < np.sqrt(np.mean(z**2)) < 1.1
+    # A real fit's errors of matrix and limb cancel at its mean load; here they are small.
+    fit = make_fit(covariance_of_fit(scale=0.001, talk=0.0005, limb=0.001))
+    truth, estimate, nis = walked(InSituTracker(fit), runs, 80, 1.0, seed=0, fit=fit)
+    nees = normalised(estimate.offset - truth.offset, estimate.covariance)
+    assert 0.7 < nees.mean() / 6.0 < 1.4
+    assert 0.5 < np.nanmean(nis) / 6.0 < 1.1
     errors = [np.linalg.solve(RESPONSE, (o - truth.offset).T)[:3] for o in (OFFSET, estimate.offset)]
     assert np.mean(errors[1] ** 2) < 0.16 * np.mean(errors[0] ** 2)
 
 
-def test_scales_are_found_where_the_limb_turns():
-    truth, estimate, _ = tracked("axes")
-    D = np.linalg.solve(RESPONSE, truth.response)
-    actual, found = (np.diagonal(part, axis1=1, axis2=2) for part in (D, estimate.scale))
-    start, left = np.std(actual - 1.0, axis=0), np.std(found - actual, axis=0)
-    assert (left[:3] < 0.85 * start[:3]).all()
-    assert (left < 1.1 * start).all()
+def test_what_hysteresis_keeps_stays_in_the_covariance():
+    doubt = RESPONSE @ np.diag([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) ** 2 @ RESPONSE.T
+    plain, kept = (
+        walked(InSituTracker(make_fit(offset_doubt=one)), 1, 20, 1.0, seed=1)[1] for one in (None, doubt)
+    )
+    np.testing.assert_allclose(kept.covariance, plain.covariance + doubt)
+    np.testing.assert_array_equal(kept.offset, plain.offset)
 
 
-def test_a_limb_that_does_not_turn_does_not_separate_scales_from_offset():
-    stds = {}
-    for turn in (False, True):
-        tracker = InSituTracker(make_fit(), learn="axes", since_fit_force=20.0, since_fit_torque=1.0)
-        _, estimate, _ = walked(tracker, 1, 80, 1.0, seed=2, turn=turn)
-        stds[turn] = np.diagonal(estimate.scale_std[0])[:3] / 0.005
-    assert (stds[False] > 0.98).all()
-    assert (stds[True] < 0.9).all()
-
-
-@pytest.mark.parametrize("learn", ["offset", "axes", "matrix"])
-def test_a_perfect_sensor_is_left_as_it_is(learn):
-    tracker = InSituTracker(make_fit(), learn=learn)
+def test_a_perfect_sensor_is_left_as_it_is():
+    tracker = InSituTracker(make_fit())
     for g in swept_gravity(60):
         estimate = tracker.update(RESPONSE @ weight_of(g) + OFFSET, g, 0.1)
         assert estimate.learnt
     np.testing.assert_allclose(estimate.offset, OFFSET, rtol=1e-11)
-    np.testing.assert_allclose(estimate.scale, np.eye(6), atol=1e-10)
     np.testing.assert_allclose(estimate.wrench, weight_of(g), atol=1e-9)
 
 
@@ -117,7 +93,7 @@ def test_heat_is_followed_through_the_drift():
 
 
 def test_nothing_is_learnt_while_the_foot_stands():
-    tracker = InSituTracker(make_fit(), learn="matrix", since_fit_force=0.0, since_fit_torque=0.0)
+    tracker = InSituTracker(make_fit(), since_fit_force=0.0, since_fit_torque=0.0)
     # After a mere second of walking, what the fit knew is nearly all there is.
     first = tracker.update(RESPONSE @ WEIGHT + OFFSET, DOWN, 1.0)
     pushed = WEIGHT - np.array([0.0, 0.0, 300.0, 4.0, 3.0, 0.0])
@@ -177,7 +153,6 @@ def test_a_bad_channel_changes_no_estimate(value, flag):
     assert during.flags.tolist() == [0, 0, flag, 0, 0, 0]
     assert not during.learnt
     np.testing.assert_array_equal(during.offset, before.offset)
-    np.testing.assert_array_equal(during.scale, before.scale)
     assert all(np.isfinite(part).all() for name, part in during._asdict().items() if name != "nis")
     if flag is not Flag.SATURATED:
         np.testing.assert_allclose(during.wrench, before.wrench, rtol=1e-12)
@@ -251,7 +226,7 @@ def stream(batch, steps=12):
     raw[4, ..., 1] = np.nan
     gravity = np.broadcast_to(swept_gravity(steps)[(slice(None), *(None,) * len(batch))], (steps, *batch, 3))
     air = rng.random((steps, *batch)) > 0.2
-    init, update = in_situ_tracker(make_fit(), InSituTrackerConfig(learn="matrix", lag=0.01))
+    init, update = in_situ_tracker(make_fit(), InSituTrackerConfig(lag=0.01))
     state, answers = None, []
     for r, g, a in zip(raw, gravity, air, strict=True):
         state = init(r) if state is None else state
@@ -262,10 +237,9 @@ def stream(batch, steps=12):
 
 def test_a_batch_is_a_loop():
     together = stream((2, 3))
-    assert together[-1].scale.shape == (2, 3, 6, 6)
-    assert together[-1].covariance.shape == (2, 3, 42, 42)
+    assert together[-1].covariance.shape == (2, 3, 6, 6)
     assert stream(())[-1].wrench.shape == (6,)
-    init, update = in_situ_tracker(make_fit(), InSituTrackerConfig(learn="axes"))
+    init, update = in_situ_tracker(make_fit())
     raw = RESPONSE @ WEIGHT + OFFSET + np.arange(12.0).reshape(2, 6)
     _, both = update(init(raw), raw, np.stack([DOWN, DOWN]), 0.1)
     for i in range(2):
@@ -300,8 +274,6 @@ def test_a_state_can_be_set():
 
 
 def test_what_has_no_meaning_is_refused():
-    with pytest.raises(ValueError, match="'learn' must be one of"):
-        InSituTrackerConfig(learn="everything")
     with pytest.raises(ValueError, match="'drift_force' must not be negative"):
         InSituTrackerConfig(drift_force=-1.0)
     with pytest.raises(ValueError, match="'lag' must not be negative"):

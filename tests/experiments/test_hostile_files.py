@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import surefoot.envs
-from surefoot.calibration.in_situ.saved import read_calibration
+from surefoot.calibration.in_situ.fit import read_calibration
 from surefoot.controllers import CalibrationMotion
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.envs.prelude import Prelude

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
-from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
+from surefoot.calibration.in_situ.validation import cramer_rao, normalised_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import cases, instruments, methods
 from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
