@@ -62,12 +62,14 @@ class Scene(NamedTuple):
         command: Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one.
         lifted: Share of the weight that somebody takes off for a while.
         pushed: Impulse of pushes in body weights times s, sideways every 3 s.
+        options: Of its environment.
     """
 
     robot: str
     command: Callable[[float], tuple[float, float, float]] = lambda time: (0.0, 0.0, 0.0)
     lifted: float = 0.0
     pushed: float = 0.0
+    options: tuple[tuple[str, Any], ...] = ()
 
 
 def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
@@ -83,14 +85,22 @@ SCENES = {
         "sideways": Scene("", _walk(0.0, 0.3, 0.0)),
         "stop-and-go": Scene("", lambda time: (0.4, 0.0, 0.0) if time % 6.0 > 3.0 else (0.0, 0.0, 0.0)),
         "pushes": Scene("", _walk(0.3, 0.0, 0.0), pushed=0.02),
+        "held-5": Scene("", lifted=0.05),
         "held-20": Scene("", lifted=0.2),
         "held-35": Scene("", lifted=0.35),
+        "held-50": Scene("", lifted=0.5),
         "held-walk": Scene("", _walk(0.3, 0.0, 0.0), lifted=0.2),
         "stand": Scene(""),
     }.items()
 } | {
     "nao/walk": Scene("surefoot/NaoWalk-v0"),
+    "nao/walk-0.02": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.02),)),
+    "nao/walk-0.1": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.1),)),
     "nao/balance": Scene("surefoot/NaoBalance-v0"),
+    "nao/stand": Scene("surefoot/NaoStand-v0"),
+    "nao/sway": Scene("surefoot/NaoStand-v0", options=(("sway", (0.02, 0.02)),)),
+    "nao/held-20": Scene("surefoot/NaoStand-v0", lifted=0.2),
+    "nao/held-walk": Scene("surefoot/NaoWalk-v0", lifted=0.15),
     "exercise/nao": Scene("nao"),
     "exercise/op3": Scene("op3"),
     "exercise/g1": Scene("unitree"),
@@ -154,7 +164,7 @@ def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     if scene.robot in EXERCISE:
         env = gym.make("surefoot/Exercise-v0", robot=EXERCISE[scene.robot], disable_env_checker=True)
     else:
-        env = gym.make(scene.robot, disable_env_checker=True)
+        env = gym.make(scene.robot, disable_env_checker=True, **dict(scene.options))
     still = np.zeros(env.action_space.shape or ())
     return env, lambda time: still
 

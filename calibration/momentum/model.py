@@ -40,8 +40,10 @@ class Rows(NamedTuple):
         at_end: What was measured at the block's end, shape (C,).
         variance: Of what was measured, as stated, shape (C, C).
         walk: Variance that the block adds to the momentum at its end, shape (C, C).
+        lasting: Variance of what acts for longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
         load: Mean vertical force in W as published.
+        height: Of the centre of mass over o in m.
     """
 
     mean: Array
@@ -52,8 +54,10 @@ class Rows(NamedTuple):
     at_end: Array
     variance: Array
     walk: Array
+    lasting: Array
     point: Array
     load: float
+    height: float
 
 
 class Model:
@@ -81,8 +85,8 @@ class Model:
         Args:
             block: The samples.
             published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
-            product: Variance of each channel's force in W^2 that the product of the open errors of its scale
-                and its drift has, as if all of the block were one error, shape (K,).
+            product: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
+                shape (K,).
         """
         columns, dt = self._columns, block.dt
         T, C = block.duration, columns.components
@@ -120,9 +124,9 @@ class Model:
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest, reach = add_up(dt)
         each, variance = self._measure(block, point)
-        change = (
-            np.diff(summed, axis=0, prepend=summed[:1]) * (dt * self._ripple * _held(block.read))[:, None]
-        )
+        # Chips have clocks of their own: what a channel changes by is an error of its own.
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * _held(block.read))[:, None]
+        change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
             mean_rest=mean_rest,
@@ -131,9 +135,11 @@ class Model:
             measured=dt @ each / T,
             at_end=each[-1],
             variance=variance,
-            walk=np.diag(reach**2 @ product) + change.T @ change,
+            walk=change.T @ change,
+            lasting=(reach / T) ** 2 @ product,
             point=point,
             load=load,
+            height=float((com[:, 2] - point[2]).mean()),
         )
 
     def moved(self, mean: Array, step: Array, velocity: Array) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ class Mode(NamedTuple):
     Attributes:
         time: The wrench's time constant in s.
         force: Its standard deviation in W.
-        torque: The same about the feet's centre of pressure in W m.
+        torque: The same about the feet's centre of pressure, in W times the height of the centre of mass.
         load: Standard deviation of what the robot carries, as a share of its weight.
         shift: By how much a load moves the centre of mass along each axis, in m.
     """
@@ -39,11 +39,12 @@ class Mode(NamedTuple):
     shift: float = 0.0
 
 
-FREE = Mode(2.0, 0.003, 0.003)
-"""A robot that nobody touches: air, cables and a model that is a little wrong, 0.3 % of its weight, 3 mm."""
+FREE = Mode(2.0, 0.002, 0.004)
+"""A robot that nobody touches: air, cables and a model that is a little wrong, 0.2 % of its weight, and
+an attitude that is off by 4 mrad: 3 mm under a robot that is as tall as a man."""
 
-HELD = Mode(2.0, 0.3, 0.05)
-"""A robot that somebody holds: a third of its weight, 5 cm off."""
+HELD = Mode(2.0, 0.3, 0.1)
+"""A robot that somebody holds: a third of its weight, and a tenth of its height off."""
 
 LOADED = FREE._replace(load=0.1, shift=0.01)
 """A robot that carries a tenth of its weight, ten centimetres from its centre of mass."""
@@ -64,17 +65,19 @@ GATE = 3.0
 """Standard deviations beyond which an innovation pulls no harder: a false alarm in 370."""
 
 
-def wrench_variance(mode: Mode, components: int) -> Array:
-    """Return the variances of an outside wrench, shape (C,)."""
-    force = force_and_wrench(components)
-    return force * mode.force**2 + (1.0 - force) * mode.torque**2
+def wrench_variance(mode: Mode, rows: Rows) -> Array:
+    """Return the variances of an outside wrench, and of what acts like one within, shape (C,)."""
+    force = force_and_wrench(len(rows.measured))
+    outside: Array = force * mode.force**2 + (1.0 - force) * (mode.torque * rows.height) ** 2
+    return outside + rows.lasting
 
 
-def mix(belief: Belief, columns: Columns, duration: float, mass_std: float) -> Belief:
+def mix(belief: Belief, rows: Rows, columns: Columns, duration: float, mass_std: float) -> Belief:
     """Let modes turn into each other.
 
     Args:
         belief: What modes hold.
+        rows: The block that follows.
         columns: The unknowns.
         duration: For how long, in s.
         mass_std: How far the mass is thought to be off without a load, relative.
@@ -86,7 +89,7 @@ def mix(belief: Belief, columns: Columns, duration: float, mass_std: float) -> B
     means, covariances = [], []
     for j in range(len(MODES)):
         parts = [
-            _turn_into(j, belief, i, columns, mass_std) if i != j else _part(belief, i)
+            _turn_into(j, belief, i, rows, columns, mass_std) if i != j else _part(belief, i)
             for i in range(len(MODES))
         ]
         mean, covariance = combine(share[:, j], *(np.stack(part) for part in zip(*parts, strict=True)))
@@ -99,11 +102,13 @@ def _part(belief: Belief, i: int) -> tuple[Array, Array]:
     return belief.mean[i], belief.covariance[i]
 
 
-def _turn_into(j: int, belief: Belief, i: int, columns: Columns, mass_std: float) -> tuple[Array, Array]:
+def _turn_into(
+    j: int, belief: Belief, i: int, rows: Rows, columns: Columns, mass_std: float
+) -> tuple[Array, Array]:
     """Return what mode i holds as it turns into mode j: w begins anew, and so does what it carries."""
     before, mode = MODES[i], MODES[j]
     mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
-    begin(mean, covariance, columns.wrench, wrench_variance(mode, columns.components))
+    begin(mean, covariance, columns.wrench, wrench_variance(mode, rows))
     if mode.load != before.load:
         begin(mean, covariance, columns.mass, np.array([mass_std**2 + mode.load**2]))
         at = np.arange(columns.com.start, columns.com.stop)
@@ -164,7 +169,7 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         mean[wrench] *= decay
         covariance[wrench] *= decay
         covariance[:, wrench] *= decay
-        covariance[wrench, wrench] += wrench_variance(mode, len(wrench)) * (1.0 - decay**2)
+        covariance[wrench, wrench] += wrench_variance(mode, rows) * (1.0 - decay**2)
         innovation = rows.measured - rows.mean @ mean - rows.mean_rest
         prior = rows.mean @ covariance @ rows.mean.T
         expected = prior + variance
