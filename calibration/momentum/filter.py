@@ -31,9 +31,10 @@ from surefoot.calibration.momentum.modes import (
     FREE,
     MODES,
     begin,
-    combine,
     learn,
+    load_evidence,
     mix,
+    weigh_modes,
     wrench_variance,
 )
 from surefoot.calibration.momentum.motion import Track, follow_accelerations, follow_momentum, plausible
@@ -267,7 +268,10 @@ class MomentumFilter:
                 return self._rest(state, block, good=False), np.nan, 0.0
             mixed = mix(belief, rows, self.columns, block.duration, self.config.mass_std)
             step = learn(mixed, rows, state.noise, self.columns, block.duration)
-            belief, nis = step.belief, normalised(step.innovation, step.stated)
+            evidence = step.likelihood + self._evidence(step.belief, state.drifted)
+            evidence = evidence - self._evidence(mixed, state.drifted)
+            belief = step.belief._replace(chance=weigh_modes(mixed.chance, evidence))
+            nis = normalised(step.innovation, step.stated)
             state = state._replace(
                 noise=self._follow_noise(state.noise, step.innovation, step.expected, rows, belief.chance[0])
             )
@@ -329,9 +333,13 @@ class MomentumFilter:
         surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
         return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
 
+    def _evidence(self, belief: Belief, drifted: Array) -> Array:
+        """Return the logarithmic evidence of what modes hold against the wide prior alone, shape (J,)."""
+        weighed = self._severity.weigh(belief.mean, belief.covariance, drifted)
+        return weighed.evidence + load_evidence(belief, self.columns)
+
     def _publish(self, belief: Belief, drifted: Array) -> Publication:
-        mean, covariance = combine(belief.chance, belief.mean, belief.covariance)
-        return self._severity.weigh(mean, covariance, drifted)
+        return self._severity.weigh(belief.mean, belief.covariance, drifted).publish(belief.chance)
 
     def _map_covariance(self, published: Publication) -> Array:
         return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)

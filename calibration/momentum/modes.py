@@ -134,13 +134,15 @@ class Step(NamedTuple):
     """What a block taught; J modes.
 
     Attributes:
-        belief: What modes hold at its end.
+        belief: What modes hold at its end; how likely they are is as before.
+        likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
         innovation: Of the free mode, shape (C,).
         expected: Its covariance with variances as they were used, shape (C, C).
         stated: Its covariance with variances as stated, shape (C, C).
     """
 
     belief: Belief
+    likelihood: Array
     innovation: Array
     expected: Array
     stated: Array
@@ -186,16 +188,28 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         mean[momentum] += rows.end_rest
         covariance = forward @ covariance @ forward.T
         covariance[momentum, momentum] += rows.walk
-        if mode.load > 0.0:
-            # A load is positive: the robot is heavier, and the believed mass too small.
-            at = columns.mass.start
-            likelihoods[-1] += log_ndtr(-mean[at] / np.sqrt(covariance[at, at]))
         means.append(mean)
         covariances.append(0.5 * (covariance + covariance.T))
-    weight = belief.chance * np.exp(np.array(likelihoods) - max(likelihoods))
-    chance = np.maximum(weight / weight.sum(), LEAST_CHANCE)
-    learnt = Belief(np.stack(means), np.stack(covariances), chance / chance.sum())
-    return Step(learnt, *seen[0])
+    learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
+    return Step(learnt, np.array(likelihoods), *seen[0])
+
+
+def load_evidence(belief: Belief, columns: Columns) -> Array:
+    """Return the logarithm of how likely what modes carry has a weight, shape (J,)."""
+    at = columns.mass.start
+    # The robot is heavier then, and the believed mass too small.
+    lighter = -belief.mean[:, at] / np.sqrt(belief.covariance[:, at, at])
+    loaded = np.array([mode.load > 0.0 for mode in MODES])
+    evidence: Array = np.where(loaded, log_ndtr(lighter), 0.0)
+    return evidence
+
+
+def weigh_modes(chance: Array, evidence: Array) -> Array:
+    """Return how likely modes are after a block, by its logarithmic evidence, shapes (J,)."""
+    weight = chance * np.exp(evidence - evidence.max())
+    weight = np.maximum(weight / weight.sum(), LEAST_CHANCE)
+    found: Array = weight / weight.sum()
+    return found
 
 
 def update(
