@@ -142,7 +142,7 @@ class MomentumFilter:
             belief=belief,
             drifted=drifted,
             noise=np.ones(columns.components),
-            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0),
+            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
             published=published,
             covariance=self._map_covariance(published),
             kept=Kept(belief, published, belief, published, 0.0),

@@ -136,7 +136,7 @@ class Step(NamedTuple):
     Attributes:
         belief: What modes hold at its end; how likely they are is as before.
         likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
-        innovation: Of the free mode, shape (C,).
+        innovation: Of the mode that was likeliest before, shape (C,).
         expected: Its covariance with variances as they were used, shape (C, C).
         stated: Its covariance with variances as stated, shape (C, C).
     """
@@ -194,7 +194,7 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         means.append(mean)
         covariances.append(0.5 * (covariance + covariance.T))
     learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
-    return Step(learnt, np.array(likelihoods), *seen[0])
+    return Step(learnt, np.array(likelihoods), *seen[int(belief.chance.argmax())])
 
 
 def load_evidence(belief: Belief, columns: Columns) -> Array:

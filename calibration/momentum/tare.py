@@ -23,9 +23,13 @@ NOISE_TIME = 0.2
 LEAST_APART = 0.3
 """Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
 
-RATE_SHARE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 10.0, 9.0
-"""How much of the learnt drift rate one tare decides; the rate in stated ones that it is believed up to; and
-the squared surprise, in expected ones, of which more counts no more (three standard deviations)."""
+RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
+"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones that it is believed between, of
+good cells and of neglected ones; and the squared surprise, in expected ones, of which more counts no more
+(three standard deviations)."""
+
+STATED_RATE = 2.0
+"""Tares that the stated rate of drift counts for."""
 
 LEAP = 5.0
 """Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
@@ -108,13 +112,13 @@ class Tare:
 
         walked = noise * 2.0
         leapt = np.zeros(len(at), dtype=bool)
-        rate = state.rate
+        rate, followed = state.rate, state.followed
         if last >= 0.0:
             change = reading - state.reading[channels]
             walked = walked + rate**2 * self._drift[channels] * (time - last)
             leapt = change**2 > LEAP**2 * walked
             if time - last > LEAST_APART:
-                rate = self._follow(rate, change, walked)
+                rate, followed = self._follow(rate, followed, change, walked), followed + 1
         H = np.zeros((len(at), columns.size))
         rows = np.arange(len(at))
         H[rows, scale], H[rows, offset], H[rows, drift] = centre, 1.0, a
@@ -134,9 +138,9 @@ class Tare:
         shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
         shown[channels], centres[channels], times[foot] = reading, centre, time
         belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
-        return belief, published, TareState(shown, centres, times, rate)
+        return belief, published, TareState(shown, centres, times, rate, followed)
 
-    def _follow(self, rate: float, change: Array, expected: Array) -> float:
+    def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by what changed since the last tare.
 
         What is common to a foot's channels is not drift alone: a sole's own inertia is in it.
@@ -144,4 +148,5 @@ class Tare:
         count = len(change)
         own = (change - change.mean()) ** 2 * count / max(count - 1, 1)
         surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
-        return float(np.clip(rate * np.sqrt(1.0 + RATE_SHARE * (surprise - 1.0)), 1.0, LARGEST_RATE))
+        share = max(RATE_SHARE, 1.0 / (followed + STATED_RATE))
+        return float(np.clip(rate * np.sqrt(1.0 + share * (surprise - 1.0)), SMALLEST_RATE, LARGEST_RATE))
