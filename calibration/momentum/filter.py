@@ -52,9 +52,9 @@ from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
-LEAP, LEAP_RATE = 0.25, 20.0
+LEAP, LEAP_RATE = 0.25, 40.0
 """Change of a cell's force from one sample to the next in body weights that no foot makes, and the same by
-the time between samples in body weights a second: a heel lands within 50 ms."""
+the time between samples in body weights a second: a heel takes all of the weight within 25 ms."""
 
 SHARES_TIME = 20.0
 """Time in s over which is learnt how the cells of a foot share its load."""
