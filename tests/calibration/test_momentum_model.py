@@ -150,7 +150,8 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
         return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
 
     wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
-    found = severity.weigh(*posterior(wide)[:2], drifted)
+    mean, covariance, widely = posterior(wide)
+    found = severity.weigh(mean[None], covariance[None], drifted)
     means, covariances, chances = [], [], []
     for one, likely_one in zip(SEVERITIES, LIKELY, strict=True):
         for other, likely_other in zip(SEVERITIES, LIKELY, strict=True):
@@ -160,6 +161,8 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
             covariances.append(covariance[of, of])
             chances.append(likelihood + np.log(likely_one * likely_other))
     chance = np.exp(np.array(chances) - max(chances))
+    assert found.evidence[0] == pytest.approx(np.log(chance.sum()) + max(chances) - widely, abs=1e-6)
+    found = found.publish(np.ones(1))
     mean, covariance = combine(chance / chance.sum(), np.array(means), np.array(covariances))
     np.testing.assert_allclose(found.mean, mean, atol=1e-6)
     scale = np.sqrt(np.diagonal(covariance))
@@ -172,7 +175,9 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
 def test_without_data_all_is_undetermined():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
-    found = Severity(columns, spread).weigh(first_mean(columns), covariance, np.zeros(2))
+    found = Severity(columns, spread).weigh(first_mean(columns)[None], covariance[None], np.zeros(2))
+    assert found.evidence[0] == pytest.approx(0.0, abs=1e-9)
+    found = found.publish(np.ones(1))
     np.testing.assert_allclose(found.undetermined, 1.0)
     np.testing.assert_allclose(found.mean, first_mean(columns)[columns.weighed])
 
@@ -180,12 +185,13 @@ def test_without_data_all_is_undetermined():
 def test_modes_keep_their_chance_and_what_they_know():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     mean, variance = first_mean(columns), first_variance(columns, spread, CONFIG)
+    rows = Model(setup(), CONFIG, columns).rows(block(), mean[columns.weighed], np.zeros(8))
     covariances = []
     for mode in MODES:
-        variance[columns.wrench] = wrench_variance(mode, columns.components)
+        variance[columns.wrench] = wrench_variance(mode, rows)
         covariances.append(np.diag(variance))
     belief = Belief(np.stack([mean] * 3), np.stack(covariances), FIRST_CHANCE)
-    mixed = mix(belief, columns, 0.1, CONFIG.mass_std)
+    mixed = mix(belief, rows, columns, 0.1, CONFIG.mass_std)
     assert mixed.chance.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(mixed.mean, belief.mean)
     for before, after in zip(belief.covariance, mixed.covariance, strict=True):
