@@ -29,6 +29,7 @@ import gymnasium as gym
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
@@ -279,7 +280,10 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
             apart = np.subtract(seen, centre)
             kept["foot"].append(float(np.sum(np.minimum(apart**2, 1.0))))
             if estimate.covariance is not None and k % every == 0:
-                kept["nees foot"].append(_nees_foot(one, estimate, k, foot, apart, guess[foot, 2]))
+                nees = _nees_foot(one, estimate, k, foot, apart, guess[foot, 2])
+                kept["nees foot"].append(nees)
+                for share in COVERED:
+                    kept[f"in {share:.0%}"].append(100.0 * (2.0 * nees < chi2.ppf(share, 2)))
         if estimate.covariance is not None and k % every == 0:
             a, b = Parameters(estimate.scale, estimate.offset).relative_to(one.initial)
             a_true, b_true = Parameters(*(part[k] for part in one.true)).relative_to(one.initial)
@@ -293,12 +297,16 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
     }
 
 
+COVERED = 0.5, 0.9, 0.95
+"""Chances of ellipses of a foot's CoP."""
+
 COLUMNS = {
-    "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0, "nis": 0.0,
-    "held": 0.0,
+    "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
+    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
-percent of the weight. Means (0): NEES a parameter and of a foot's CoP, NIS a row, share of time held."""
+percent of the weight. Means (0): NEES a parameter and of a foot's CoP, how often that lies in the ellipses
+claimed in percent, NIS a row, share of time held."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:

@@ -262,7 +262,8 @@ class MomentumFilter:
             belief = belief._replace(
                 mean=belief.mean @ moved.T + added, covariance=moved @ belief.covariance @ moved.T
             )
-            ahead = rows.measured - rows.mean @ belief.mean[0] - rows.mean_rest
+            likeliest = belief.mean[belief.chance.argmax()]
+            ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest
             if abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration:
                 state = state._replace(linked=0, status=int(Flag.REJECTED))
                 return self._rest(state, block, good=False), np.nan, 0.0

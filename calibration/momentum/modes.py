@@ -43,8 +43,8 @@ FREE = Mode(2.0, 0.002, 0.004)
 """A robot that nobody touches: air, cables and a model that is a little wrong, 0.2 % of its weight, and
 an attitude that is off by 4 mrad: 3 mm under a robot that is as tall as a man."""
 
-HELD = Mode(2.0, 0.3, 0.1)
-"""A robot that somebody holds: a third of its weight, and a tenth of its height off."""
+HELD = Mode(2.0, 0.2, 0.08)
+"""A robot that somebody holds: a fifth of its weight, and a twelfth of its height off."""
 
 LOADED = FREE._replace(load=0.1, shift=0.01)
 """A robot that carries a tenth of its weight, ten centimetres from its centre of mass."""

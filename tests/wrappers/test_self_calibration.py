@@ -62,7 +62,8 @@ def test_the_chance_of_contact_is_shown_by_the_method_that_weighs_it(make_bare) 
     assert observation["contact_probability"].min() > 0.5
     assert observation["undetermined"].mean() > 0.2
     with pytest.raises(
-        ValueError, match=r"Method 'tare' reports no chance of contact, .*\['undetermined'\] .* \('momentum',\)"
+        ValueError,
+        match=r"Method 'tare' reports no chance of contact, .*\['undetermined'\] .* \('momentum',\)",
     ):
         SelfCalibration(FootSensors(make_bare()), "tare", show=("undetermined",))
 
