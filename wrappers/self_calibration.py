@@ -41,8 +41,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     The first four are shown by default; the two before the flags are those of method ``"momentum"``. A robot
     of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above 5 N;
-    below, the last one is held and flagged, as all are for feet without area. The reference that the calibrator holds the counts against is made of the robot's beliefs
-    (telemetry and a nominal model with wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
+    below, the last one is held and flagged, as all are for feet without area. The reference that the
+    calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
+    wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 

@@ -246,11 +246,22 @@ class MomentumFilter:
         state = state._replace(
             faults=faults, before=samples[-1], pending=np.zeros_like(state.pending), waiting=0, status=0
         )
-        if (faults.lost > 0.5).any() or (block.read.mean(axis=0) < LEAST_READ).any():
+        if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
         belief, published, tare = self._tare.take(
-            block, state.time, state.belief, state.published.mean, state.tare
+            block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
+        if (faults.lost > 0.5).any():
+            # What stands in for a channel is too far off to teach scales; zeros are seen without it.
+            publication = self._publish(belief, state.drifted)
+            state = state._replace(
+                belief=belief,
+                tare=tare,
+                linked=0,
+                published=publication,
+                covariance=self._map_covariance(publication),
+            )
+            return self._rest(state, block, good=False), np.nan, 0.0
         rows = self._model.rows(block, published, self._product(state, tare))
         if not state.linked:
             belief = self._begin_momentum(belief, rows)

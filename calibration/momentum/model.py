@@ -79,13 +79,13 @@ class Model:
         feet = len(setup.layout.feet)
         self._side = np.where(setup.layout.foot_of_channel == 0, 1.0, -1.0) * (feet == 2)
 
-    def rows(self, block: Block, published: Array, product: Array) -> Rows:
+    def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
 
         Args:
             block: The samples.
             published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
-            product: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
+            lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
                 shape (K,).
         """
         columns, dt = self._columns, block.dt
@@ -103,7 +103,7 @@ class Model:
         # What of the block comes after a sample's interval begins: all of it for the first.
         after = np.cumsum(dt[::-1])[::-1] / T
 
-        def add_up(share: Array) -> tuple[Array, Array, Array]:
+        def add_up(share: Array) -> tuple[Array, Array]:
             H = np.zeros((C, columns.size))
             weighted = unit * share[:, None, None]
             reach = weighted.sum(axis=0)
@@ -118,11 +118,11 @@ class Model:
             H[:, columns.wrench] = share.sum() * np.eye(C)
             # a u is linear about what is published.
             rest = pulled - reach @ (a * u)
-            return H, rest, reach
+            return H, rest
 
-        mean, mean_rest, _ = add_up(dt * after)
+        mean, mean_rest = add_up(dt * after)
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
-        end, end_rest, reach = add_up(dt)
+        end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
         # Chips have clocks of their own: what a channel changes by is an error of its own.
         change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * _held(block.read))[:, None]
@@ -136,7 +136,7 @@ class Model:
             at_end=each[-1],
             variance=variance,
             walk=change.T @ change,
-            lasting=(reach / T) ** 2 @ product,
+            lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
             point=point,
             load=load,
             height=float((com[:, 2] - point[2]).mean()),

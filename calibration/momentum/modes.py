@@ -179,8 +179,8 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
             -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
         )
         seen.append((innovation, expected, prior + stated))
-        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966), and
-        # so is all but the momentum while somebody holds it.
+        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966),
+        # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
         if mode is HELD:
             considered = slice(0, columns.momentum.start)

@@ -6,6 +6,7 @@ From tare to tare the readings show how fast zeros drift, and scales are thought
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.momentum.columns import Columns, Spread
@@ -24,9 +25,9 @@ LEAST_APART = 0.3
 """Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
 
 RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
-"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones that it is believed between, of
-good cells and of neglected ones; and the squared surprise, in expected ones, of which more counts no more
-(three standard deviations)."""
+"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
+that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
+of which more counts no more (three standard deviations)."""
 
 STATED_RATE = 2.0
 """Tares that the stated rate of drift counts for."""
@@ -56,7 +57,7 @@ class Tare:
         self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
 
     def take(
-        self, block: Block, time: float, belief: Belief, published: Array, state: TareState
+        self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
     ) -> tuple[Belief, Array, TareState]:
         """Tare the feet that hang in a block.
 
@@ -66,11 +67,13 @@ class Tare:
             belief: What modes hold.
             published: What is handed out, about which a u is linear, shape (M,).
             state: What tares showed before.
+            lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
             The belief, what is handed out with the drift that is known now, and the state.
         """
-        for foot, channels in enumerate(self._feet):
+        for foot, of_foot in enumerate(self._feet):
+            channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
             reading, seconds = self._reading(block, foot, channels)
             if seconds >= LEAST_SHARE * block.duration:
                 belief, published, state = self._tare(
@@ -78,15 +81,15 @@ class Tare:
                 )
         return belief, published, state
 
-    def _reading(self, block: Block, foot: int, channels: slice) -> tuple[Array, float]:
+    def _reading(self, block: Block, foot: int, channels: NDArray[np.int64]) -> tuple[Array, float]:
         """Return a foot's mean reading in the air, and how long it hung in s."""
         swing = block.swing[:, foot] > 0.5
         # The sample before and the one after are in the air as well.
         sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
         if not sure.any():
-            return np.zeros(channels.stop - channels.start), 0.0
-        reading = block.force[sure, channels].mean(axis=0)
+            return np.zeros(len(channels)), 0.0
+        reading = block.force[np.ix_(sure, channels)].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
         total = abs(float((reading / self._unit[channels]).sum()))
         in_air = not large.any() and total <= LARGEST_SUM
@@ -95,7 +98,7 @@ class Tare:
     def _tare(
         self,
         foot: int,
-        channels: slice,
+        channels: NDArray[np.int64],
         reading: Array,
         seconds: float,
         time: float,
@@ -104,7 +107,7 @@ class Tare:
         state: TareState,
     ) -> tuple[Belief, Array, TareState]:
         columns = self._columns
-        at = np.arange(channels.start, channels.stop)
+        at = channels
         scale, offset, drift = (at + part.start for part in (columns.scale, columns.offset, columns.drift))
         a, last = published[scale], float(state.time[foot])
         noise = self._noise[channels] / seconds
