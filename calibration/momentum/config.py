@@ -54,10 +54,6 @@ class MomentumConfig:
     """How far the believed centre of mass is thought to be off along each axis, in m: 3 mm in any direction,
     which drawings and the mass of a battery leave open."""
 
-    sole_std: float = 0.0015
-    """Half the difference by which the zeros of two legs' encoders put their soles off, in m: 2 mrad at six
-    joints of a leg of 0.3 m."""
-
     mass_std: float = 0.005
     """How far the believed mass is thought to be off, relative: a kitchen scale's 0.5 %. It is considered and
     not estimated (Schmidt), as drifting scales would carry it along."""
@@ -90,6 +86,6 @@ class MomentumConfig:
         """Raise an error if a value has no meaning."""
         check_positive(
             self, "block", "scale_std", "offset_std", "velocity_noise", "vertical_noise", "momentum_noise",
-            "tare_noise", "com_std", "sole_std", "mass_std", "delay_std",
+            "tare_noise", "com_std", "mass_std", "delay_std",
         )  # fmt: skip
         check_not_negative(self, "scale_drift", "offset_drift", "ripple")

@@ -76,8 +76,6 @@ class Model:
         self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
         self._spin = config.momentum_noise**2
         self._ripple = config.ripple
-        feet = len(setup.layout.feet)
-        self._side = np.where(setup.layout.foot_of_channel == 0, 1.0, -1.0) * (feet == 2)
 
     def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
@@ -110,7 +108,6 @@ class Model:
             H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
             H[:, columns.offset], H[:, columns.drift] = reach, reach * a
             H[:, columns.com] = share.sum() * along @ heading
-            H[:, columns.sole] = -((force * self._side).sum(axis=1) @ share) * along @ heading
             pulled = share @ gravity
             H[:, columns.mass] = -pulled[:, None]
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
