@@ -253,14 +253,8 @@ class MomentumFilter:
         )
         if (faults.lost > 0.5).any():
             # What stands in for a channel is too far off to teach scales; zeros are seen without it.
-            publication = self._publish(belief, state.drifted)
-            state = state._replace(
-                belief=belief,
-                tare=tare,
-                linked=0,
-                published=publication,
-                covariance=self._map_covariance(publication),
-            )
+            zeros = state.published._replace(mean=published)
+            state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         rows = self._model.rows(block, published, self._product(state, tare))
         if not state.linked:

@@ -87,7 +87,7 @@ class Tare:
         # The sample before and the one after are in the air as well.
         sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
-        if not sure.any():
+        if not (sure.any() and channels.size):
             return np.zeros(len(channels)), 0.0
         reading = block.force[np.ix_(sure, channels)].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
