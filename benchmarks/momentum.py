@@ -29,6 +29,7 @@ import gymnasium as gym
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
@@ -62,12 +63,14 @@ class Scene(NamedTuple):
         command: Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one.
         lifted: Share of the weight that somebody takes off for a while.
         pushed: Impulse of pushes in body weights times s, sideways every 3 s.
+        options: Of its environment.
     """
 
     robot: str
     command: Callable[[float], tuple[float, float, float]] = lambda time: (0.0, 0.0, 0.0)
     lifted: float = 0.0
     pushed: float = 0.0
+    options: tuple[tuple[str, Any], ...] = ()
 
 
 def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
@@ -83,14 +86,22 @@ SCENES = {
         "sideways": Scene("", _walk(0.0, 0.3, 0.0)),
         "stop-and-go": Scene("", lambda time: (0.4, 0.0, 0.0) if time % 6.0 > 3.0 else (0.0, 0.0, 0.0)),
         "pushes": Scene("", _walk(0.3, 0.0, 0.0), pushed=0.02),
+        "held-5": Scene("", lifted=0.05),
         "held-20": Scene("", lifted=0.2),
         "held-35": Scene("", lifted=0.35),
+        "held-50": Scene("", lifted=0.5),
         "held-walk": Scene("", _walk(0.3, 0.0, 0.0), lifted=0.2),
         "stand": Scene(""),
     }.items()
 } | {
     "nao/walk": Scene("surefoot/NaoWalk-v0"),
+    "nao/walk-0.02": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.02),)),
+    "nao/walk-0.1": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.1),)),
     "nao/balance": Scene("surefoot/NaoBalance-v0"),
+    "nao/stand": Scene("surefoot/NaoStand-v0"),
+    "nao/sway": Scene("surefoot/NaoStand-v0", options=(("sway", (0.02, 0.02)),)),
+    "nao/held-20": Scene("surefoot/NaoStand-v0", lifted=0.2),
+    "nao/held-walk": Scene("surefoot/NaoWalk-v0", lifted=0.15),
     "exercise/nao": Scene("nao"),
     "exercise/op3": Scene("op3"),
     "exercise/g1": Scene("unitree"),
@@ -154,7 +165,7 @@ def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     if scene.robot in EXERCISE:
         env = gym.make("surefoot/Exercise-v0", robot=EXERCISE[scene.robot], disable_env_checker=True)
     else:
-        env = gym.make(scene.robot, disable_env_checker=True)
+        env = gym.make(scene.robot, disable_env_checker=True, **dict(scene.options))
     still = np.zeros(env.action_space.shape or ())
     return env, lambda time: still
 
@@ -269,7 +280,10 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
             apart = np.subtract(seen, centre)
             kept["foot"].append(float(np.sum(np.minimum(apart**2, 1.0))))
             if estimate.covariance is not None and k % every == 0:
-                kept["nees foot"].append(_nees_foot(one, estimate, k, foot, apart, guess[foot, 2]))
+                nees = _nees_foot(one, estimate, k, foot, apart, guess[foot, 2])
+                kept["nees foot"].append(nees)
+                for share in COVERED:
+                    kept[f"in {share:.0%}"].append(100.0 * (2.0 * nees < chi2.ppf(share, 2)))
         if estimate.covariance is not None and k % every == 0:
             a, b = Parameters(estimate.scale, estimate.offset).relative_to(one.initial)
             a_true, b_true = Parameters(*(part[k] for part in one.true)).relative_to(one.initial)
@@ -283,12 +297,16 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
     }
 
 
+COVERED = 0.5, 0.9, 0.95
+"""Chances of ellipses of a foot's CoP."""
+
 COLUMNS = {
-    "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0, "nis": 0.0,
-    "held": 0.0,
+    "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
+    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
-percent of the weight. Means (0): NEES a parameter and of a foot's CoP, NIS a row, share of time held."""
+percent of the weight. Means (0): NEES a parameter and of a foot's CoP, how often that lies in the ellipses
+claimed in percent, NIS a row, share of time held."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:

@@ -61,17 +61,19 @@ class MethodEntry(NamedTuple):
         certain: Whether it reports a covariance.
         momentum: Whether it would rather learn from a
             :class:`~surefoot.calibration.reference.MomentumReference`.
+        contact: Whether it reports how likely feet bear load, and what it could not determine.
     """
 
     build: Callable[..., OnlineMethod]
     config: type[Any] | None = None
     certain: bool = False
     momentum: bool = False
+    contact: bool = False
 
 
 _METHODS = {
     "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True),
-    "momentum": MethodEntry(momentum_filter, MomentumConfig, certain=True, momentum=True),
+    "momentum": MethodEntry(momentum_filter, MomentumConfig, certain=True, momentum=True, contact=True),
     "window": MethodEntry(window, WindowConfig),
     "quasi-static": MethodEntry(quasi_static, WindowConfig),
     "tare": MethodEntry(tare, TareConfig),

@@ -26,7 +26,7 @@ from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty, check_parts
+from surefoot.robot.foot_view import DEFAULT, DETERMINED, FootView, check_certainty, check_parts
 from surefoot.robot.native import NOTHING, NativeSample
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
@@ -388,13 +388,15 @@ class RobotCalibration:
 
 def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
     """Return what ``info`` holds of an estimate, which may hold arrays of the one before, as copies."""
-    return {
+    told = {
         "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
         "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
         "flags": estimate.flags.copy(),
         "vgrf": estimate.vgrf.copy(),
         "reference": reference,
     }
+    shares = {name: getattr(estimate, name) for name in DETERMINED}
+    return told | {name: share.copy() for name, share in shares.items() if share is not None}
 
 
 def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:

@@ -20,10 +20,13 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 CERTAINTY: Final = ("foot_force_std", "cop_std")
 """Parts that only a method with a covariance has."""
 
+DETERMINED: Final = ("contact_probability", "undetermined")
+"""Parts of a method that weighs how likely a foot bears load, and says what it could not determine."""
+
 RAW: Final = "foot_raw"
 """Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
 
-PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, "foot_flags")
+PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, *DETERMINED, "foot_flags")
 """All that can be shown."""
 
 
@@ -43,13 +46,17 @@ def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, A
 
 
 def check_certainty(parts: Sequence[str], method: str) -> None:
-    """Raise ValueError if parts need a covariance that a method does not report."""
-    unknown = [part for part in parts if part in CERTAINTY and not method_entry(method).certain]
-    if unknown:
-        do = tuple(name for name, entry in METHODS.items() if entry.certain)
-        raise ValueError(
-            f"Method {method!r} reports no covariance, so that {unknown} cannot be shown; {do} do."
-        )
+    """Raise ValueError if parts need a covariance, or a chance of contact, that a method does not report."""
+    for needing, what, field in (
+        (CERTAINTY, "covariance", "certain"),
+        (DETERMINED, "chance of contact", "contact"),
+    ):
+        unknown = [part for part in parts if part in needing and not getattr(method_entry(method), field)]
+        if unknown:
+            do = tuple(name for name, entry in METHODS.items() if getattr(entry, field))
+            raise ValueError(
+                f"Method {method!r} reports no {what}, so that {unknown} cannot be shown; {do} do."
+            )
 
 
 class FootView:
@@ -64,7 +71,7 @@ class FootView:
 
     Attributes:
         spaces: The space of each part that is calibrated.
-        every: The space of each part that there could be.
+        every: The space of each part that the library makes as well.
         flawed: Whether the feet have no centres of pressure.
         held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
         force_bound: Largest force that is shown in N.
@@ -101,7 +108,11 @@ class FootView:
             "cop_std": box(0.0, COP_BOUND, (2,), np.float32),
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
         }
-        self.spaces = {part: self.every[part] for part in self.parts}
+        shares: dict[str, spaces.Space[Any]] = {
+            "contact_probability": box(0.0, 1.0, (feet,), np.float32),
+            "undetermined": box(0.0, 1.0, (channels,), np.float32),
+        }
+        self.spaces = {part: (self.every | shares)[part] for part in self.parts}
         # In one array, for the library.
         self.held: Floats = np.zeros(8)
         self.begin_episode()
@@ -155,6 +166,8 @@ class FootView:
                 return held[..., 6:].astype(np.float32)
             case "foot_flags":
                 return np.array(estimate.flags, dtype=np.int32)
+            case "contact_probability" | "undetermined":
+                return np.array(getattr(estimate, part), dtype=np.float32)
             case "foot_load":
                 return self._limited(estimate.force, self.weight)
         return self._limited(getattr(estimate, part.removeprefix("foot_")), 1.0)

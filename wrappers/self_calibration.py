@@ -35,17 +35,21 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     | ``"vgrf"`` (2) | vertical force on each foot, level frame | -1000 | 1000 | N |
     | ``"foot_force_std"`` (K) | standard deviation of ``"foot_force"`` | 0 | 1000 | N (N m) |
     | ``"cop_std"`` (2) | standard deviation of ``"cop"`` | 0 | 1 | m |
+    | ``"contact_probability"`` (2) | probability that a foot bears load | 0 | 1 | 1 |
+    | ``"undetermined"`` (K) | share of a scale's variance that is open | 0 | 1 | 1 |
     | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
-    The first four are shown by default. A robot of more than 20 kg has wider bounds, five times its weight. A
-    centre of pressure is defined above 5 N; below, the last one is held and flagged, as all are for feet
-    without area. The reference that the calibrator holds the counts against is made of the robot's beliefs
-    (telemetry and a nominal model with wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
+    The first four are shown by default; the two before the flags are those of method ``"momentum"``. A robot
+    of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above 5 N;
+    below, the last one is held and flagged, as all are for feet without area. The reference that the
+    calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
+    wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
-    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"`` (a mapping of the fields of
+    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, of method ``"momentum"`` ``"contact_probability"`` (2) and
+    ``"undetermined"`` (K), ``"reference"`` (a mapping of the fields of
     :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
     how many samples the reference is late.
 

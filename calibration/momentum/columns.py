@@ -6,7 +6,6 @@
 | offset | K | W (W m for a torque) | b, offsets of the start |
 | drift | K | W (W m) | u, what zeros have drifted since, in readings |
 | com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
-| sole | 2 | m | half the difference of what two legs put their soles off, in the same axes |
 | mass | 1 | 1 | m, error of the believed mass |
 | delay | 1 | s | how late the robot's clock is |
 | momentum | C | W s, W m s | P_z, H_x, H_y, and P_x, P_y, H_z of six-axis sensors |
@@ -40,7 +39,6 @@ class Columns(NamedTuple):
     offset: slice
     drift: slice
     com: slice
-    sole: slice
     mass: slice
     delay: slice
     momentum: slice
@@ -50,7 +48,7 @@ class Columns(NamedTuple):
     def of(cls, layout: FeetLayout) -> "Columns":
         """Return the unknowns of a robot with these feet."""
         K, C = layout.channels, SHEAR if sees_shear(layout) else VERTICAL
-        return cls(*in_a_row(K, K, K, 2, 2, 1, 1, C, C))
+        return cls(*in_a_row(K, K, K, 2, 1, 1, C, C))
 
     @property
     def size(self) -> int:
@@ -116,7 +114,6 @@ def first_variance(columns: Columns, spread: Spread, config: MomentumConfig) -> 
     variance[columns.offset] = WIDE**2 * spread.offset
     variance[columns.drift] = SMALLEST_DRIFT**2
     variance[columns.com] = spread.com
-    variance[columns.sole] = config.sole_std**2
     variance[columns.mass] = config.mass_std**2
     variance[columns.delay] = config.delay_std**2
     return variance

@@ -50,13 +50,9 @@ class MomentumConfig:
     """Random walk of an offset in body weights per square root of a minute (1 N for a NAO). How many times
     faster sensors really drift is learnt from tare to tare."""
 
-    com_std: float = 0.003
-    """How far the believed centre of mass is thought to be off along each axis, in m: what drawings and the
-    mass of a battery leave open."""
-
-    sole_std: float = 0.0015
-    """Half the difference by which the zeros of two legs' encoders put their soles off, in m: 2 mrad at six
-    joints of a leg of 0.3 m."""
+    com_std: float = 0.002
+    """How far the believed centre of mass is thought to be off along each axis, in m: 3 mm in any direction,
+    which drawings and the mass of a battery leave open."""
 
     mass_std: float = 0.005
     """How far the believed mass is thought to be off, relative: a kitchen scale's 0.5 %. It is considered and
@@ -76,19 +72,20 @@ class MomentumConfig:
     """Standard deviation of a block's mean angular momentum by the mass, in m^2/s."""
 
     ripple: float = 2.0
-    """By how much the mean force over a sample's interval may differ from the reading, in changes of the
-    force from one sample to the next: 0.5 of readings that are means over the interval, 2 of chips that
-    average over several conversions on clocks of their own (seen on a G1 that walks), 4 of readings that are
-    instants of a controller's stairs."""
+    """By how much a channel's mean force over a sample's interval may differ from its reading, in changes of
+    the reading from one sample to the next: 0.5 of readings that are means over the interval, 2 of chips on
+    clocks of their own, whose errors repeat at every stride of a robot that is read 50 times a second, 4 of
+    readings that are instants of a controller's stairs."""
 
-    tare_noise: float = 0.001
+    tare_noise: float = 0.0005
     """Standard deviation of a channel's mean reading over 0.2 s in the air, in body weights (times foot
-    lengths for a torque)."""
+    lengths for a torque): a converter's noise, and what the inertia of a sole makes of a swing (2e-4 on a NAO
+    that walks)."""
 
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
         check_positive(
             self, "block", "scale_std", "offset_std", "velocity_noise", "vertical_noise", "momentum_noise",
-            "tare_noise", "com_std", "sole_std", "mass_std", "delay_std",
+            "tare_noise", "com_std", "mass_std", "delay_std",
         )  # fmt: skip
         check_not_negative(self, "scale_drift", "offset_drift", "ripple")

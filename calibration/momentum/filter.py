@@ -28,11 +28,13 @@ from surefoot.calibration.momentum.health import (
 from surefoot.calibration.momentum.model import Model, Rows
 from surefoot.calibration.momentum.modes import (
     FIRST_CHANCE,
+    FREE,
     MODES,
     begin,
-    combine,
     learn,
+    load_evidence,
     mix,
+    weigh_modes,
     wrench_variance,
 )
 from surefoot.calibration.momentum.motion import Track, follow_accelerations, follow_momentum, plausible
@@ -50,8 +52,9 @@ from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
-LEAP = 0.25
-"""Change of a cell's force from one sample to the next in body weights that no foot makes."""
+LEAP, LEAP_RATE = 0.25, 40.0
+"""Change of a cell's force from one sample to the next in body weights that no foot makes, and the same by
+the time between samples in body weights a second: a heel takes all of the weight within 25 ms."""
 
 SHARES_TIME = 20.0
 """Time in s over which is learnt how the cells of a foot share its load."""
@@ -103,7 +106,7 @@ class MomentumFilter:
         self._tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
         six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
         # The words of a six-axis sensor come together: one that leaps away alone is a landing.
-        leap = np.inf if six_axis else LEAP
+        leap = np.inf if six_axis else max(LEAP, LEAP_RATE * setup.dt)
         change = np.array([config.com_std / setup.length] * 2 + [config.mass_std])
         self._faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
         self._samples = SampleColumns.of(self._channels, self._feet)
@@ -117,7 +120,6 @@ class MomentumFilter:
         means, covariances = [], []
         for mode in MODES:
             mean, covariance = self._first_mean.copy(), np.diag(self._first_variance)
-            begin(mean, covariance, columns.wrench, wrench_variance(mode, columns.components))
             if mode.load > 0.0:
                 begin(mean, covariance, columns.mass, np.array([self.config.mass_std**2 + mode.load**2]))
             means.append(mean)
@@ -140,7 +142,7 @@ class MomentumFilter:
             belief=belief,
             drifted=drifted,
             noise=np.ones(columns.components),
-            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0),
+            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
             published=published,
             covariance=self._map_covariance(published),
             kept=Kept(belief, published, belief, published, 0.0),
@@ -244,12 +246,17 @@ class MomentumFilter:
         state = state._replace(
             faults=faults, before=samples[-1], pending=np.zeros_like(state.pending), waiting=0, status=0
         )
-        if (faults.lost > 0.5).any() or (block.read.mean(axis=0) < LEAST_READ).any():
+        if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
         belief, published, tare = self._tare.take(
-            block, state.time, state.belief, state.published.mean, state.tare
+            block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
-        rows = self._model.rows(block, published, self._product(state, tare, block.duration))
+        if (faults.lost > 0.5).any():
+            # What stands in for a channel is too far off to teach scales; zeros are seen without it.
+            zeros = state.published._replace(mean=published)
+            state = state._replace(published=zeros, linked=0)
+            return self._rest(state, block, good=False), np.nan, 0.0
+        rows = self._model.rows(block, published, self._product(state, tare))
         if not state.linked:
             belief = self._begin_momentum(belief, rows)
             nis = np.nan
@@ -260,13 +267,17 @@ class MomentumFilter:
             belief = belief._replace(
                 mean=belief.mean @ moved.T + added, covariance=moved @ belief.covariance @ moved.T
             )
-            ahead = rows.measured - rows.mean @ belief.mean[0] - rows.mean_rest
+            likeliest = belief.mean[belief.chance.argmax()]
+            ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest
             if abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration:
                 state = state._replace(linked=0, status=int(Flag.REJECTED))
                 return self._rest(state, block, good=False), np.nan, 0.0
-            mixed = mix(belief, self.columns, block.duration, self.config.mass_std)
+            mixed = mix(belief, rows, self.columns, block.duration, self.config.mass_std)
             step = learn(mixed, rows, state.noise, self.columns, block.duration)
-            belief, nis = step.belief, normalised(step.innovation, step.stated)
+            evidence = step.likelihood + self._evidence(step.belief, state.drifted)
+            evidence = evidence - self._evidence(mixed, state.drifted)
+            belief = step.belief._replace(chance=weigh_modes(mixed.chance, evidence))
+            nis = normalised(step.innovation, step.stated)
             state = state._replace(
                 noise=self._follow_noise(state.noise, step.innovation, step.expected, rows, belief.chance[0])
             )
@@ -290,7 +301,7 @@ class MomentumFilter:
         """Let the momentum begin with what is measured at the block's end."""
         columns, mean, covariance = self.columns, belief.mean.copy(), belief.covariance.copy()
         for i, mode in enumerate(MODES):
-            begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, columns.components))
+            begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, rows))
             begin(mean[i], covariance[i], columns.momentum, np.zeros(columns.components))
             mean[i, columns.momentum] = rows.at_end
             covariance[i, columns.momentum, columns.momentum] = rows.variance
@@ -307,13 +318,16 @@ class MomentumFilter:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
-    def _product(self, state: MomentumState, tare: TareState, duration: float) -> Array:
-        """Return variances of forces in W^2 by open errors of scale and drift together, shape (K,)."""
+    def _product(self, state: MomentumState, tare: TareState) -> Array:
+        """Return variances of forces in W^2 by open errors of scale and drift together, shape (K,).
+
+        They last longer than an outside wrench does: it is as much larger as it is shorter.
+        """
         columns = self.columns
         variance = np.diagonal(state.published.covariance)
         since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
-        one_error = np.minimum(since, PRODUCT_TIME) / duration
-        product: Array = one_error * variance[columns.scale] * variance[columns.drift]
+        longer = np.maximum(np.minimum(since, PRODUCT_TIME) / (2.0 * FREE.time), 1.0)
+        product: Array = longer * variance[columns.scale] * variance[columns.drift]
         return product
 
     def _follow_noise(
@@ -325,9 +339,13 @@ class MomentumFilter:
         surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
         return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
 
+    def _evidence(self, belief: Belief, drifted: Array) -> Array:
+        """Return the logarithmic evidence of what modes hold against the wide prior alone, shape (J,)."""
+        weighed = self._severity.weigh(belief.mean, belief.covariance, drifted)
+        return weighed.evidence + load_evidence(belief, self.columns)
+
     def _publish(self, belief: Belief, drifted: Array) -> Publication:
-        mean, covariance = combine(belief.chance, belief.mean, belief.covariance)
-        return self._severity.weigh(mean, covariance, drifted)
+        return self._severity.weigh(belief.mean, belief.covariance, drifted).publish(belief.chance)
 
     def _map_covariance(self, published: Publication) -> Array:
         return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)

@@ -40,8 +40,10 @@ class Rows(NamedTuple):
         at_end: What was measured at the block's end, shape (C,).
         variance: Of what was measured, as stated, shape (C, C).
         walk: Variance that the block adds to the momentum at its end, shape (C, C).
+        lasting: Variance of what acts for longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
         load: Mean vertical force in W as published.
+        height: Of the centre of mass over o in m.
     """
 
     mean: Array
@@ -52,8 +54,10 @@ class Rows(NamedTuple):
     at_end: Array
     variance: Array
     walk: Array
+    lasting: Array
     point: Array
     load: float
+    height: float
 
 
 class Model:
@@ -72,17 +76,15 @@ class Model:
         self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
         self._spin = config.momentum_noise**2
         self._ripple = config.ripple
-        feet = len(setup.layout.feet)
-        self._side = np.where(setup.layout.foot_of_channel == 0, 1.0, -1.0) * (feet == 2)
 
-    def rows(self, block: Block, published: Array, product: Array) -> Rows:
+    def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
 
         Args:
             block: The samples.
             published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
-            product: Variance of each channel's force in W^2 that the product of the open errors of its scale
-                and its drift has, as if all of the block were one error, shape (K,).
+            lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
+                shape (K,).
         """
         columns, dt = self._columns, block.dt
         T, C = block.duration, columns.components
@@ -99,14 +101,13 @@ class Model:
         # What of the block comes after a sample's interval begins: all of it for the first.
         after = np.cumsum(dt[::-1])[::-1] / T
 
-        def add_up(share: Array) -> tuple[Array, Array, Array]:
+        def add_up(share: Array) -> tuple[Array, Array]:
             H = np.zeros((C, columns.size))
             weighted = unit * share[:, None, None]
             reach = weighted.sum(axis=0)
             H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
             H[:, columns.offset], H[:, columns.drift] = reach, reach * a
             H[:, columns.com] = share.sum() * along @ heading
-            H[:, columns.sole] = -((force * self._side).sum(axis=1) @ share) * along @ heading
             pulled = share @ gravity
             H[:, columns.mass] = -pulled[:, None]
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
@@ -114,15 +115,15 @@ class Model:
             H[:, columns.wrench] = share.sum() * np.eye(C)
             # a u is linear about what is published.
             rest = pulled - reach @ (a * u)
-            return H, rest, reach
+            return H, rest
 
-        mean, mean_rest, _ = add_up(dt * after)
+        mean, mean_rest = add_up(dt * after)
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
-        end, end_rest, reach = add_up(dt)
+        end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
-        change = (
-            np.diff(summed, axis=0, prepend=summed[:1]) * (dt * self._ripple * _held(block.read))[:, None]
-        )
+        # Chips have clocks of their own: what a channel changes by is an error of its own.
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * _held(block.read))[:, None]
+        change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
             mean_rest=mean_rest,
@@ -131,9 +132,11 @@ class Model:
             measured=dt @ each / T,
             at_end=each[-1],
             variance=variance,
-            walk=np.diag(reach**2 @ product) + change.T @ change,
+            walk=change.T @ change,
+            lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
             point=point,
             load=load,
+            height=float((com[:, 2] - point[2]).mean()),
         )
 
     def moved(self, mean: Array, step: Array, velocity: Array) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ class Mode(NamedTuple):
     Attributes:
         time: The wrench's time constant in s.
         force: Its standard deviation in W.
-        torque: The same about the feet's centre of pressure in W m.
+        torque: The same about the feet's centre of pressure, in W times the height of the centre of mass.
         load: Standard deviation of what the robot carries, as a share of its weight.
         shift: By how much a load moves the centre of mass along each axis, in m.
     """
@@ -39,11 +39,12 @@ class Mode(NamedTuple):
     shift: float = 0.0
 
 
-FREE = Mode(2.0, 0.003, 0.003)
-"""A robot that nobody touches: air, cables and a model that is a little wrong, 0.3 % of its weight, 3 mm."""
+FREE = Mode(2.0, 0.002, 0.004)
+"""A robot that nobody touches: air, cables and a model that is a little wrong, 0.2 % of its weight, and
+an attitude that is off by 4 mrad: 3 mm under a robot that is as tall as a man."""
 
-HELD = Mode(2.0, 0.3, 0.05)
-"""A robot that somebody holds: a third of its weight, 5 cm off."""
+HELD = Mode(2.0, 0.2, 0.08)
+"""A robot that somebody holds: a fifth of its weight, and a twelfth of its height off."""
 
 LOADED = FREE._replace(load=0.1, shift=0.01)
 """A robot that carries a tenth of its weight, ten centimetres from its centre of mass."""
@@ -64,17 +65,19 @@ GATE = 3.0
 """Standard deviations beyond which an innovation pulls no harder: a false alarm in 370."""
 
 
-def wrench_variance(mode: Mode, components: int) -> Array:
-    """Return the variances of an outside wrench, shape (C,)."""
-    force = force_and_wrench(components)
-    return force * mode.force**2 + (1.0 - force) * mode.torque**2
+def wrench_variance(mode: Mode, rows: Rows) -> Array:
+    """Return the variances of an outside wrench, and of what acts like one within, shape (C,)."""
+    force = force_and_wrench(len(rows.measured))
+    outside: Array = force * mode.force**2 + (1.0 - force) * (mode.torque * rows.height) ** 2
+    return outside + rows.lasting
 
 
-def mix(belief: Belief, columns: Columns, duration: float, mass_std: float) -> Belief:
+def mix(belief: Belief, rows: Rows, columns: Columns, duration: float, mass_std: float) -> Belief:
     """Let modes turn into each other.
 
     Args:
         belief: What modes hold.
+        rows: The block that follows.
         columns: The unknowns.
         duration: For how long, in s.
         mass_std: How far the mass is thought to be off without a load, relative.
@@ -86,7 +89,7 @@ def mix(belief: Belief, columns: Columns, duration: float, mass_std: float) -> B
     means, covariances = [], []
     for j in range(len(MODES)):
         parts = [
-            _turn_into(j, belief, i, columns, mass_std) if i != j else _part(belief, i)
+            _turn_into(j, belief, i, rows, columns, mass_std) if i != j else _part(belief, i)
             for i in range(len(MODES))
         ]
         mean, covariance = combine(share[:, j], *(np.stack(part) for part in zip(*parts, strict=True)))
@@ -99,11 +102,13 @@ def _part(belief: Belief, i: int) -> tuple[Array, Array]:
     return belief.mean[i], belief.covariance[i]
 
 
-def _turn_into(j: int, belief: Belief, i: int, columns: Columns, mass_std: float) -> tuple[Array, Array]:
+def _turn_into(
+    j: int, belief: Belief, i: int, rows: Rows, columns: Columns, mass_std: float
+) -> tuple[Array, Array]:
     """Return what mode i holds as it turns into mode j: w begins anew, and so does what it carries."""
     before, mode = MODES[i], MODES[j]
     mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
-    begin(mean, covariance, columns.wrench, wrench_variance(mode, columns.components))
+    begin(mean, covariance, columns.wrench, wrench_variance(mode, rows))
     if mode.load != before.load:
         begin(mean, covariance, columns.mass, np.array([mass_std**2 + mode.load**2]))
         at = np.arange(columns.com.start, columns.com.stop)
@@ -129,13 +134,15 @@ class Step(NamedTuple):
     """What a block taught; J modes.
 
     Attributes:
-        belief: What modes hold at its end.
-        innovation: Of the free mode, shape (C,).
+        belief: What modes hold at its end; how likely they are is as before.
+        likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
+        innovation: Of the mode that was likeliest before, shape (C,).
         expected: Its covariance with variances as they were used, shape (C, C).
         stated: Its covariance with variances as stated, shape (C, C).
     """
 
     belief: Belief
+    likelihood: Array
     innovation: Array
     expected: Array
     stated: Array
@@ -164,7 +171,7 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         mean[wrench] *= decay
         covariance[wrench] *= decay
         covariance[:, wrench] *= decay
-        covariance[wrench, wrench] += wrench_variance(mode, len(wrench)) * (1.0 - decay**2)
+        covariance[wrench, wrench] += wrench_variance(mode, rows) * (1.0 - decay**2)
         innovation = rows.measured - rows.mean @ mean - rows.mean_rest
         prior = rows.mean @ covariance @ rows.mean.T
         expected = prior + variance
@@ -172,8 +179,11 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
             -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
         )
         seen.append((innovation, expected, prior + stated))
-        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966).
+        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966),
+        # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
+        if mode is HELD:
+            considered = slice(0, columns.momentum.start)
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
@@ -181,16 +191,28 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         mean[momentum] += rows.end_rest
         covariance = forward @ covariance @ forward.T
         covariance[momentum, momentum] += rows.walk
-        if mode.load > 0.0:
-            # A load is positive: the robot is heavier, and the believed mass too small.
-            at = columns.mass.start
-            likelihoods[-1] += log_ndtr(-mean[at] / np.sqrt(covariance[at, at]))
         means.append(mean)
         covariances.append(0.5 * (covariance + covariance.T))
-    weight = belief.chance * np.exp(np.array(likelihoods) - max(likelihoods))
-    chance = np.maximum(weight / weight.sum(), LEAST_CHANCE)
-    learnt = Belief(np.stack(means), np.stack(covariances), chance / chance.sum())
-    return Step(learnt, *seen[0])
+    learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
+    return Step(learnt, np.array(likelihoods), *seen[int(belief.chance.argmax())])
+
+
+def load_evidence(belief: Belief, columns: Columns) -> Array:
+    """Return the logarithm of how likely what modes carry has a weight, shape (J,)."""
+    at = columns.mass.start
+    # The robot is heavier then, and the believed mass too small.
+    lighter = -belief.mean[:, at] / np.sqrt(belief.covariance[:, at, at])
+    loaded = np.array([mode.load > 0.0 for mode in MODES])
+    evidence: Array = np.where(loaded, log_ndtr(lighter), 0.0)
+    return evidence
+
+
+def weigh_modes(chance: Array, evidence: Array) -> Array:
+    """Return how likely modes are after a block, by its logarithmic evidence, shapes (J,)."""
+    weight = chance * np.exp(evidence - evidence.max())
+    weight = np.maximum(weight / weight.sum(), LEAST_CHANCE)
+    found: Array = weight / weight.sum()
+    return found
 
 
 def update(

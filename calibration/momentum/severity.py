@@ -10,6 +10,7 @@ modes may be wider than P0 in some direction: there the data say nothing.
 """
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,27 @@ good sensors, and a swing shows eight offsets at once."""
 
 LEAST_SHARE = 1e-12
 """Least share of its variance that anything is known to: less is rounding."""
+
+
+class Weighed(NamedTuple):
+    """The posteriors of J modes under all severities; M unknowns, K channels.
+
+    Attributes:
+        evidence: Logarithm of how much likelier the data are than under the wide prior, shape (J,).
+        mean: Scales, offsets, drift and centre of mass, shape (J, M).
+        covariance: Theirs, shape (J, M, M).
+        undetermined: Share of each scale's variance that the data have left, shape (J, K).
+    """
+
+    evidence: Array
+    mean: Array
+    covariance: Array
+    undetermined: Array
+
+    def publish(self, chance: Array) -> Publication:
+        """Return what all modes hold together, by how likely they are, shape (J,)."""
+        mean, covariance = combine(chance, self.mean, self.covariance)
+        return Publication(mean, covariance, np.clip(chance @ self.undetermined, 0.0, 1.0))
 
 
 class Severity:
@@ -66,39 +88,46 @@ class Severity:
         )
         return np.concatenate(parts, axis=1)
 
-    def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Publication:
-        """Return the posterior under all severities together.
+    def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Weighed:
+        """Return the posteriors under all severities together.
 
         Args:
-            mean: The filter's unknowns, shape (N,).
-            covariance: Theirs, shape (N, N).
+            mean: The filter's unknowns, shape (J, N).
+            covariance: Theirs, shape (J, N, N).
             drifted: As of :meth:`prior`.
         """
-        of = self._columns.weighed
+        of, K = self._columns.weighed, self._spread.scale.size
         wide = np.array([WIDE**2])
         std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1] / WIDE**2]))[0])
         # In standard deviations of the wide prior, which is 1 there.
-        share, axes = np.linalg.eigh(covariance[of, of] / np.outer(std, std))
+        share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
         share = np.clip(share, LEAST_SHARE, None)
         informed = share < 1.0
         information = np.where(informed, 1.0 / share - 1.0, 0.0)
-        pull = axes @ np.where(informed, (axes.T @ ((mean[of] - self._start) / std)) / share, 0.0)
-        seen = (axes * information) @ axes.T
+        off = np.einsum("jmi,jm->ji", axes, (mean[:, of] - self._start) / std)
+        pull = np.einsum("jmi,ji->jm", axes, np.where(informed, off / share, 0.0))
+        precision = np.einsum("jmi,ji,jni->jmn", axes, information, axes)[:, None]
         prior = self.prior(self._of_scale, self._of_offset, drifted) / std**2
         at = np.arange(len(std))
-        precision = np.repeat(seen[None], len(prior), axis=0)
-        precision[:, at, at] += 1.0 / prior
+        precision = np.repeat(precision, len(prior), axis=1)
+        precision[..., at, at] += 1.0 / prior
         V = np.linalg.inv(precision)
-        found = V @ pull
-        evidence = 0.5 * (found @ pull - np.linalg.slogdet(precision)[1] - np.log(prior).sum(axis=1))
-        evidence = evidence + self._likely
-        weight = np.exp(evidence - evidence.max())
-        weight = weight / weight.sum()
-        mixed, within = combine(weight, found, V)
-        K = self._spread.scale.size
-        open_share = np.diagonal(within)[:K] / (weight @ prior[:, :K])
-        return Publication(
+        found = np.einsum("jsmn,jn->jsm", V, pull)
+        evidence = 0.5 * (
+            np.einsum("jsm,jm->js", found, pull) - np.linalg.slogdet(precision)[1] - np.log(prior).sum(axis=1)
+        )
+        # Under the wide prior itself, against which the others are weighed.
+        known = 1.0 + information
+        mine = 0.5 * np.where(informed, (off / share) ** 2 / known - np.log(known), 0.0).sum(axis=1)
+        evidence = evidence + self._likely - mine[:, None]
+        weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        total = evidence.max(axis=1) + np.log(weight.sum(axis=1))
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        parts = [combine(*one) for one in zip(weight, found, V, strict=True)]
+        mixed, within = (np.stack(part) for part in zip(*parts, strict=True))
+        return Weighed(
+            evidence=total,
             mean=self._start + std * mixed,
-            covariance=0.5 * (within + within.T) * np.outer(std, std),
-            undetermined=np.clip(open_share, 0.0, 1.0),
+            covariance=0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std),
+            undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
         )

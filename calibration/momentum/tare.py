@@ -6,6 +6,7 @@ From tare to tare the readings show how fast zeros drift, and scales are thought
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.momentum.columns import Columns, Spread
@@ -23,9 +24,13 @@ NOISE_TIME = 0.2
 LEAST_APART = 0.3
 """Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
 
-RATE_SHARE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 10.0, 9.0
-"""How much of the learnt drift rate one tare decides; the rate in stated ones that it is believed up to; and
-the squared surprise, in expected ones, of which more counts no more (three standard deviations)."""
+RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
+"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
+that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
+of which more counts no more (three standard deviations)."""
+
+STATED_RATE = 2.0
+"""Tares that the stated rate of drift counts for."""
 
 LEAP = 5.0
 """Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
@@ -52,7 +57,7 @@ class Tare:
         self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
 
     def take(
-        self, block: Block, time: float, belief: Belief, published: Array, state: TareState
+        self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
     ) -> tuple[Belief, Array, TareState]:
         """Tare the feet that hang in a block.
 
@@ -62,11 +67,13 @@ class Tare:
             belief: What modes hold.
             published: What is handed out, about which a u is linear, shape (M,).
             state: What tares showed before.
+            lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
             The belief, what is handed out with the drift that is known now, and the state.
         """
-        for foot, channels in enumerate(self._feet):
+        for foot, of_foot in enumerate(self._feet):
+            channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
             reading, seconds = self._reading(block, foot, channels)
             if seconds >= LEAST_SHARE * block.duration:
                 belief, published, state = self._tare(
@@ -74,15 +81,15 @@ class Tare:
                 )
         return belief, published, state
 
-    def _reading(self, block: Block, foot: int, channels: slice) -> tuple[Array, float]:
+    def _reading(self, block: Block, foot: int, channels: NDArray[np.int64]) -> tuple[Array, float]:
         """Return a foot's mean reading in the air, and how long it hung in s."""
         swing = block.swing[:, foot] > 0.5
         # The sample before and the one after are in the air as well.
         sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
-        if not sure.any():
-            return np.zeros(channels.stop - channels.start), 0.0
-        reading = block.force[sure, channels].mean(axis=0)
+        if not (sure.any() and channels.size):
+            return np.zeros(len(channels)), 0.0
+        reading = block.force[np.ix_(sure, channels)].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
         total = abs(float((reading / self._unit[channels]).sum()))
         in_air = not large.any() and total <= LARGEST_SUM
@@ -91,7 +98,7 @@ class Tare:
     def _tare(
         self,
         foot: int,
-        channels: slice,
+        channels: NDArray[np.int64],
         reading: Array,
         seconds: float,
         time: float,
@@ -100,7 +107,7 @@ class Tare:
         state: TareState,
     ) -> tuple[Belief, Array, TareState]:
         columns = self._columns
-        at = np.arange(channels.start, channels.stop)
+        at = channels
         scale, offset, drift = (at + part.start for part in (columns.scale, columns.offset, columns.drift))
         a, last = published[scale], float(state.time[foot])
         noise = self._noise[channels] / seconds
@@ -108,13 +115,13 @@ class Tare:
 
         walked = noise * 2.0
         leapt = np.zeros(len(at), dtype=bool)
-        rate = state.rate
+        rate, followed = state.rate, state.followed
         if last >= 0.0:
             change = reading - state.reading[channels]
             walked = walked + rate**2 * self._drift[channels] * (time - last)
             leapt = change**2 > LEAP**2 * walked
             if time - last > LEAST_APART:
-                rate = self._follow(rate, change, walked)
+                rate, followed = self._follow(rate, followed, change, walked), followed + 1
         H = np.zeros((len(at), columns.size))
         rows = np.arange(len(at))
         H[rows, scale], H[rows, offset], H[rows, drift] = centre, 1.0, a
@@ -134,9 +141,9 @@ class Tare:
         shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
         shown[channels], centres[channels], times[foot] = reading, centre, time
         belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
-        return belief, published, TareState(shown, centres, times, rate)
+        return belief, published, TareState(shown, centres, times, rate, followed)
 
-    def _follow(self, rate: float, change: Array, expected: Array) -> float:
+    def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by what changed since the last tare.
 
         What is common to a foot's channels is not drift alone: a sole's own inertia is in it.
@@ -144,4 +151,5 @@ class Tare:
         count = len(change)
         own = (change - change.mean()) ** 2 * count / max(count - 1, 1)
         surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
-        return float(np.clip(rate * np.sqrt(1.0 + RATE_SHARE * (surprise - 1.0)), 1.0, LARGEST_RATE))
+        share = max(RATE_SHARE, 1.0 / (followed + STATED_RATE))
+        return float(np.clip(rate * np.sqrt(1.0 + share * (surprise - 1.0)), SMALLEST_RATE, LARGEST_RATE))

@@ -31,7 +31,7 @@ class Errors:
     def stated(cls) -> "Errors":
         """Those that the filter is told of, in W and m/s; noise of beliefs is white from sample to sample."""
         root = np.sqrt(0.1 / DT)
-        return cls(0.12, 0.03, 0.02, 0.02, 1e-3, 0.003, 0.01 * root, 0.003 * root, 0.001 * root)
+        return cls(0.12, 0.03, 0.02, 0.02, 5e-4, 0.002, 0.01 * root, 0.003 * root, 0.001 * root)
 
 
 class Motion(NamedTuple):

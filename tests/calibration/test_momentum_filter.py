@@ -113,6 +113,22 @@ def test_zeros_that_leap_are_tared_at_the_next_swing():
     assert not (estimate.flags & (Flag.LOST | Flag.SWAPPED)).any()
 
 
+def test_the_others_are_tared_while_a_channel_is_lost_and_it_comes_back():
+    log = move(5, 16.0, STATED)
+    raw, (gone, back) = log.raw.copy(), (round(t / DT) for t in (3.0, 12.0))
+    raw[gone:, [0, 1, 3]] += 0.05 * WEIGHT / NOMINAL.scale[[0, 1, 3]]
+    raw[gone:back, 2] = np.nan
+    estimate = calibrated(log._replace(raw=raw))
+    lost = (estimate.flags & Flag.LOST) > 0
+    assert lost[gone + 20 : back, 2].all()
+    assert not lost[:, [0, 1, 3, 4, 5, 6, 7]].any()
+    assert not lost[back + round(0.5 / DT) :].any()
+    swings = log.reference.swing[:, 0].copy()
+    swings[: gone + round(3.0 / DT)] = swings[back:] = False
+    assert np.abs(estimate.force[swings][:, [0, 1, 3]].mean(axis=0)).max() < 0.01 * WEIGHT
+    assert rmse(estimate, log, 14.0) < 0.3 * raw_rmse(log, 14.0)
+
+
 def test_bursts_and_gaps_teach_as_well():
     log, rng = move(5, 10.0, STATED), np.random.default_rng(0)
     raw, missing = log.raw.copy(), rng.random(len(log.raw)) < 0.3

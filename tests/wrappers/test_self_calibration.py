@@ -51,6 +51,23 @@ def test_truth_is_never_looked_at(method: str, make_bare) -> None:
             np.testing.assert_array_equal(one[key], other[key], err_msg=key)
 
 
+def test_the_chance_of_contact_is_shown_by_the_method_that_weighs_it(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare()), "momentum", show=("contact_probability", "undetermined"))
+    for observation, info in walk(env, 60)[1:]:
+        assert env.observation_space.contains(observation)
+        for name in ("contact_probability", "undetermined"):
+            np.testing.assert_array_equal(observation[name], np.float32(info["surefoot"][name]), err_msg=name)
+    np.testing.assert_array_equal(info["surefoot"]["undetermined"], env.estimate.undetermined)
+    # Both feet stand at first; eight cells of a robot that stands are not known.
+    assert observation["contact_probability"].min() > 0.5
+    assert observation["undetermined"].mean() > 0.2
+    with pytest.raises(
+        ValueError,
+        match=r"Method 'tare' reports no chance of contact, .*\['undetermined'\] .* \('momentum',\)",
+    ):
+        SelfCalibration(FootSensors(make_bare()), "tare", show=("undetermined",))
+
+
 def test_what_is_shown_is_the_calibrated_count(make_bare) -> None:
     # Cells that are read at an instant, as older readings are carried on to now.
     cells = FootSensors(make_bare(), {"rate": None})
