@@ -22,7 +22,7 @@ from surefoot.robot.beliefs.errors import BeliefErrors
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, nothing
-from surefoot.robot.foot_view import PARTS, FootView
+from surefoot.robot.foot_view import DETERMINED, PARTS, FootView
 from surefoot.robot.native import shown_dtype, view_record
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
@@ -31,6 +31,7 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 PACKETS, PERIOD, DT, LATE = 2000, 0.01, 0.0125, 0.03
 ERRORS = BeliefErrors(mass=0.01, com=0.005)
 CLOSE = 1e-9
+SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
@@ -370,7 +371,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
     for found in (library, None):
         for module in ("calibration.foot_calibrator", "robot.beliefs.native"):
             monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
-        env = SelfCalibration(FootSensors(make_bare()), show=PARTS)
+        env = SelfCalibration(FootSensors(make_bare()), show=SHOWN)
         env.reset(seed=4)
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
         action, rows = np.zeros(env.action_space.shape, np.float32), []
@@ -430,7 +431,7 @@ class Estimates:
 def test_what_is_shown_is_the_python_s(library, model, flaw):
     native = NativeBeliefs(library, python(model))
     native.update(motion(len(model.joint_names))[:60])
-    one, two = (FootView(PARTS, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
+    one, two = (FootView(SHOWN, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
     source, config = Estimates(library, one, 1), view_record(library, one)
     shown, soles = Record(shown_dtype(library, one)), np.zeros((2, 4))
     for step in range(300):

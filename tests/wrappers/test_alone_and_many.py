@@ -9,7 +9,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import surefoot  # noqa: F401
-from surefoot.robot.foot_view import PARTS
+from surefoot.robot.foot_view import DETERMINED, PARTS
 from surefoot.sensors import LoadCells, Wire
 from surefoot.wrappers import FootSensors, SelfCalibration, TruthRow, VectorFootSensors, VectorSelfCalibration
 
@@ -17,14 +17,16 @@ ROBOTS, EPISODE = 2, 14
 NOISY = LoadCells(
     settling=4, wire=Wire(spike_rate=9.0, packet_loss=0.2, delay=0.02, jitter=0.004, under_way=12)
 )
+SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
 BROKEN = {"ankles": "icub-ftsens", "faults": ["at t=0.1 s cell left/2 dies"], "severity": 0.5}
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "usual": ({}, {}),
-    "noisy": ({"config": NOISY, "fresh": True}, {"initial": "calibrated", "show": PARTS}),
+    "noisy": ({"config": NOISY, "fresh": True}, {"initial": "calibrated", "show": SHOWN}),
     "broken": (BROKEN | {"link": {"delay": 0.03, "jitter": 0.004}}, {"show": ("wrench", "foot_flags")}),
     "ankles": ({"config": "icub-ftsens", "measure_state": False}, {"errors": {"mass": 0.0}, "lag": 9}),
     "tare": ({}, {"method": "tare"}),
     "by Python": ({}, {"method": "window", "window": 2.0}),
+    "momentum": ({}, {"method": "momentum", "show": PARTS}),
 }
 
 
