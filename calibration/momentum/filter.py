@@ -261,11 +261,10 @@ class MomentumFilter:
             belief = self._begin_momentum(belief, rows)
             nis = np.nan
         else:
-            moved, added = self._model.moved(
-                belief.mean, rows.point - state.point, block.velocity.mean(axis=0)
-            )
+            transition, added = self._model.move(rows.point - state.point, block.velocity.mean(axis=0))
             belief = belief._replace(
-                mean=belief.mean @ moved.T + added, covariance=moved @ belief.covariance @ moved.T
+                mean=belief.mean @ transition.T + added,
+                covariance=transition @ belief.covariance @ transition.T,
             )
             likeliest = belief.mean[belief.chance.argmax()]
             ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest

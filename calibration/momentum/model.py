@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array
+from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.cop import level_rows
 from surefoot.calibration.momentum.columns import SHEAR, Columns
 from surefoot.calibration.momentum.config import MomentumConfig
@@ -122,7 +122,10 @@ class Model:
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
         # Chips have clocks of their own: what a channel changes by is an error of its own.
-        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * _held(block.read))[:, None]
+        change = (
+            np.diff(force, axis=0, prepend=force[:1])
+            * (dt * self._ripple * _samples_per_reading(block.read))[:, None]
+        )
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
@@ -139,11 +142,10 @@ class Model:
             height=float((com[:, 2] - point[2]).mean()),
         )
 
-    def moved(self, mean: Array, step: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return how the momentum is about a point that has moved.
+    def move(self, step: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return the transition of the unknowns to a point o that has moved.
 
         Args:
-            mean: Shape (..., N); not used but for its length.
             step: By how much o has moved in m, shape (3,).
             velocity: Of the centre of mass in m/s, whose level part cells do not see, shape (3,).
 
@@ -193,8 +195,7 @@ class Model:
         """Return the momentum by the robot's motion, shape (n, C), and its stated variance, shape (C, C)."""
         arm, velocity = block.end - point, block.velocity
         components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / self._gravity
-        x, y, z = arm.mean(axis=0).tolist()
-        turned = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turned = skew(arm.mean(axis=0))
         noise = np.zeros((6, 6))
         noise[:3, :3] = np.diag(self._velocity)
         noise[3:, :3] = turned * self._velocity
@@ -216,6 +217,6 @@ def _heading(rotation: Array) -> Array:
     return np.array([[x, -y], [y, x]]) / norm
 
 
-def _held(read: Array) -> float:
+def _samples_per_reading(read: Array) -> float:
     """Return for how many samples a reading stands on the average: more than 1 where some are held."""
     return len(read) / max(float(read.sum(axis=0).min()), 1.0)

@@ -13,18 +13,18 @@ A sole's lowest points stand still: V_legs is what they ask for. Nothing is diff
 A row is of the middle between two packets; rows are read by linear interpolation.
 """
 
-from math import floor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference
+from surefoot.calibration.arrays import skew
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import FREE_FALL
-from surefoot.robot.beliefs.references import Beliefs, reference_info
-from surefoot.sensors.transport.link import Packet, Packets
+from surefoot.robot.beliefs.references import Beliefs, Believed, Posture
+from surefoot.sensors.transport.link import Packets
 
 if TYPE_CHECKING:
     from surefoot.envs.instrumentation.drawing import RobotDrawing
@@ -112,7 +112,7 @@ class Strapdown:
         return middle, 0.5 * (before + velocity)
 
 
-class MomentumBeliefs:
+class MomentumBeliefs(Believed):
     """Makes references that hold momentum; contacts, and whether it stands upright, are those of ``beliefs``.
 
     Args:
@@ -127,9 +127,8 @@ class MomentumBeliefs:
     def __init__(self, beliefs: Beliefs, corners: Floats) -> None:
         self.beliefs, self._corners = beliefs, corners
         self._ring = np.zeros((HISTORY, ROWS, 3))
-        self._strapdown = Strapdown(beliefs._period, beliefs.model.gravity)
-        self._last: Packet | None = None
-        self._run = 0
+        self._strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
+        self._run, self._number = 0, 0
         self.believed = unknown()
 
     def begun(self) -> "MomentumBeliefs":
@@ -141,20 +140,6 @@ class MomentumBeliefs:
         """The robot as it believes itself to be."""
         return self.beliefs.model
 
-    @property
-    def known(self) -> bool:
-        """Whether anything is believed."""
-        return bool(self.believed.com[0] == self.believed.com[0])
-
-    @property
-    def standing(self) -> bool:
-        """Whether a foot surely stood."""
-        return bool(self.believed.stance.any())
-
-    def info(self) -> dict[str, Any]:
-        """Return what is believed, for ``info``."""
-        return reference_info(self.believed)
-
     def soles(self, time: float) -> Floats:
         """Return where the soles are at a moment later than the newest packet; as :meth:`Beliefs.soles`."""
         return self.beliefs.soles(time)
@@ -162,30 +147,23 @@ class MomentumBeliefs:
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.beliefs.join(packets):
-            self.beliefs.take(packet)
-            if self._last is not None and packet.number == self._last.number + 1:
+            posture, self._number = self.beliefs.take(packet), packet.number
+            if posture is not None:
                 self._run += 1
-                self._advance(self._last.values, packet.values, packet.number)
+                self._advance(posture)
             else:
                 self._run = 0
-                self._strapdown = Strapdown(self.beliefs._period, self.model.gravity)
-                self._strapdown.begin(packet.values[self.beliefs._layout.accelerometer])
-            self._last = packet
+                self._strapdown = Strapdown(self.beliefs.period, self.model.gravity)
+                self._strapdown.begin(packet.values[self.beliefs.layout.accelerometer])
 
-    def _advance(self, before: Floats, after: Floats, number: int) -> None:
-        """Fill the row at the middle between two packets."""
-        where, period = self.beliefs._layout, self.beliefs._period
-        start, end = before[where.joint_position], after[where.joint_position]
-        force, spin = after[where.accelerometer], after[where.gyroscope]
-        if not self.beliefs._averaged:
-            force = 0.5 * (force + before[where.accelerometer])
-            spin = 0.5 * (spin + before[where.gyroscope])
-        com, momentum, sites, axes = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
+    def _advance(self, posture: Posture) -> None:
+        """Fill the row at the middle before the newest packet."""
+        com, momentum, sites, axes, force, spin = posture
         com_velocity, twist = self.model.velocities()
         down = self._strapdown.R[2]
         legs = -touching(sites[1:], axes.reshape(2, 3, 3), twist[1:], self._corners, down)
         R, velocity = self._strapdown.advance(force, spin, legs, twist[0, 3:])
-        row = self._ring[number % HISTORY]
+        row = self._ring[self._number % HISTORY]
         row[COM], row[SOLES], row[AXES], row[MOMENTUM] = com, sites[1:], axes, momentum
         row[VELOCITY] = com_velocity - twist[0, 3:]
         np.matmul(row, R.T, out=row)
@@ -198,7 +176,9 @@ class MomentumBeliefs:
         found, self.believed = self.beliefs.believed, unknown()
         if self.beliefs.known and self._run > 1:
             # A reading stands for the middle of its interval, a momentum for the end.
-            rows = self._at(time + 0.5 * self.beliefs._dt)
+            low = self._number - min(self._run, HISTORY - 1) + 1
+            end = time + 0.5 * self.beliefs.dt
+            rows = self.beliefs.interpolate(self._ring, end, low, self._number)
             self.believed = MomentumReference(
                 com=rows[COM],
                 com_velocity=rows[VELOCITY],
@@ -209,17 +189,6 @@ class MomentumBeliefs:
                 swing=found.swing,
             )
         return fell
-
-    def _at(self, time: float) -> Floats:
-        """Interpolate the rows, shape (ROWS, 3); at their ends, take the end."""
-        beliefs, last = self.beliefs, self._last
-        assert last is not None
-        low, high = last.number - min(self._run, HISTORY - 1) + 1, last.number
-        index = min(max((time - beliefs._clock) / beliefs._period + 0.5, low), high)
-        number = min(floor(index), high - 1)
-        row = self._ring[number % HISTORY]
-        rows: Floats = row + (index - number) * (self._ring[(number + 1) % HISTORY] - row)
-        return rows
 
 
 def sole_corners(drawing: "RobotDrawing") -> Floats:
@@ -262,8 +231,7 @@ def unknown() -> MomentumReference:
 
 def _rotation(turn: Floats) -> Floats:
     """Return the rotation by a small angle, to second order, shape (3, 3)."""
-    x, y, z = turn.tolist()
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = skew(turn)
     rotation: Floats = np.eye(3) + cross + 0.5 * cross @ cross
     return rotation
 

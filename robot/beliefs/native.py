@@ -47,11 +47,11 @@ class NativeBeliefs:
         self.model = beliefs.model
         needed, window = planned_window(beliefs._lag)
         timing = {
-            "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs._dt,
-            "period": beliefs._period, "delay": beliefs._delay, "joined": beliefs._join,
+            "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs.dt,
+            "period": beliefs.period, "delay": beliefs._delay, "joined": beliefs._join,
             "gravity": self.model.gravity,
         }  # fmt: skip
-        joints = beliefs._layout.joint_position.stop
+        joints = beliefs.layout.joint_position.stop
         shapes = {
             "ring": (HISTORY, ROWS, 3), "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
             "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
@@ -63,7 +63,7 @@ class NativeBeliefs:
         if found is None or state is None:
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
         self._timing, self._state = found, np.zeros((), state)
-        self._rows = np.zeros((AT_ONCE, 2 + beliefs._layout.size))
+        self._rows = np.zeros((AT_ONCE, 2 + beliefs.layout.size))
         self._slots = [(row[:2], row[2:]) for row in self._rows]
         self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
         self._stance, self._swing = self._planned[:2], self._planned[2:]
@@ -188,8 +188,8 @@ class NativeBeliefs:
         found._plan._runs.extend(state["planned"].tolist())
         found._kinematics._runs = state["found"].tolist()
         if found._seen:
-            values = np.zeros(spec._layout.size)
-            for name, part in _measured(spec._layout):
+            values = np.zeros(spec.layout.size)
+            for name, part in _measured(spec.layout):
                 values[part] = state[name]
             found._last = Packet(int(state["number"]), 0.0, values)
         found.believed = self.believed.reference()
@@ -207,7 +207,7 @@ class NativeBeliefs:
         state["found"] = beliefs._kinematics._runs
         if last is not None:
             state["number"] = last.number
-            for name, part in _measured(beliefs._layout):
+            for name, part in _measured(beliefs.layout):
                 state[name] = last.values[part]
 
     def __reduce__(self) -> Any:

@@ -22,7 +22,7 @@ a common tilt cancels to first order.
 
 from collections.abc import Iterator
 from math import floor, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,70 +64,36 @@ _POSES = slice(SOLES.start, AXES.start + 4)
 """Both soles' places, and their axes up to the x axis of the right one."""
 
 
-class Beliefs:
-    """Makes references of telemetry, on the timeline of the feet's samples.
+class Posture(NamedTuple):
+    """The robot at the middle between two packets, in the torso's axes, from its origin.
 
-    Args:
-        model: The robot as it believes itself to be.
-        layout: What a packet holds.
-        period: Time between packets in s.
-        delay: Mean delay of the link in s, as the robot knows it.
-        averaged: Whether a sample of the IMU is the mean since the sample before.
-        lag: How many samples of the feet ago :meth:`sample` is about.
-        dt: Time between these samples in s.
-        joined: How many packets become one.
+    Its arrays are the model's own, until that evaluates another one.
 
     Attributes:
-        believed: What the last :meth:`sample` found.
+        com: Centre of mass in m, shape (3,).
+        momentum: Angular momentum about it in kg m^2/s, shape (3,).
+        sites: IMU and soles in m, shape (3, 3).
+        axes: Both soles' axes x, y and z, shape (6, 3).
+        force: Mean specific force since the packet before in m/s^2, shape (3,).
+        spin: Mean angular velocity in rad/s, shape (3,).
     """
 
-    def __init__(
-        self,
-        model: NominalModel,
-        layout: TelemetryLayout,
-        period: float,
-        delay: float,
-        averaged: bool,
-        *,
-        lag: int = 0,
-        dt: float = 1.0 / 80.0,
-        joined: int = 1,
-    ) -> None:
-        self.model = model
-        self._layout = layout
-        self._period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
-        self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
-        self._ring = np.zeros((HISTORY, ROWS, 3))
-        self._local = np.zeros((FORCE + 1, 3))
-        self._odometry = Odometry(self._period, model.gravity)
-        self._last: Packet | None = None
-        self._run = 0
-        self._clock, self._seen = 0.0, 0
-        self._lag, self._dt = lag, dt
-        self._plan, self._kinematics, self._upright = (
-            Plan(lag),
-            Kinematics(model.gravity),
-            Upright(dt, model.gravity),
-        )
-        self.believed = nothing(2)
+    com: NDArray[np.float64]
+    momentum: NDArray[np.float64]
+    sites: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    force: NDArray[np.float64]
+    spin: NDArray[np.float64]
 
-    def begun(self) -> "Beliefs":
-        """Return beliefs of the same robot at an episode's start."""
-        return Beliefs(
-            self.model,
-            self._layout,
-            self._period / self._join,
-            self._delay,
-            self._averaged,
-            lag=self._lag,
-            dt=self._dt,
-            joined=self._join,
-        )
 
-    @property
-    def force_bias(self) -> NDArray[np.float64]:
-        """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
-        return self._odometry.force_bias
+class Believed:
+    """What beliefs of any kind say of the reference that was found last.
+
+    Attributes:
+        believed: What the last ``sample()`` found.
+    """
+
+    believed: Reference | MomentumReference
 
     @property
     def known(self) -> bool:
@@ -143,6 +109,77 @@ class Beliefs:
         """Return what is believed, for ``info``."""
         return reference_info(self.believed)
 
+
+class Beliefs(Believed):
+    """Makes references of telemetry, on the timeline of the feet's samples.
+
+    Args:
+        model: The robot as it believes itself to be.
+        layout: What a packet holds.
+        period: Time between packets in s.
+        delay: Mean delay of the link in s, as the robot knows it.
+        averaged: Whether a sample of the IMU is the mean since the sample before.
+        lag: How many samples of the feet ago :meth:`sample` is about.
+        dt: Time between these samples in s.
+        joined: How many packets become one.
+
+    Attributes:
+        believed: What the last :meth:`sample` found.
+        layout: What a packet holds.
+        period: Time between joined packets in s.
+        dt: Time between the feet's samples in s.
+    """
+
+    believed: Reference
+
+    def __init__(
+        self,
+        model: NominalModel,
+        layout: TelemetryLayout,
+        period: float,
+        delay: float,
+        averaged: bool,
+        *,
+        lag: int = 0,
+        dt: float = 1.0 / 80.0,
+        joined: int = 1,
+    ) -> None:
+        self.model = model
+        self.layout = layout
+        self.period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
+        self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
+        self._ring = np.zeros((HISTORY, ROWS, 3))
+        self._local = np.zeros((FORCE + 1, 3))
+        self._odometry = Odometry(self.period, model.gravity)
+        self._last: Packet | None = None
+        self._run = 0
+        self._clock, self._seen = 0.0, 0
+        self._lag, self.dt = lag, dt
+        self._plan, self._kinematics, self._upright = (
+            Plan(lag),
+            Kinematics(model.gravity),
+            Upright(dt, model.gravity),
+        )
+        self.believed = nothing(2)
+
+    def begun(self) -> "Beliefs":
+        """Return beliefs of the same robot at an episode's start."""
+        return Beliefs(
+            self.model,
+            self.layout,
+            self.period / self._join,
+            self._delay,
+            self._averaged,
+            lag=self._lag,
+            dt=self.dt,
+            joined=self._join,
+        )
+
+    @property
+    def force_bias(self) -> NDArray[np.float64]:
+        """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
+        return self._odometry.force_bias
+
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.join(packets):
@@ -155,17 +192,19 @@ class Beliefs:
             if packet is not None:
                 yield packet
 
-    def take(self, packet: Packet) -> None:
-        """Take in one joined packet."""
+    def take(self, packet: Packet) -> Posture | None:
+        """Take in one joined packet; return the posture since the last one, ``None`` if one is missing."""
         self._synchronise(packet)
-        if self._last is not None and packet.number == self._last.number + 1:
-            self._run += 1
-            self._posture(self._last.values, packet.values, packet.number)
-            if self._run >= 3:
-                self._differentiate(packet.number)
-        else:
+        before, self._last = self._last, packet
+        if before is None or packet.number != before.number + 1:
             self._run = 0
-        self._last = packet
+            return None
+        self._run += 1
+        posture = self._find_posture(before.values, packet.values)
+        self._keep(posture, packet.number)
+        if self._run >= 3:
+            self._differentiate(packet.number)
+        return posture
 
     def _combine(self, packet: Packet) -> Packet | None:
         """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
@@ -177,7 +216,7 @@ class Beliefs:
         if part != self._parts:
             self._parts = self._join
             return None
-        where, values = self._layout, packet.values
+        where, values = self.layout, packet.values
         measured = (*values[where.accelerometer].tolist(), *values[where.gyroscope].tolist())
         self._sum = tuple(a + b for a, b in zip(self._sum, measured, strict=True))
         self._parts += 1
@@ -191,19 +230,24 @@ class Beliefs:
     def _synchronise(self, packet: Packet) -> None:
         """Average the packets' lateness: the time on the host's clock at which number 0 left."""
         self._seen += 1
-        left = packet.arrival - self._delay - packet.number * self._period
+        left = packet.arrival - self._delay - packet.number * self.period
         self._clock += (left - self._clock) * max(1.0 / self._seen, 1.0 / CLOCK_MEMORY)
 
-    def _posture(self, before: NDArray[np.float64], after: NDArray[np.float64], number: int) -> None:
-        """Fill the row at the middle between two packets."""
-        where, period = self._layout, self._period
+    def _find_posture(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> Posture:
+        """Find the posture at the middle between two packets."""
+        where, period = self.layout, self.period
         start, end = before[where.joint_position], after[where.joint_position]
         if self._averaged:
             force, spin = after[where.accelerometer], after[where.gyroscope]
         else:
             force = 0.5 * (before[where.accelerometer] + after[where.accelerometer])
             spin = 0.5 * (before[where.gyroscope] + after[where.gyroscope])
-        com, momentum, sites, axes = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
+        posture = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
+        return Posture(*posture, force, spin)
+
+    def _keep(self, posture: Posture, number: int) -> None:
+        """Fill the row at the middle between a packet and the one before."""
+        com, momentum, sites, axes, force, spin = posture
         R_odometry_torso = self._odometry.turn(spin, force, sites, axes)
         local = self._local
         local[COM] = com
@@ -218,7 +262,7 @@ class Beliefs:
 
     def _differentiate(self, number: int) -> None:
         """Fill in the rates one middle before a packet's, from its neighbours."""
-        ring, period = self._ring, self._period
+        ring, period = self._ring, self.period
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
         acceleration = row[FORCE] + (bent[COM] - bent[IMU]) / period**2
@@ -298,7 +342,7 @@ class Beliefs:
         if last is None or self._run < 1 + SLOPE:
             return np.array([(0.0, 0.0, 1.0, 0.0)] * 2)
         newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - SLOPE) % HISTORY]
-        ahead = (time - self._middle(last.number)) / self._period
+        ahead = (time - self._middle(last.number)) / self.period
         ahead = min(max(ahead, 0.0), FURTHEST) / SLOPE
         rows = newest[_POSES]
         rows = rows + ahead * (rows - before[_POSES])
@@ -313,19 +357,30 @@ class Beliefs:
 
     def _middle(self, number: int) -> float:
         """Time on the host's clock of the middle between a packet and the one before."""
-        return self._clock + (number - 0.5) * self._period
+        return self._clock + (number - 0.5) * self.period
 
     def _at(self, time: float) -> NDArray[np.float64]:
         """Interpolate the rows that are complete, shape (ROWS, 3); at their ends, take the end."""
         last = self._last
         assert last is not None
         low, high = last.number - min(self._run, HISTORY - 1) + 2, last.number - 1
-        index = (time - self._clock) / self._period + 0.5
+        return self.interpolate(self._ring, time, low, high)
+
+    def interpolate(self, ring: NDArray[np.float64], time: float, low: int, high: int) -> NDArray[np.float64]:
+        """Return what a ring of rows, of the middles before packets, holds at a moment.
+
+        Args:
+            ring: A row for each of the last packets by number, shape (HISTORY, ...).
+            time: The moment in s of the host's clock.
+            low: Number of the first row to use.
+            high: Number of the last.
+        """
+        index = (time - self._clock) / self.period + 0.5
         index = min(max(index, low), high)
         number = min(floor(index), high - 1) if high > low else low
-        row = self._ring[number % HISTORY]
+        row = ring[number % HISTORY]
         part = index - number
-        rows: NDArray[np.float64] = row + part * (self._ring[(number + 1) % HISTORY] - row)
+        rows: NDArray[np.float64] = row + part * (ring[(number + 1) % HISTORY] - row)
         return rows
 
 

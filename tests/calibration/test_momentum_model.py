@@ -120,7 +120,7 @@ def test_the_momentum_about_another_point():
         P, H, step = rng.normal(size=(3, 3))
         x = np.zeros(columns.size)
         x[columns.momentum] = [P[2], H[0], H[1], P[0], P[1], H[2]][: columns.components]
-        transition, added = made.moved(x, step, P * GRAVITY)
+        transition, added = made.move(step, P * GRAVITY)
         moved = H - np.cross(step, P)
         expected = [P[2], moved[0], moved[1], P[0], P[1], moved[2]][: columns.components]
         np.testing.assert_allclose((transition @ x + added)[columns.momentum], expected, atol=1e-12)
