@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 Array = Any
 """A NumPy array, or a NumPy number where its shape is (); GPU modules hold tensors in the same records."""
 
+MAD_TO_STD = 1.4826
+"""Standard deviations in a median absolute deviation of normal noise."""
+
 
 def in_a_row(*widths: int) -> Iterator[slice]:
     """Yield the slices of parts of these widths, side by side.

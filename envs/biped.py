@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
-from surefoot.envs.instrumentation.truth import mean_truth
+from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import FeetObserver, Observation, Places
 from surefoot.envs.options import checked_action, positive

@@ -10,7 +10,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, turned
-from surefoot.envs.instrumentation.truth import FootPlaces, centres, pressed
+from surefoot.envs.instrumentation.means import FootPlaces
+from surefoot.envs.instrumentation.truth import centres, pressed
 from surefoot.envs.numbers import ONE, Number, Numbers
 
 Observation = dict[str, NDArray[Any]]

@@ -56,7 +56,7 @@ class SampleHistory(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         self.keys = tuple(keys)
         self._back = [round(i * period / dt) for i in reversed(range(samples))]
         self._seen: deque[dict[str, NDArray[Any]]] = deque(maxlen=self._back[0] + 1)
-        stacked = {key: _stacked(space[key], samples) for key in self.keys}
+        stacked = {key: _stack(space[key], samples) for key in self.keys}
         self.observation_space = spaces.Dict(dict(space.spaces) | stacked)
 
     def reset(
@@ -79,7 +79,7 @@ class SampleHistory(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         return observation | {key: np.stack([row[key] for row in rows]) for key in self.keys}
 
 
-def _stacked(space: spaces.Space[Any], samples: int) -> spaces.Space[Any]:
+def _stack(space: spaces.Space[Any], samples: int) -> spaces.Space[Any]:
     if isinstance(space, spaces.Box):
         low, high = (np.repeat(end[None], samples, axis=0) for end in (space.low, space.high))
         return spaces.Box(low, high, dtype=space.dtype)

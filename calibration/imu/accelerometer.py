@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
@@ -53,9 +54,6 @@ _ROUNDS, _SETTLED = 10, 0.01
 
 _HUBER = 1.345
 """Deviations beyond which samples pull no harder: 95 % efficient for normal noise (Huber, 1964)."""
-
-_MAD_TO_STD = 1.4826
-"""Standard deviations in a median absolute deviation of normal noise."""
 
 _LEAST_SPREAD = 1e-4
 """Spread of the readings about the ellipsoid, over gravity, at least: data without noise have none."""
@@ -252,7 +250,7 @@ def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[n
 def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
     """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
-    return max(float(_MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
+    return max(float(MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
 
 
 def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:

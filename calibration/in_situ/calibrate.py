@@ -39,7 +39,7 @@ from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.gravity import fit_sphere, level, synchronise
-from surefoot.calibration.in_situ.hypotheses import explained
+from surefoot.calibration.in_situ.hypotheses import name_cause
 from surefoot.calibration.in_situ.judge import (
     check_masses,
     check_rotation,
@@ -170,7 +170,7 @@ def _answer(task: Task, accept: str) -> InSituFit:
         first = decide(door, accept)
         if first.refused:
             return refused(task.sets, first.refused)
-        solved = _solved(task, door)
+        solved = _solve(task, door)
         fit = fit_of(task, solved)
     except (CalibrationRefused, np.linalg.LinAlgError) as error:
         return refused(task.sets, (_without_answer(error, accept),))
@@ -178,7 +178,7 @@ def _answer(task: Task, accept: str) -> InSituFit:
     drift = next((one for one in findings if one.name in _DRIFTS), None)
     worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
     if worst is not None:
-        findings[findings.index(worst)] = _explained(worst, task, solved, drift)
+        findings[findings.index(worst)] = _name_cause(worst, task, solved, drift)
     decision = decide(findings, accept)
     if decision.refused:
         return refused(task.sets, decision.refused)
@@ -199,7 +199,7 @@ def _without_answer(error: CalibrationRefused | np.linalg.LinAlgError, accept: s
     )
 
 
-def _solved(task: Task, findings: list[Finding]) -> Solved:
+def _solve(task: Task, findings: list[Finding]) -> Solved:
     """Return the solutions of a task with all that they are to explain; findings go on."""
     options = task.options
     sphere = fit_sphere(task.sets)
@@ -270,10 +270,10 @@ def _contradicting_factory(
     return found
 
 
-def _explained(symptom: Finding, task: Task, solved: Solved, drift: Finding | None) -> Finding:
+def _name_cause(symptom: Finding, task: Task, solved: Solved, drift: Finding | None) -> Finding:
     """Return a symptom with its likeliest cause."""
     try:
-        return explained(symptom, _evidence(task, solved.sets), drift)
+        return name_cause(symptom, _evidence(task, solved.sets), drift)
     except np.linalg.LinAlgError:
         return symptom
 

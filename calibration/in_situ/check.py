@@ -115,7 +115,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
 
 def check_gravity(sets: Sequence[InSituSet], sphere: Sphere) -> list[Finding]:
     """Return what the length of gravity says of the accelerometer, and of a limb that was not at rest."""
-    found = [Finding("accelerometer", words, refuses=False) for words in sphere.told()]
+    found = [Finding("accelerometer", words, refuses=False) for words in sphere.describe()]
     if any(data.moves for data in sets) or sphere.spread <= _SPEEDING * GRAVITY:
         return found
     reason = (
@@ -289,7 +289,7 @@ def check_within(
         if left > (options.residual_tolerance if data.time is not None else _NOISY):
             share = bending(part)
             bends = share > _MOST_BENDS * left
-            found.append(_bends(data, share, 0.0) if bends else _unexplained(data, part, left))
+            found.append(_bends(data, share, 0.0) if bends else _large_residual(data, part, left))
     return found
 
 
@@ -358,7 +358,7 @@ def bending(part: CompressedSet) -> float:
     return _share_of_spread(explained - chance, part)
 
 
-def _unexplained(data: InSituSet, part: CompressedSet, share: float) -> Finding:
+def _large_residual(data: InSituSet, part: CompressedSet, share: float) -> Finding:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
     worst = np.zeros_like(part.used)
     worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True

@@ -299,8 +299,8 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: f
     J = solution.jacobian * scale
     data, prior = J[:of_data], J[of_data:]
     squares = data.T @ data
-    asked = _asked(problem, channels, inputs, len(squares))
-    values, vectors = np.linalg.eigh(_of_asked(squares, asked))
+    asked = _find_answered(problem, channels, inputs, len(squares))
+    values, vectors = np.linalg.eigh(_marginal(squares, asked))
     weak = values < (1.0 / tolerance) ** 2
     taking = np.zeros(len(squares), dtype=np.bool_)
     taking[asked] = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
@@ -323,7 +323,7 @@ def _variance(squares: Matrix, outputs: Matrix) -> Vector:
     return np.asarray((outputs @ vectors) ** 2 @ (1.0 / (np.maximum(values, 0.0) + 1.0 / _UNKNOWN**2)))
 
 
-def _asked(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[np.bool_]:
+def _find_answered(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[np.bool_]:
     """Return which unknowns an answer holds: neither loops nor the limb's inertia, shape (count,)."""
     asked = np.ones(count, dtype=np.bool_)
     response, limb = np.split(asked, [channels * inputs])
@@ -332,8 +332,8 @@ def _asked(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[
     return asked
 
 
-def _of_asked(squares: Matrix, asked: NDArray[np.bool_]) -> Matrix:
-    """Return the information on what is asked, whatever the rest may be, shape (q, q)."""
+def _marginal(squares: Matrix, asked: NDArray[np.bool_]) -> Matrix:
+    """Return the information on some unknowns with the others integrated out, shape (q, q)."""
     own = squares[np.ix_(~asked, ~asked)]
     across = squares[np.ix_(~asked, asked)]
     rest = np.linalg.solve(own + np.eye(len(own)) / _UNKNOWN**2, across)

@@ -35,7 +35,7 @@ class Finding:
         """The finding as an error to raise."""
         return CalibrationRefused(self.reason, self.cure)
 
-    def explained(self, likeliest: str, cure: str) -> "Finding":
+    def with_cause(self, likeliest: str, cure: str) -> "Finding":
         """Return the finding with its likeliest cause, in words, and what to do about that."""
         return replace(self, reason=f"{self.reason} {likeliest}", cure=cure)
 

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ.covariance import OpenErrors
 from surefoot.calibration.in_situ.data import InSituSet
@@ -86,9 +87,6 @@ _LEAST = 1e-4
 _GATE = 3.0
 """Deviations beyond which a sample pulls no harder."""
 
-_MAD_TO_STD = 1.4826
-"""Standard deviations in a median absolute deviation of normal noise."""
-
 _ROUNDS = 12
 
 _SIGMAS = 3.0
@@ -130,7 +128,7 @@ class Sphere:
     noise: float
     spread: float
 
-    def told(self) -> tuple[str, ...]:
+    def describe(self) -> tuple[str, ...]:
         """Return in words what was corrected, if it is more than chance."""
         words = []
         if self.scale != 1.0:
@@ -167,7 +165,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         size = np.linalg.norm(v, axis=1)
         off = size - x[3]
         towards = v / np.maximum(size, np.finfo(float).tiny)[:, None]
-        noise = max(float(_MAD_TO_STD * np.median(np.abs(off))), _LEAST)
+        noise = max(float(MAD_TO_STD * np.median(np.abs(off))), _LEAST)
         weight = 1.0 / np.maximum(1.0, np.abs(off) / (_GATE * noise))
         variance = max(float(np.average(off**2, weights=weight)), _LEAST**2) * _long_run(off, blocks)
         slopes = np.column_stack([-towards, -np.ones(len(g)), np.einsum("na,nab->nb", towards, K)])

@@ -32,7 +32,7 @@ from surefoot.calibration.in_situ.model import (
 from surefoot.calibration.in_situ.solve import Problem, Solution, minima, solve
 from surefoot.calibration.in_situ.starts import starts
 
-__all__ = ["Likely", "deviance", "explained", "likeliest", "whitened"]
+__all__ = ["Likely", "deviance", "likeliest", "name_cause", "whitened"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -105,7 +105,7 @@ def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
     return found
 
 
-def explained(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
+def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
     """Return a symptom with what likeliest lies behind it; the symptom itself if no cause explains it.
 
     Args:
@@ -114,7 +114,7 @@ def explained(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Fi
         drift: What may hide behind a drift, or None.
     """
     if drift is not None:
-        symptom = symptom.explained(drift.reason, drift.cure)
+        symptom = symptom.with_cause(drift.reason, drift.cure)
     found = likeliest(evidence)
     if not found:
         return symptom
@@ -125,7 +125,7 @@ def explained(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Fi
     cure = found[0].cause.cure
     if drift is not None:
         cure += f" If that is not it: {symptom.cure}"
-    return symptom.explained(f"Likeliest: {'; then '.join(named)}.", cure)
+    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
 
 
 def _percent(share: float) -> str:
@@ -170,19 +170,19 @@ def _masses(evidence: Evidence) -> Iterator[Cause]:
                 yield _cause(fitted, f"{words}, and nothing was given", 4, count)
             continue
         first = given * np.concatenate([[1.0], place])
-        fitted = _with_added(evidence, j, np.zeros(1), partial(_scaled, first))
+        fitted = _with_added(evidence, j, np.zeros(1), partial(_scale, first))
         words = f"the added mass of '{data.name}' is {given * (1.0 + fitted.x[0]):.3f} kg"
         yield _cause(fitted, f"{words}, and {given:.3f} kg was given", 1, count)
-        fitted = _with_added(evidence, j, np.zeros(3), partial(_shifted, first))
+        fitted = _with_added(evidence, j, np.zeros(3), partial(_shift, first))
         words = f"the added mass of '{data.name}' hangs at {_at(place + fitted.x)} m"
         yield _cause(fitted, f"{words}, and {_at(place)} was given", 3, count)
 
 
-def _scaled(first: Vector, x: Vector) -> Vector:
+def _scale(first: Vector, x: Vector) -> Vector:
     return np.asarray(first * (1.0 + x[0]))
 
 
-def _shifted(first: Vector, x: Vector) -> Vector:
+def _shift(first: Vector, x: Vector) -> Vector:
     return np.concatenate([first[:1], first[1:] + first[0] * x])
 
 

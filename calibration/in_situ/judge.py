@@ -266,7 +266,7 @@ def check_masses(
     for j in range(len(added)) if np.max(off) > _SLIGHT * options.mass_tolerance else ():
         changes = np.zeros((STATIC, *problem.added.shape))
         changes[:, j, :STATIC] = np.eye(STATIC)
-        step, explained = _explained(problem, solution, changes)
+        step, explained = _explain(problem, solution, changes)
         changed = added.copy()
         changed[j] += step
         amount = float(np.max(_disagreement(problem, changed)))
@@ -274,7 +274,7 @@ def check_masses(
             return [contradiction]
     if problem.rotation:
         return []
-    turn, explained = _explained(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
+    turn, explained = _explain(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
     angle = float(np.linalg.norm(turn))
     if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * left / freedom:
         return []
@@ -295,7 +295,7 @@ def _turn(added: Matrix, axis: Vector) -> Matrix:
     return change
 
 
-def _explained(problem: Problem, solution: Solution, changes: NDArray[np.float64]) -> tuple[Vector, float]:
+def _explain(problem: Problem, solution: Solution, changes: NDArray[np.float64]) -> tuple[Vector, float]:
     """Return the step along changes of what was added, (q, J, p), that fits best, and what it explains."""
     slopes = np.stack([added_slope(problem, solution, change) for change in changes], axis=1)
     rows = solution.residual.ravel()

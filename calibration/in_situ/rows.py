@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.in_situ.data import InSituSet
 
 __all__ = ["FLOOR", "SetRows", "disagreeing", "means", "rows_of"]
@@ -27,9 +28,6 @@ _ROUNDS = 12
 
 _SETTLED = 1e-3
 """... until they change by less than this."""
-
-_MAD_TO_STD = 1.4826
-"""Standard deviations in a median absolute deviation of normal noise."""
 
 _ROWS, _ROWS_MOVING = 2000, 200
 """Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
@@ -188,7 +186,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     for i in range(_ROUNDS):
         root = weight[:, None]
         residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
-        deviation = np.maximum(_MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
+        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
         distance = np.sum((residual / deviation) ** 2, axis=1)
         if i == 0 and not (distance > limit).any():
             break

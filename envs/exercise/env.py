@@ -15,9 +15,10 @@ from surefoot.envs.biped import BipedEnv
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
 from surefoot.envs.exercise.motion import Motion, plan_motion
+from surefoot.envs.instrumentation.means import foot_places
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.envs.instrumentation.spec import Instrumentation
-from surefoot.envs.instrumentation.truth import FeetTruth, foot_places
+from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation, Places
 from surefoot.envs.options import check_render_mode, checked_range, positive

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.feet import check_names
 from surefoot.envs.instrumentation.made import make
+from surefoot.envs.instrumentation.means import foot_places, mean_truth
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
 from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
 from surefoot.envs.instrumentation.trial import find_notice
-from surefoot.envs.instrumentation.truth import foot_places, mean_truth
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -33,7 +33,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     end. :attr:`untouched` says why, and a warning says so once.
 
     ``info["surefoot"]["truth"]`` holds means over the control step, see
-    :func:`~surefoot.envs.instrumentation.truth.mean_truth`.
+    :func:`~surefoot.envs.instrumentation.means.mean_truth`.
 
     Args:
         env: An environment whose ``unwrapped`` has ``model`` and ``data``, such as Gymnasium's ``MujocoEnv``.

@@ -134,7 +134,7 @@ class NaoEnv(BipedEnv):
     ## Info
 
     ``info["surefoot"]["truth"]`` holds means over the step, see
-    :func:`~surefoot.envs.instrumentation.truth.mean_truth`; observation and reward are of its end.
+    :func:`~surefoot.envs.instrumentation.means.mean_truth`; observation and reward are of its end.
     ``unwrapped.truth`` has all of the step's substeps and more.
 
     Args:

@@ -16,8 +16,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.envs.instrumentation.means import FootPlaces
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.envs.instrumentation.truth import FootPlaces, SensedColumns, centre_of_pressure, cross
+from surefoot.envs.instrumentation.truth import SensedColumns, centre_of_pressure, cross
 from surefoot.envs.observation import Places
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 

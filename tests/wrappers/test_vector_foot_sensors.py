@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import surefoot  # noqa: F401
-from surefoot.envs.instrumentation.truth import foot_places, mean_truth
+from surefoot.envs.instrumentation.means import foot_places, mean_truth
 from surefoot.sensors import LoadCells, Wire, preset
 from surefoot.wrappers import FootSensors
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors

@@ -28,7 +28,7 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
     robot is read as :class:`~surefoot.wrappers.FootSensors` reads it alone.
 
     ``infos["surefoot"]["truth"]`` holds (N, ...) arrays
-    (:func:`surefoot.envs.instrumentation.truth.mean_truth`).
+    (:func:`surefoot.envs.instrumentation.means.mean_truth`).
 
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
     hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh

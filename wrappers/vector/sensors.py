@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.envs.instrumentation.truth import mean_truth
+from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
@@ -190,7 +190,7 @@ class BatchSensors:
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.truth.mean_truth`."""
+        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.means.mean_truth`."""
         return mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
 
     def true_parameters(self) -> Parameters:

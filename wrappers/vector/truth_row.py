@@ -18,8 +18,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
+from surefoot.envs.instrumentation.means import FootPlaces, foot_places
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
-from surefoot.envs.instrumentation.truth import FootPlaces, foot_places
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
