@@ -5,6 +5,7 @@ teaches nothing, and what the robot's momentum is begins anew behind it.
 """
 
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from surefoot.calibration.momentum.columns import (
 )
 from surefoot.calibration.momentum.config import MomentumConfig
 from surefoot.calibration.momentum.health import (
+    LEAST_ROW,
+    MOST_LOAD,
+    HealthConstants,
     contact_probability,
     map_covariance,
     normalised,
@@ -29,6 +33,7 @@ from surefoot.calibration.momentum.model import Model, Rows
 from surefoot.calibration.momentum.modes import (
     FIRST_CHANCE,
     FREE,
+    MODE_CONSTANTS,
     MODES,
     begin,
     learn,
@@ -37,8 +42,14 @@ from surefoot.calibration.momentum.modes import (
     weigh_modes,
     wrench_variance,
 )
-from surefoot.calibration.momentum.motion import Track, follow_accelerations, follow_momentum, plausible
-from surefoot.calibration.momentum.severity import Severity
+from surefoot.calibration.momentum.motion import (
+    MotionConstants,
+    Track,
+    follow_accelerations,
+    follow_momentum,
+    plausible,
+)
+from surefoot.calibration.momentum.severity import Severity, Weighed
 from surefoot.calibration.momentum.state import (
     Belief,
     Block,
@@ -82,6 +93,32 @@ HELD_CHANCE = 0.9
 """Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
 
 
+class FilterConstants(NamedTuple):
+    """Constants of the stream, by their names in C; options and module constants say what they are.
+
+    Attributes:
+        capacity: Most samples of a block.
+        first_variance: Variances at the start, shape (N,).
+        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
+    """
+
+    capacity: int
+    first_variance: Array
+    walk: Array
+    block: float
+    mass_std: float
+    shares_time: float = SHARES_TIME
+    kept_time: float = KEPT_TIME
+    longest_pause: float = LONGEST_PAUSE
+    product_time: float = PRODUCT_TIME
+    largest_error: float = LARGEST_ERROR
+    noise_share: float = NOISE_SHARE
+    largest_noise: float = LARGEST_NOISE
+    largest_surprise: float = LARGEST_SURPRISE
+    least_read: float = LEAST_READ
+    held_chance: float = HELD_CHANCE
+
+
 class MomentumFilter:
     """The momentum filter for one setup: pure functions that share constants.
 
@@ -93,6 +130,8 @@ class MomentumFilter:
         setup: The same.
         config: The same.
         columns: The unknowns.
+        front_end: The way of a sample.
+        faults: What finds faults of channels.
     """
 
     def __init__(self, setup: OnlineSetup, config: MomentumConfig) -> None:
@@ -101,22 +140,32 @@ class MomentumFilter:
         self._channels, self._feet = layout.channels, len(layout.feet)
         self.columns = columns = Columns.of(layout)
         self._spread = spread = Spread.of(setup, config)
-        self._front_end = FrontEnd(setup, imu=False, momentum=True)
+        self.front_end = FrontEnd(setup, imu=False, momentum=True)
         self._model = Model(setup, config, columns)
         self._tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
         six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
         # The words of a six-axis sensor come together: one that leaps away alone is a landing.
         leap = np.inf if six_axis else max(LEAP, LEAP_RATE * setup.dt)
         change = np.array([config.com_std / setup.length] * 2 + [config.mass_std])
-        self._faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
+        self.faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
         self._samples = SampleColumns.of(self._channels, self._feet)
         self._capacity = ceil(config.block / setup.dt) + ceil(LONGEST_GAP)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
+        self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
+
+    @property
+    def constants(self) -> tuple[NamedTuple, ...]:
+        """All constants as records, of which each field has the name that it has in C."""
+        config = self.config
+        own = FilterConstants(self._capacity, self._first_variance, self._walk, config.block, config.mass_std)
+        health = HealthConstants(MOST_LOAD, LEAST_ROW, self._reading_noise)
+        parts = self._model.constants, self._tare.constants, self._severity.constants
+        return own, *parts, health, MODE_CONSTANTS, MotionConstants()
 
     def init(self, raw: Array) -> MomentumState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
-        front, columns, feet = self._front_end.init(raw), self.columns, self._feet
+        front, columns, feet = self.front_end.init(raw), self.columns, self._feet
         means, covariances = [], []
         for mode in MODES:
             mean, covariance = self._first_mean.copy(), np.diag(self._first_variance)
@@ -126,13 +175,13 @@ class MomentumFilter:
             covariances.append(covariance)
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
         drifted = np.zeros(2)
-        published = self._publish(belief, drifted)
+        published = self._weigh(belief, drifted).publish(belief.chance)
         zero = np.zeros(self._channels)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentumState(
             front=front,
             track=Track.begin(front.motion),
-            faults=self._faults.init(resting),
+            faults=self.faults.init(resting),
             pending=np.zeros((self._capacity, self._samples.dt.stop)),
             before=np.zeros(self._samples.dt.stop),
             waiting=-1,
@@ -169,10 +218,10 @@ class MomentumFilter:
 
         def repair(force: Array, read: Array) -> tuple[Array, Array]:
             nonlocal faults, kinds
-            faults, force, sure, kinds = self._faults.sample(state.faults, force, read, scale)
+            faults, force, sure, kinds = self.faults.sample(state.faults, force, read, scale)
             return force, sure
 
-        front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
+        front, sample = self.front_end.observe(state.front, raw, reference, dt, repair)
         state = state._replace(front=front, faults=faults)
         if sample.gap and 0.0 < dt < np.inf:
             state = self._age(state, min(dt, LONGEST_PAUSE))
@@ -193,12 +242,12 @@ class MomentumFilter:
 
     def _collect(self, state: MomentumState, sample: Sample, momentum: bool, dt: float) -> MomentumState:
         """Put a sample to those that wait."""
-        columns, mass = self._front_end.motions.columns, self.setup.mass
+        columns, mass = self.front_end.motions.columns, self.setup.mass
         if momentum:
             track, pose = follow_momentum(state.track, sample.motion, columns, mass)
         else:
             track, pose = follow_accelerations(state.track, sample.motion, columns, mass, sample.stance, dt)
-            if not self._front_end.motions.ground(sample.motion)[2]:
+            if not self.front_end.motions.ground(sample.motion)[2]:
                 return self._break(state)
         if not plausible(track):
             return self._break(state)
@@ -239,7 +288,7 @@ class MomentumFilter:
         samples = state.pending[: state.waiting]
         block = Block.of(state.before, samples, self._samples, self._feet)
         state = self._age(state, block.duration)
-        faults = self._faults.silent(state.faults, block.force * self.setup.weight, block.read)
+        faults = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
         if (faults.lost > state.faults.lost).any():
             # What was learnt of late was learnt from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
@@ -259,8 +308,9 @@ class MomentumFilter:
         rows = self._model.rows(block, published, self._product(state, tare))
         if not state.linked:
             belief = self._begin_momentum(belief, rows)
-            nis = np.nan
+            weighed, nis = self._weigh(belief, state.drifted), np.nan
         else:
+            columns = self.columns
             transition, added = self._model.move(rows.point - state.point, block.velocity.mean(axis=0))
             belief = belief._replace(
                 mean=belief.mean @ transition.T + added,
@@ -271,11 +321,13 @@ class MomentumFilter:
             if abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration:
                 state = state._replace(linked=0, status=int(Flag.REJECTED))
                 return self._rest(state, block, good=False), np.nan, 0.0
-            mixed = mix(belief, rows, self.columns, block.duration, self.config.mass_std)
-            step = learn(mixed, rows, state.noise, self.columns, block.duration)
-            evidence = step.likelihood + self._evidence(step.belief, state.drifted)
-            evidence = evidence - self._evidence(mixed, state.drifted)
-            belief = step.belief._replace(chance=weigh_modes(mixed.chance, evidence))
+            mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
+            step = learn(mixed, rows, state.noise, columns, block.duration)
+            before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
+            before = before + load_evidence(mixed, columns)
+            belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
+            after = step.likelihood + weighed.evidence + load_evidence(belief, columns)
+            belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
             nis = normalised(step.innovation, step.stated)
             state = state._replace(
                 noise=self._follow_noise(state.noise, step.innovation, step.expected, rows, belief.chance[0])
@@ -283,7 +335,7 @@ class MomentumFilter:
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
-        publication = self._publish(belief, state.drifted)
+        publication = weighed.publish(belief.chance)
         held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
         state = state._replace(
             belief=belief,
@@ -309,7 +361,7 @@ class MomentumFilter:
     def _rest(self, state: MomentumState, block: Block, good: bool) -> MomentumState:
         """Keep what is known now and then, and learn how cells share loads."""
         a, b = self._line(state)
-        faults = self._faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
+        faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept
         if kept.age + block.duration >= KEPT_TIME:
             kept = Kept(kept.next_belief, kept.next_published, state.belief, state.published, 0.0)
@@ -338,13 +390,9 @@ class MomentumFilter:
         surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
         return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
 
-    def _evidence(self, belief: Belief, drifted: Array) -> Array:
-        """Return the logarithmic evidence of what modes hold against the wide prior alone, shape (J,)."""
-        weighed = self._severity.weigh(belief.mean, belief.covariance, drifted)
-        return weighed.evidence + load_evidence(belief, self.columns)
-
-    def _publish(self, belief: Belief, drifted: Array) -> Publication:
-        return self._severity.weigh(belief.mean, belief.covariance, drifted).publish(belief.chance)
+    def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
+        """Return what modes hold under all severities."""
+        return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
     def _map_covariance(self, published: Publication) -> Array:
         return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)
@@ -365,7 +413,7 @@ class MomentumFilter:
         force, ahead = (
             None if part is None else faults.spare @ (a * part + b) for part in (sample.force, sample.ahead)
         )
-        estimate = self._front_end.report(sample, force, c, d, kinds | state.status, None, ahead)
+        estimate = self.front_end.report(sample, force, c, d, kinds | state.status, None, ahead)
         learnt = state.covariance
         return estimate._replace(
             **uncertainty(estimate, sample, learnt, faults.spare, faults.spare_std),
@@ -374,7 +422,7 @@ class MomentumFilter:
             undetermined=state.published.undetermined,
             contact_probability=contact_probability(
                 estimate.vgrf, sample.rows[:, 0], learnt, sample.force,
-                self.config.tare_noise * np.sqrt(NOISE_TIME / setup.dt) * setup.weight, setup.weight,
+                self._reading_noise, setup.weight,
             ),
         )  # fmt: skip
 

@@ -1,5 +1,7 @@
 """How sure the estimates are: of forces, of the centre of pressure, of contact, and of the filter itself."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import ndtr
 
@@ -14,6 +16,20 @@ MOST_LOAD = 1.5
 
 LEAST_ROW = 1e-6
 """What a foot sees of the vertical at least, squared: a sole that stands on its edge sees nothing."""
+
+
+class HealthConstants(NamedTuple):
+    """Constants of estimates, by their names in C.
+
+    Attributes:
+        most_load: :data:`MOST_LOAD`.
+        least_row: :data:`LEAST_ROW`.
+        reading_noise: Standard deviation of a channel's reading in N.
+    """
+
+    most_load: float
+    least_row: float
+    reading_noise: float
 
 
 def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:

@@ -60,6 +60,22 @@ class Rows(NamedTuple):
     height: float
 
 
+class ModelConstants(NamedTuple):
+    """Constants of the rows, by their names in C.
+
+    Attributes:
+        velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
+        spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
+        ripple: As of :class:`~surefoot.calibration.momentum.config.MomentumConfig`.
+        least_load: :data:`LEAST_LOAD`.
+    """
+
+    velocity_variance: Array
+    spin_variance: float
+    ripple: float
+    least_load: float
+
+
 class Model:
     """The rows of one setup.
 
@@ -76,6 +92,11 @@ class Model:
         self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
         self._spin = config.momentum_noise**2
         self._ripple = config.ripple
+
+    @property
+    def constants(self) -> ModelConstants:
+        """Constants, by their names in C."""
+        return ModelConstants(self._velocity, self._spin, self._ripple, LEAST_LOAD)
 
     def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.

@@ -51,6 +51,25 @@ class Weighed(NamedTuple):
         return Publication(mean, covariance, np.clip(chance @ self.undetermined, 0.0, 1.0))
 
 
+class SeverityConstants(NamedTuple):
+    """Constants of priors, by their names in C; module constants of such names say what they are.
+
+    Attributes:
+        spread_scale, spread_offset, spread_com, unit: As of
+            :class:`~surefoot.calibration.momentum.columns.Spread`.
+    """
+
+    spread_scale: Array
+    spread_offset: Array
+    spread_com: Array
+    unit: Array
+    severities: tuple[float, ...] = SEVERITIES
+    likely: tuple[float, ...] = LIKELY
+    wide: float = WIDE
+    smallest_drift: float = SMALLEST_DRIFT
+    least_share: float = LEAST_SHARE
+
+
 class Severity:
     """Weighs priors for one setup.
 
@@ -88,6 +107,16 @@ class Severity:
         )
         return np.concatenate(parts, axis=1)
 
+    @property
+    def constants(self) -> SeverityConstants:
+        """Constants, by their names in C."""
+        spread = self._spread
+        return SeverityConstants(spread.scale, spread.offset, spread.com, spread.unit)
+
+    def evidence(self, mean: Array, covariance: Array, drifted: Array) -> Array:
+        """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
+        return _total(self._compare(mean, covariance, drifted).evidence)
+
     def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Weighed:
         """Return the posteriors under all severities together.
 
@@ -96,7 +125,23 @@ class Severity:
             covariance: Theirs, shape (J, N, N).
             drifted: As of :meth:`prior`.
         """
-        of, K = self._columns.weighed, self._spread.scale.size
+        K = self._spread.scale.size
+        std, prior, precision, found, evidence = self._compare(mean, covariance, drifted)
+        V = np.linalg.inv(precision)
+        weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        parts = [combine(*one) for one in zip(weight, found, V, strict=True)]
+        mixed, within = (np.stack(part) for part in zip(*parts, strict=True))
+        return Weighed(
+            evidence=_total(evidence),
+            mean=self._start + std * mixed,
+            covariance=0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std),
+            undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
+        )
+
+    def _compare(self, mean: Array, covariance: Array, drifted: Array) -> "_Compared":
+        """Hold all severities against the data; arguments as of :meth:`weigh`."""
+        of = self._columns.weighed
         wide = np.array([WIDE**2])
         std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1] / WIDE**2]))[0])
         # In standard deviations of the wide prior, which is 1 there.
@@ -111,23 +156,36 @@ class Severity:
         at = np.arange(len(std))
         precision = np.repeat(precision, len(prior), axis=1)
         precision[..., at, at] += 1.0 / prior
-        V = np.linalg.inv(precision)
-        found = np.einsum("jsmn,jn->jsm", V, pull)
+        found = np.linalg.solve(precision, pull[:, None, :, None])[..., 0]
         evidence = 0.5 * (
             np.einsum("jsm,jm->js", found, pull) - np.linalg.slogdet(precision)[1] - np.log(prior).sum(axis=1)
         )
         # Under the wide prior itself, against which the others are weighed.
         known = 1.0 + information
         mine = 0.5 * np.where(informed, (off / share) ** 2 / known - np.log(known), 0.0).sum(axis=1)
-        evidence = evidence + self._likely - mine[:, None]
-        weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        total = evidence.max(axis=1) + np.log(weight.sum(axis=1))
-        weight = weight / weight.sum(axis=1, keepdims=True)
-        parts = [combine(*one) for one in zip(weight, found, V, strict=True)]
-        mixed, within = (np.stack(part) for part in zip(*parts, strict=True))
-        return Weighed(
-            evidence=total,
-            mean=self._start + std * mixed,
-            covariance=0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std),
-            undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
-        )
+        return _Compared(std, prior, precision, found, evidence + self._likely - mine[:, None])
+
+
+class _Compared(NamedTuple):
+    """All severities against the data of J modes, in standard deviations of the wide prior; S severities.
+
+    Attributes:
+        std: These standard deviations, shape (M,).
+        prior: Variances of the severities' priors, shape (S, M).
+        precision: Of the posteriors, shape (J, S, M, M).
+        found: Their means, less the start, shape (J, S, M).
+        evidence: Logarithm of how much likelier each is than the wide prior, shape (J, S).
+    """
+
+    std: Array
+    prior: Array
+    precision: Array
+    found: Array
+    evidence: Array
+
+
+def _total(evidence: Array) -> Array:
+    """Return the logarithmic evidence of all severities together, shapes (J, S) to (J,)."""
+    most = evidence.max(axis=1)
+    total: Array = most + np.log(np.exp(evidence - most[:, None]).sum(axis=1))
+    return total

@@ -5,6 +5,8 @@ zeros have drifted since, known by definition, u = r_first - r, and the row says
 From tare to tare the readings show how fast zeros drift, and scales are thought to drift with them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +43,28 @@ is not in the air after all: three offsets of sensors three times as bad as stat
 a foot bears that stands."""
 
 
+class TareConstants(NamedTuple):
+    """Constants of tares, by their names in C; module constants of such names say what they are.
+
+    Attributes:
+        tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
+        tare_drift: Variance that a zero is stated to drift by in W^2/s, shape (K,).
+    """
+
+    tare_variance: Array
+    tare_drift: Array
+    tare_share: float = LEAST_SHARE
+    least_apart: float = LEAST_APART
+    rate_share: float = RATE_SHARE
+    smallest_rate: float = SMALLEST_RATE
+    largest_rate: float = LARGEST_RATE
+    tare_surprise: float = LARGEST_SURPRISE
+    stated_rate: float = STATED_RATE
+    tare_leap: float = LEAP
+    largest_load: float = LARGEST_LOAD
+    largest_sum: float = LARGEST_SUM
+
+
 class Tare:
     """The tares of one setup.
 
@@ -55,6 +79,11 @@ class Tare:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
         self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
+
+    @property
+    def constants(self) -> TareConstants:
+        """Constants, by their names in C."""
+        return TareConstants(self._noise, self._drift)
 
     def take(
         self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
