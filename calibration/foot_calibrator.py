@@ -140,11 +140,7 @@ class FootCalibrator:
         """
         raw = np.asarray(raw, dtype=np.float64)
         dt = self.setup.dt if dt is None else dt
-        if (
-            self._native is not None
-            and not isinstance(reference, MomentumReference)
-            and self._native.takes(raw, reference, dt)
-        ):
+        if self._native is not None and self._native.takes(raw, reference, dt):
             native = self.native()
             if native is not None:
                 return self._native.update(native[1], raw, reference, dt)

@@ -71,6 +71,7 @@ class Motions:
 
     Attributes:
         imu: The same.
+        taken: Kinds of references that are taken.
         columns: Where the parts of a flat reference lie.
         shapes: The shape of each field of a reference.
         resting: A flat reference with the soles level at the origin, shape (R,).
@@ -80,7 +81,9 @@ class Motions:
         self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True, momentum: bool = False
     ) -> None:
         self._quasi_static, self.imu = quasi_static, imu
-        self._taken = (Reference, MomentumReference) if momentum else (Reference,)
+        self.taken: tuple[type[Reference] | type[MomentumReference], ...] = (Reference,)
+        if momentum:
+            self.taken = Reference, MomentumReference
         self._feet, self._wrench_map = len(setup.layout.feet), setup.layout.wrench_map
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._gravity = setup.gravity
@@ -90,6 +93,8 @@ class Motions:
             "com": (3,),
             "com_acceleration": (3,),
             "angular_momentum_rate": (3,),
+            "com_velocity": (3,),
+            "angular_momentum": (3,),
             "position_sole": (self._feet, 3),
             "R_level_sole": (self._feet, 3, 3),
             "stance": (self._feet,),
@@ -107,11 +112,11 @@ class Motions:
             ValueError: If a field has another shape, or contacts are no booleans.
             TypeError: If it is no reference.
         """
-        if not isinstance(reference, self._taken):
-            names = " or a ".join(kind.__name__ for kind in self._taken)
+        if not isinstance(reference, self.taken):
+            names = " or a ".join(kind.__name__ for kind in self.taken)
             raise TypeError(f"'reference' must be a {names}, got {type(reference).__name__}.")
         for field, value in zip(reference._fields, reference, strict=True):
-            check_shape(value, self.shapes.get(field, (3,)), f"reference.{field}")
+            check_shape(value, self.shapes[field], f"reference.{field}")
         for field, value in (("stance", reference.stance), ("swing", reference.swing)):
             if value.dtype != np.bool:
                 raise ValueError(f"'reference.{field}' must hold booleans, got dtype {value.dtype}.")

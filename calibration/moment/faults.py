@@ -108,6 +108,24 @@ class ChannelState(NamedTuple):
     altered: int
 
 
+class ChannelConstants(NamedTuple):
+    """Constants of one setup, by their names in C.
+
+    Attributes:
+        leap: Change of a force in one sample in N that no foot makes.
+        renewal: Share of how cells share loads that one block decides.
+        prior: How they do so at first, in body weights squared, shape (K, K).
+        cells: Channels that are cells under one plate (bool), shape (K,).
+        together: Whether two channels are cells of one plate (0 or 1), shape (K, K).
+    """
+
+    leap: float
+    renewal: float
+    prior: Array
+    cells: Array
+    together: Array
+
+
 class ChannelFaults:
     """Finds faults for one setup.
 
@@ -125,6 +143,14 @@ class ChannelFaults:
         self._leap, self._weight = leap * setup.weight, setup.weight
         foot = setup.layout.foot_of_channel
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
+
+    @property
+    def constants(self) -> ChannelConstants:
+        """Constants, by their names in C."""
+        stand_in = self.stand_in
+        return ChannelConstants(
+            self._leap, stand_in.renewal, stand_in.prior, stand_in.cells, stand_in.together
+        )
 
     def init(self, resting: Array) -> ChannelState:
         """Return the state of sound channels, of which F0 is ``resting``; see :class:`ChannelState`."""

@@ -33,12 +33,15 @@ class StandIn:
 
     Attributes:
         cells: Channels that are cells under one plate (bool), shape (K,): others cannot be reconstructed.
+        renewal: Share of what is known that one block decides.
+        prior: Second moments at first in body weights squared, shape (K, K).
+        together: Whether two channels are cells of one plate (0 or 1), shape (K, K).
     """
 
     def __init__(self, setup: OnlineSetup, memory: float) -> None:
         layout, weight = setup.layout, setup.weight
         K = layout.channels
-        self._renewal = 1.0 / memory
+        self.renewal = 1.0 / memory
         self.cells: NDArray[np.bool_] = np.zeros(K, dtype=bool)
         prior, together = np.eye(K), np.eye(K)
         for foot, where in zip(layout.feet, layout.slices, strict=True):
@@ -56,12 +59,12 @@ class StandIn:
                 prior[np.ix_(index, index)] = share @ spread @ share.T + ridge
                 together[np.ix_(index, index)] = 1.0
                 self.cells[index] = True
-        self._prior, self._together = prior, together
+        self.prior, self.together = prior, together
         self._weight = weight
 
     def init(self) -> Array:
         """Begin with equal springs: second moments in body weights squared, shape (K, K)."""
-        return self._prior.copy()
+        return self.prior.copy()
 
     def learn(self, moments: Array, force: Array) -> Array:
         """Take in forces that are trusted.
@@ -71,8 +74,8 @@ class StandIn:
             force: Calibrated forces of one block in N, shape (n, K).
         """
         scaled = force / self._weight
-        seen = scaled.T @ scaled / len(scaled) * self._together
-        return moments + self._renewal * (seen - moments)
+        seen = scaled.T @ scaled / len(scaled) * self.together
+        return moments + self.renewal * (seen - moments)
 
     def others(self, moments: Array, lost: Array) -> tuple[Array, Array]:
         """Return how each channel follows from those that are not lost.

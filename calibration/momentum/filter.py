@@ -97,17 +97,18 @@ class FilterConstants(NamedTuple):
     """Constants of the stream, by their names in C; options and module constants say what they are.
 
     Attributes:
+        components: Of momentum, C.
         capacity: Most samples of a block.
         first_variance: Variances at the start, shape (N,).
         walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
     """
 
+    components: int
     capacity: int
     first_variance: Array
     walk: Array
     block: float
     mass_std: float
-    shares_time: float = SHARES_TIME
     kept_time: float = KEPT_TIME
     longest_pause: float = LONGEST_PAUSE
     product_time: float = PRODUCT_TIME
@@ -158,7 +159,14 @@ class MomentumFilter:
     def constants(self) -> tuple[NamedTuple, ...]:
         """All constants as records, of which each field has the name that it has in C."""
         config = self.config
-        own = FilterConstants(self._capacity, self._first_variance, self._walk, config.block, config.mass_std)
+        own = FilterConstants(
+            self.columns.components,
+            self._capacity,
+            self._first_variance,
+            self._walk,
+            config.block,
+            config.mass_std,
+        )
         health = HealthConstants(MOST_LOAD, LEAST_ROW, self._reading_noise)
         parts = self._model.constants, self._tare.constants, self._severity.constants
         return own, *parts, health, MODE_CONSTANTS, MotionConstants()

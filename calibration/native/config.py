@@ -1,6 +1,6 @@
 """The constants of one robot, as the library wants them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,10 @@ from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.faults import ChannelConstants, ChannelFaults
 from surefoot.calibration.moment.stream import MomentStream
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.filter import MomentumFilter
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
@@ -19,11 +22,11 @@ from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.native import Library, c_header, required
 
-_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
+_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3, "momentum": 4}
 """Numbers of methods in ``library.c``."""
 
-_STATES = "state", "window_state", "tare_state", "front"
-_OWN = None, "window_config", "tare_config", None
+_STATES = "state", "window_state", "tare_state", "front", "momentum_state"
+_OWN = None, "window_config", "tare_config", None, "momentum_config"
 """The records of their states, and of their own constants besides ``config``."""
 
 
@@ -37,6 +40,8 @@ class Constants(NamedTuple):
         state: Name of the record of the state.
         like: A state of the method's Python, before any sample.
         front: The way of a sample.
+        covariance: Name of the state's leaf that is the covariance of an estimate; or ``None``.
+        contact: Whether it says how likely feet bear load, and what it could not determine.
         matrix: Makes the scales of a calibration with cross-talk, shape (K, K), of what is handed out; or
             ``None``.
     """
@@ -47,6 +52,8 @@ class Constants(NamedTuple):
     state: str
     like: Any
     front: FrontEnd
+    covariance: str | None = None
+    contact: bool = False
     matrix: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def filter(self, library: Library) -> NDArray[Any]:
@@ -69,11 +76,17 @@ def constants_of(
     values: dict[str, Any] = {}
     own: dict[str, Any] = {}
     like: Any
-    matrix = None
+    covariance = matrix = faults = None
     if method == "moment":
         moment = MomentStream(setup, MomentFilterConfig(**options))
-        front, like, values = moment._front_end, moment.init(raw), _moment(moment)
+        front, like, faults = moment._front_end, moment.init(raw), moment._faults
+        # A header holds all fields of a record, those as well that are not used.
+        values, covariance = library.zeros("config") | _moment(moment), "learnt"
         matrix = None if moment.unknowns.diagonal else moment.unknowns.matrix
+    elif method == "momentum":
+        momentum = MomentumFilter(setup, MomentumConfig(**options))
+        front, like, faults = momentum.front_end, momentum.init(raw), momentum.faults
+        own, covariance = _side_by_side(momentum.constants), "covariance"
     elif number == 1:
         window = SlidingWindow(setup, WindowConfig(**options), quasi_static=method == "quasi-static")
         front, like, own = window._front_end, window.init(raw), _window(window)
@@ -89,19 +102,20 @@ def constants_of(
                 "spread": config.spread * setup.weight,
                 "limit": config.offset_range * setup.weight,
             }
-    # A header holds all fields, those as well that a method has no use for.
-    record, name = library.filled("config", library.zeros("config") | _robot(front) | values), _OWN[number]
+    record, name = library.filled("config", values | _robot(front, faults)), _OWN[number]
     of_method = library.filled(name, own) if name else None
     if record is None or (name and of_method is None):
         return None
-    found = Constants(number, record, of_method, _STATES[number], like, front, matrix)
+    contact = method == "momentum"
+    found = Constants(number, record, of_method, _STATES[number], like, front, covariance, contact, matrix)
     return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
 
 
 def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     """Return a header with the sizes and constants of one robot, for its controller.
 
-    It declares ``sf_config robot``, and besides ``sf_window_config window`` or ``sf_tare_config tare``.
+    It declares ``sf_config robot``, and besides ``sf_momentum_config momentum``,
+    ``sf_window_config window`` or ``sf_tare_config tare``.
 
     Args:
         setup: The robot.
@@ -125,23 +139,33 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
         # An array without an element is none in C.
         sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
         return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
-    # What only the moment filter needs is as small as it can be.
-    sizes |= dict.fromkeys(("EVERY", "SETTLE", "GROUPS", "SENSORS", "CELLS", "PARITIES"), 1) | {
-        "KINDS": 3,
-        "TALKS": 0,
-    }
     records = {"sf_config robot": record}
     if own is not None and name is not None:
         records[f"sf_{name} {name.removesuffix('_config')}"] = own
+        if method == "momentum":
+            sizes |= {"COMPONENTS": int(own["components"]), "BLOCK": int(own["capacity"])}
+            return c_header("surefoot_momentum.h", sizes, records)
         if found.number == 1:
             sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}
     return c_header("surefoot_window.h", sizes, records)
 
 
-def _robot(front: FrontEnd) -> dict[str, Any]:
+def _side_by_side(parts: Iterable[NamedTuple]) -> dict[str, Any]:
+    """Return the fields of records together, each of which has a name of its own."""
+    found: dict[str, Any] = {}
+    for part in parts:
+        twice = found.keys() & part._asdict().keys()
+        assert not twice, f"{twice} would be written twice"
+        found |= part._asdict()
+    return found
+
+
+def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
     """Return what every method knows of a robot, by the names in ``sf_config``."""
     setup, layout = front.setup, front.setup.layout
+    unused = ChannelConstants(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
     return {
+        **(unused if faults is None else faults.constants)._asdict(),
         "channels": layout.channels,
         "feet": len(layout.feet),
         "lag": setup.lag,
@@ -210,7 +234,7 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
     """Return the moment filter's own constants by their names in ``sf_config``."""
     config, unknowns = stream.config, stream.unknowns
     newton, faults, parity = stream.newton_euler, stream._faults, stream.parity._parity
-    distal, stand_in, hypotheses = newton._distal, faults.stand_in, faults.hypotheses
+    distal, hypotheses = newton._distal, faults.hypotheses
     return {
         "every": config.every,
         "average": config.average,
@@ -224,8 +248,6 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "talks": unknowns.scales - unknowns.channels,
         "talk_to": unknowns.out[unknowns.channels :],
         "talk_from": unknowns.inp[unknowns.channels :],
-        "cells": stand_in.cells,
-        "together": stand_in._together,
         "first": hypotheses._first,
         "second": hypotheses._second,
         "foot_of_sensor": distal._foot_of,
@@ -248,9 +270,6 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "swing_load": config.swing_load,
         "parity_noise": config.parity_noise,
         "parity": parity,
-        "leap": faults._leap,
-        "renewal": stand_in._renewal,
-        "prior": stand_in._prior,
         "load_largest": hypotheses._largest,
         "load_loose": np.diagonal(hypotheses._loose),
         "sensor_mass": distal._mass,

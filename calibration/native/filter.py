@@ -1,7 +1,7 @@
 """The calibrator of one robot by the library: the same states, the same estimates, to rounding."""
 
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +9,44 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native.config import Constants, constants_of
-from surefoot.calibration.native.reference import ReferenceRecord
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.native.reference import ReferenceRecord, reference_dtype
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.native import Library, Record, leaves_of, rebuilt
 
 _SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
-_ARRAYS = (np.ndarray,) * len(Reference._fields)
+
+
+class _Given(NamedTuple):
+    """References of one kind that are handed over, and how their fields have to be."""
+
+    record: NDArray[Any]
+    places: tuple[NDArray[Any], ...]
+    arrays: tuple[type, ...]
+    dtypes: tuple[np.dtype[Any], ...]
+    shapes: tuple[tuple[int, ...], ...]
+    address: int
+
+    @classmethod
+    def of(cls, library: Library, kind: type[Any], constants: Constants) -> "_Given | None":
+        """Return that of a kind; ``None`` if the library has no room for it."""
+        motions, fields = constants.front.motions, kind._fields
+        dtype = reference_dtype(library, kind, motions.shapes)
+        if dtype is None:
+            return None
+        record, contacts = np.zeros((), dtype), np.dtype(np.bool_)
+        if kind is MomentumReference:
+            record["momentum"] = True
+        # The IMU is last, which a method may leave out.
+        used = fields if motions.imu or kind is MomentumReference else fields[:-2]
+        return cls(
+            record,
+            tuple(record[field] for field in used),
+            (np.ndarray,) * len(fields),
+            tuple(contacts if field in ("stance", "swing") else library.real for field in fields),
+            tuple(motions.shapes[field] for field in fields),
+            record.ctypes.data,
+        )
 
 
 class NativeState:
@@ -23,17 +54,19 @@ class NativeState:
 
     Args:
         record: All numbers.
+        covariance: Name of those that are the covariance of an estimate, if there is one.
     """
 
-    def __init__(self, record: NDArray[Any]) -> None:
+    def __init__(self, record: NDArray[Any], covariance: str | None = None) -> None:
         self.record, self.address = record, record.ctypes.data
+        self._name = covariance or ""
         self._covariance: NDArray[np.float64] | None = None
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """That of an estimate of the moment filter, the same array until the next one is handed out."""
+        """That of an estimate, the same array until the next one is handed out."""
         if self._covariance is None:
-            self._covariance = self.record["learnt"].copy()
+            self._covariance = self.record[self._name].copy()
         return self._covariance
 
     def changed(self) -> None:
@@ -52,7 +85,7 @@ class NativeFilter:
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: What it reads, shape (K,).
-        belief: The record of what the robot believes.
+        belief: The record of what the robot believes, as accelerations.
         estimate: The record of the last estimate.
         addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
     """
@@ -61,30 +94,26 @@ class NativeFilter:
         self._functions, self.constants = library.functions, constants
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
-        self._template, self.certain, self._matrix = constants.like, constants.number == 0, constants.matrix
-        beliefs = constants.front.motions.shapes
-        self._shapes = tuple(beliefs[field] for field in Reference._fields)
-        contacts = np.dtype(np.bool_)
-        self._dtypes = tuple(
-            contacts if field in ("stance", "swing") else self._real for field in Reference._fields
-        )
+        self._template, self._matrix = constants.like, constants.matrix
+        self.certain = constants.covariance is not None
         self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
             "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_measured": (2,),
             "cop_foot": (F, 2), "scale": (K,), "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2),
-            "nis": (), "nis_rows": (), "flags": (K,), "cop_valid": (), "cop_foot_valid": (F,),
+            "nis": (), "nis_rows": (), "undetermined": (K,), "contact_probability": (F,), "flags": (K,),
+            "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
+        # What the library has no place for stays as it is at first: the other filter's hypotheses.
         leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
-        state = library.record(constants.state, leaves)
-        reference = library.record("belief", beliefs)
+        there = library.places[constants.state]
+        state = library.record(constants.state, {name: leaves[name] for name in leaves if name in there})
+        given = {kind: _Given.of(library, kind, constants) for kind in constants.front.motions.taken}
         estimate = library.record("estimate", shapes)
-        if state is None or reference is None or estimate is None:
+        if state is None or estimate is None or None in given.values():
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
-        self._dtype = state
-        self.belief, self.estimate = np.zeros((), reference), Record(estimate)
-        # The last two are the IMU's, which a method may leave out.
-        used = Reference._fields if constants.front.motions.imu else Reference._fields[:-2]
-        self._inputs = tuple(self.belief[field] for field in used)
+        self._dtype, self._leaves = state, frozenset(state.names or ())
+        self._given = {kind: one for kind, one in given.items() if one is not None}
+        self.belief, self.estimate = self._given[Reference].record, Record(estimate)
         self._filter = constants.filter(library)
         self.addresses = {
             "filter": self._filter.ctypes.data,
@@ -92,13 +121,13 @@ class NativeFilter:
             "estimate": self.estimate.address,
         }
         filter_at, raw_at, out_at = self.addresses.values()
-        self._addresses = filter_at, raw_at, self.belief.ctypes.data, out_at
+        self._addresses = filter_at, raw_at, out_at
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
         record = np.zeros((), self._dtype)
         self._functions.surefoot_init(self._addresses[0], record.ctypes.data)
-        return NativeState(record)
+        return NativeState(record, self.constants.covariance)
 
     def state(self, state: Any) -> NativeState | None:
         """Return any state as the library's, begun if it is ``None``; ``None`` if it is of another kind."""
@@ -119,19 +148,24 @@ class NativeFilter:
             part, fitting = np.asarray(leaf), np.asarray(like)
             if (part.shape, part.dtype) != (fitting.shape, fitting.dtype):
                 return None
-            record[_name(path)] = part
-        return NativeState(record)
+            if _name(path) in self._leaves:
+                record[_name(path)] = part
+            elif not np.array_equal(part, fitting):
+                return None
+        return NativeState(record, self.constants.covariance)
 
     def unpack(self, state: NativeState) -> Any:
         """Return the library's state as a Python state, which shares nothing with it."""
 
         def own(path: tuple[str, ...], like: Any) -> Any:
+            if _name(path) not in self._leaves:
+                return np.copy(like) if isinstance(like, np.ndarray) else like
             part = state.record[_name(path)]
             return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
 
         return rebuilt(self._template, own)
 
-    def takes(self, raw: Array, reference: Reference | ReferenceRecord, dt: Any) -> bool:
+    def takes(self, raw: Array, reference: Reference | MomentumReference | ReferenceRecord, dt: Any) -> bool:
         """Return whether arguments are as the library wants them; of others Python says what is wrong."""
         if not (
             type(raw) is np.ndarray
@@ -141,24 +175,31 @@ class NativeFilter:
         ):
             return False
         if type(reference) is ReferenceRecord:
-            return self._feet == 2 and reference.real == self._real
+            return self._feet == 2 and reference.real == self._real and reference.kind in self._given
+        given = self._given.get(type(reference))
         return (
-            type(reference) is Reference
-            and tuple(map(type, reference)) == _ARRAYS
-            and tuple(map(_DTYPE, reference)) == self._dtypes
-            and tuple(map(_SHAPE, reference)) == self._shapes
+            given is not None
+            and tuple(map(type, reference)) == given.arrays
+            and tuple(map(_DTYPE, reference)) == given.dtypes
+            and tuple(map(_SHAPE, reference)) == given.shapes
         )
 
     def update(
-        self, state: NativeState, raw: Array, reference: Reference | ReferenceRecord, dt: float
+        self,
+        state: NativeState,
+        raw: Array,
+        reference: Reference | MomentumReference | ReferenceRecord,
+        dt: float,
     ) -> Estimate:
         """Take in one sample that :meth:`takes` has looked at; the state goes on in place."""
         self.raw[...] = raw
-        filter_at, reading, beliefs, out = self._addresses
+        filter_at, reading, out = self._addresses
         if isinstance(reference, ReferenceRecord):
             beliefs = reference.address
         else:
-            for place, part in zip(self._inputs, reference, strict=False):
+            given = self._given[type(reference)]
+            beliefs = given.address
+            for place, part in zip(given.places, reference, strict=False):
                 place[...] = part
         if self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out):
             state.changed()
@@ -174,7 +215,9 @@ class NativeFilter:
         )  # fmt: skip
         if not self.certain:
             return found
+        shares = {name: one[name] for name in ("undetermined", "contact_probability")}
         return found._replace(
+            **(shares if self.constants.contact else {}),
             covariance=state.covariance,
             matrix=None if self._matrix is None else self._matrix(state.record["given"]),
             force_std=one["force_std"],
@@ -198,5 +241,5 @@ def native_filter(
 
 
 def _name(path: tuple[str, ...]) -> str:
-    """Return a part's name in the library: the last one is unique, but for a standing start's."""
-    return "_".join(path[-2:]) if path[0] == "standing" else path[-1]
+    """Return a part's name in the library: the way to it."""
+    return "_".join(path)

@@ -1,7 +1,12 @@
 /* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
+#include "surefoot_calibration.h"
 #include "surefoot_view.h"
 #include "surefoot_window.h"
+#ifndef SF_NO_LIBC /* no kernel has it */
+#include "surefoot_momentum.h"
+#include "surefoot_strapdown.h"
+#endif
 
 #include "library.h"
 
@@ -9,30 +14,49 @@
 #define C_REAL(field) PLACE(config, field, "real")
 #define S_REAL(field) PLACE(state, field, "real")
 #define S_WHOLE(field) PLACE(state, field, "whole")
-/* What a state holds of the way of a sample. */
-#define FRONT(record, field, kind)                                                                           \
-    {#record, #field, kind, offsetof(sf_##record, front.field), sizeof(((sf_front *)0)->field)}
+/* A field of a part of a record, under a name of its own: in a state the way to it. */
+#define PART(record, name, field, kind)                                                                      \
+    {#record, #name, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
+/* What a state holds of the way of a sample, and of channels' faults. */
 #define FRONT_OF(record)                                                                                     \
-    FRONT(record, raw, "real"), FRONT(record, history, "real"), FRONT(record, motion, "real"),               \
-        FRONT(record, known, "whole"), FRONT(record, clean, "whole")
+    PART(record, front_raw, front.raw, "real"), PART(record, front_history, front.history, "real"),          \
+        PART(record, front_motion, front.motion, "real"), PART(record, front_known, front.known, "whole"),   \
+        PART(record, front_clean, front.clean, "whole")
+#define FAULTS_OF(record)                                                                                    \
+    PART(record, faults_last, faults.last, "real"), PART(record, faults_leaps, faults.leaps, "whole"),       \
+        PART(record, faults_leapt, faults.leapt, "real"), PART(record, faults_moments, faults.moments, "real"), \
+        PART(record, faults_lost, faults.lost, "real"), PART(record, faults_kind, faults.kind, "whole"),     \
+        PART(record, faults_wiring, faults.wiring, "real"), PART(record, faults_spare, faults.spare, "real"), \
+        PART(record, faults_spare_std, faults.spare_std, "real"),                                            \
+        PART(record, faults_agreed, faults.agreed, "real"), PART(record, faults_altered, faults.altered, "whole")
 #define W_INT(field) PLACE(window_config, field, "int")
 #define W_REAL(field) PLACE(window_config, field, "real")
 #define W_DOUBLE(field) PLACE(window_config, field, "double")
 #define V_REAL(field) PLACE(window_state, field, "real")
 #define V_WHOLE(field) PLACE(window_state, field, "whole")
-#define STANDING(field, kind)                                                                                \
-    {"window_state", "standing_" #field, kind, offsetof(sf_window_state, standing.field),                    \
-     sizeof(((sf_standing *)0)->field)}
+#define STANDING(field, kind) PART(window_state, standing_##field, standing.field, kind)
+#define O_REAL(field) PLACE(momentum_config, field, "real")
+#define N_REAL(field) PLACE(momentum_state, field, "real")
+#define IN(name, field, kind) PART(momentum_state, name, field, kind)
+/* What modes hold, and what is handed out. */
+#define KNOWN(name, belief, published)                                                                       \
+    IN(name##belief_mean, belief.mean, "real"), IN(name##belief_covariance, belief.covariance, "real"),      \
+        IN(name##belief_chance, belief.chance, "real"), IN(name##published_mean, published.mean, "real"),    \
+        IN(name##published_covariance, published.covariance, "real"),                                        \
+        IN(name##published_undetermined, published.undetermined, "real")
 #define T_REAL(field) PLACE(tare_state, field, "real")
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
 #define M_REAL(field) PLACE(model, field, "real")
 #define B_REAL(field) PLACE(beliefs, field, "real")
 #define B_WHOLE(field) PLACE(beliefs, field, "whole")
+#define IN_BELIEFS(field, kind) PART(momentum_beliefs, field, beliefs.field, kind)
 #define SHOWN(field) PLACE(shown, field, "single")
 #define R_AT(field) PLACE(sample_records, field, "word")
 #define IN_REFERENCE(field, kind)                                                                            \
-    {"belief", #field, kind, offsetof(sf_belief, reference.field), sizeof(((sf_reference *)0)->field)}
+    PART(belief, field, reference.field, kind)
+#define IN_MOMENTUM(name, field, kind)                                                                       \
+    {"momentum_belief", #name, kind, offsetof(sf_belief, field), sizeof(((sf_belief *)0)->field)}
 
 /* What a sample tells, side by side, for a copy of all of it in one piece. */
 typedef struct {
@@ -43,7 +67,7 @@ typedef struct {
 } sf_told;
 
 /* How one robot is calibrated: its constants, those of a method, and which one that is. */
-enum { MOMENT, WINDOW, TARE, UNCORRECTED };
+enum { MOMENT, WINDOW, TARE, UNCORRECTED, MOMENTUM };
 typedef struct {
     const sf_config *config;
     const void *own;
@@ -54,6 +78,7 @@ typedef struct {
 typedef struct {
     const sf_model *model;
     const sf_timing *timing;
+    const void *legs;
     sf_beliefs *beliefs;
     sf_belief *belief;
     const unsigned char *planned;
@@ -89,9 +114,9 @@ static const place places[] = {
     S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
     S_REAL(noise), S_REAL(misfit), S_REAL(rate), S_REAL(swing_zero), S_REAL(swing_ago), S_REAL(swing_sum),
     S_REAL(swing_samples), S_REAL(unproven), S_REAL(due), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
-    S_REAL(last), S_WHOLE(leaps), S_REAL(leapt), S_REAL(trust), S_REAL(doubt), S_REAL(scores),
-    S_REAL(size), S_REAL(load), S_REAL(moments), S_REAL(lost), S_WHOLE(kind), S_REAL(wiring),
-    S_REAL(spare), S_REAL(spare_std), S_REAL(agreed), S_WHOLE(altered),
+    FAULTS_OF(state), PART(state, faults_trust, trust, "real"), PART(state, faults_doubt, doubt, "real"),
+    PART(state, faults_scores, scores, "real"), PART(state, faults_size, size, "real"),
+    PART(state, faults_load, load, "real"),
 
     WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),
     PLACE(filter, method, "whole"), WHOLE_OF(window_config), WHOLE_OF(window_state), WHOLE_OF(window_work),
@@ -119,14 +144,43 @@ static const place places[] = {
     PLACE(tare_state, airborne, "whole"), PLACE(tare_state, count, "whole"), T_REAL(mean), T_REAL(scatter),
     T_REAL(offset),
 
+#ifndef SF_NO_LIBC
+    WHOLE_OF(momentum_config), WHOLE_OF(momentum_state),
+
+    PLACE(momentum_config, components, "int"), PLACE(momentum_config, capacity, "int"),
+    PLACE(momentum_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std),
+    O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(noise_share),
+    O_REAL(largest_noise), O_REAL(largest_surprise), O_REAL(least_read), O_REAL(held_chance),
+    O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),
+    O_REAL(tare_drift), O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
+    O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(tare_leap), O_REAL(largest_load),
+    O_REAL(largest_sum), O_REAL(spread_scale), O_REAL(spread_offset), O_REAL(spread_com), O_REAL(unit),
+    O_REAL(severities), O_REAL(likely), O_REAL(wide), O_REAL(smallest_drift), O_REAL(least_share), O_REAL(most_load),
+    O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
+    O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance), O_REAL(gate),
+    O_REAL(leg_time), O_REAL(spin_time), O_REAL(fastest),
+
+    FRONT_OF(momentum_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
+    IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
+    IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"), FAULTS_OF(momentum_state),
+    N_REAL(pending), N_REAL(before), PLACE(momentum_state, waiting, "whole"), PLACE(momentum_state, linked, "whole"),
+    N_REAL(point), N_REAL(time), N_REAL(drifted), N_REAL(noise), IN(tare_reading, tare.reading, "real"),
+    IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
+    IN(tare_followed, tare.followed, "whole"), KNOWN(, belief, published), N_REAL(covariance),
+    KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
+    IN(kept_age, age, "real"), PLACE(momentum_state, status, "whole"),
+#endif
+
     PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),
     PLACE(front, known, "whole"), PLACE(front, clean, "whole"),
 
     R_REAL(com), R_REAL(com_acceleration), R_REAL(angular_momentum_rate), R_REAL(position_sole),
     R_REAL(R_level_sole), PLACE(reference, stance, "byte"), PLACE(reference, swing, "byte"),
+    PLACE(reference, momentum, "byte"),
 
     E_REAL(force), E_REAL(wrench), E_REAL(vgrf), E_REAL(cop), E_REAL(cop_measured), E_REAL(cop_foot), E_REAL(scale),
     E_REAL(offset), E_REAL(force_std), E_REAL(cop_covariance), E_REAL(nis), E_REAL(nis_rows),
+    E_REAL(undetermined), E_REAL(contact_probability),
     PLACE(estimate, flags, "whole"), PLACE(estimate, cop_valid, "byte"), PLACE(estimate, cop_foot_valid,
     "byte"),
 
@@ -146,11 +200,41 @@ static const place places[] = {
     PLACE(beliefs, clock, "double"), B_REAL(sum), B_WHOLE(parts), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
     B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
 
+#ifndef SF_NO_LIBC
+    WHOLE_OF(strapdown_config), WHOLE_OF(momentum_beliefs),
+
+    PLACE(strapdown_config, count, "int"), PLACE(strapdown_config, leg_time, "real"),
+    PLACE(strapdown_config, tilt_rate, "real"), PLACE(strapdown_config, bias_time, "real"),
+    PLACE(strapdown_config, touch, "real"), PLACE(strapdown_config, free_fall, "real"),
+    PLACE(strapdown_config, corners, "real"),
+
+    IN_BELIEFS(ring, "real"), IN_BELIEFS(angle, "real"), IN_BELIEFS(accelerometer, "real"),
+    IN_BELIEFS(gyroscope, "real"), IN_BELIEFS(forward, "real"), IN_BELIEFS(up, "real"), IN_BELIEFS(spin, "real"),
+    IN_BELIEFS(spin_bias, "real"), IN_BELIEFS(force_bias, "real"), IN_BELIEFS(lean, "real"),
+    IN_BELIEFS(highest, "real"), IN_BELIEFS(clock, "double"), IN_BELIEFS(sum, "real"), IN_BELIEFS(parts, "whole"),
+    IN_BELIEFS(number, "whole"), IN_BELIEFS(seen, "whole"), IN_BELIEFS(run, "whole"), IN_BELIEFS(count, "whole"),
+    IN_BELIEFS(planned, "whole"), IN_BELIEFS(found, "whole"), IN_BELIEFS(upright, "whole"),
+    PLACE(momentum_beliefs, moved, "real"), PLACE(momentum_beliefs, R, "real"),
+    PLACE(momentum_beliefs, velocity, "real"), PLACE(momentum_beliefs, place, "real"),
+    PLACE(momentum_beliefs, velocity_spin_bias, "real"), PLACE(momentum_beliefs, vertical_bias, "real"),
+    PLACE(momentum_beliefs, velocities, "whole"),
+#endif
+
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
     IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),
     IN_REFERENCE(R_level_sole, "real"), IN_REFERENCE(stance, "byte"), IN_REFERENCE(swing, "byte"),
+    IN_REFERENCE(momentum, "byte"),
     PLACE(belief, accelerometer, "real"), PLACE(belief, gyroscope, "real"), PLACE(belief, known, "byte"),
     PLACE(belief, fell, "byte"),
+
+    /* The same of one that holds momentum. */
+    {"momentum_belief", "", "", 0, sizeof(sf_belief)}, IN_MOMENTUM(com, reference.com, "real"),
+    IN_MOMENTUM(com_velocity, reference.com_acceleration, "real"),
+    IN_MOMENTUM(angular_momentum, reference.angular_momentum_rate, "real"),
+    IN_MOMENTUM(position_sole, reference.position_sole, "real"),
+    IN_MOMENTUM(R_level_sole, reference.R_level_sole, "real"), IN_MOMENTUM(stance, reference.stance, "byte"),
+    IN_MOMENTUM(swing, reference.swing, "byte"), IN_MOMENTUM(momentum, reference.momentum, "byte"),
+    IN_MOMENTUM(accelerometer, accelerometer, "real"), IN_MOMENTUM(gyroscope, gyroscope, "real"),
 
     WHOLE_OF(view), WHOLE_OF(shown),
 
@@ -158,13 +242,13 @@ static const place places[] = {
     PLACE(view, flawed, "int"),
 
     SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
-    SHOWN(foot_force_std), SHOWN(cop_std), SHOWN(cop_valid), PLACE(shown, foot_flags, "int"),
+    SHOWN(foot_force_std), SHOWN(cop_std), SHOWN(cop_valid), SHOWN(contact_probability), SHOWN(undetermined), PLACE(shown, foot_flags, "int"),
 
     WHOLE_OF(told), {"told", "belief", "", offsetof(sf_told, belief), sizeof(sf_belief)},
     {"told", "estimate", "", offsetof(sf_told, estimate), sizeof(sf_estimate)},
     {"told", "shown", "", offsetof(sf_told, shown), sizeof(sf_shown)}, PLACE(told, covariance, "real"),
 
-    WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(beliefs), R_AT(belief), R_AT(planned),
+    WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(legs), R_AT(beliefs), R_AT(belief), R_AT(planned),
     R_AT(filter), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
     PLACE(sample_records, dt, "double"),
 };
@@ -175,16 +259,23 @@ LIBRARY_OF(places)
 EXPORTED int surefoot_fits(const sf_filter *f) {
     return f->method == MOMENT   ? sf_calibrator_fits(f->config)
            : f->method == WINDOW ? sf_window_fits(f->config, (const sf_window_config *)f->own)
+#ifndef SF_NO_LIBC
+           : f->method == MOMENTUM ? sf_momentum_fits(f->config, (const sf_momentum_config *)f->own)
+#endif
                                  : sf_robot_fits(f->config);
 }
 #ifndef SF_NO_LIBC /* kernels call the headers themselves */
+/* Of which nothing is remembered; too large for the stacks of some threads. */
+static __thread sf_momentum_work momentum_work;
+
 EXPORTED void surefoot_init(const sf_filter *f, void *state) {
+    if (f->method == MOMENTUM) sf_momentum_init(f->config, f->own, state, &momentum_work);
     if (f->method == MOMENT) sf_calibrator_init(f->config, state);
     if (f->method == WINDOW) sf_window_init(f->config, f->own, state);
     if (f->method == TARE) sf_tare_init(f->config, state);
     if (f->method == UNCORRECTED) sf_front_init(f->config, state);
 }
-/* Of methods besides the moment filter. */
+/* Of methods that are compared with. */
 EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
     if (f->method == WINDOW) sf_window_begin(f->config, state);
     if (f->method == TARE) sf_tare_begin(f->config, state);
@@ -192,6 +283,7 @@ EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
 }
 EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
     if (f->method == MOMENT) sf_calibrator_retract(f->config, state);
+    if (f->method == MOMENTUM) sf_momentum_retract(f->config, f->own, state);
 }
 /* Returns whether something new is handed out. */
 EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
@@ -201,6 +293,8 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
     sf_window_work work;
     switch (f->method) {
     case MOMENT: return sf_calibrator_step(f->config, state, raw, reference, (sf_real)dt, out);
+    case MOMENTUM:
+        return sf_momentum_step(f->config, f->own, state, &momentum_work, raw, reference, (sf_real)dt, out);
     case WINDOW:
         sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
         break;
@@ -213,24 +307,31 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
 EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
     return sf_beliefs_fit(model, timing);
 }
-EXPORTED void surefoot_beliefs_init(sf_beliefs *beliefs) { sf_beliefs_init(beliefs); }
+/* legs: constants of beliefs that hold momentum, which are an sf_momentum_beliefs then; NULL for others. */
+EXPORTED void surefoot_beliefs_init(const sf_strapdown_config *legs, void *beliefs) {
+    if (legs) sf_momentum_beliefs_init(beliefs);
+    else sf_beliefs_init(beliefs);
+}
+EXPORTED int surefoot_legs_fit(const sf_strapdown_config *legs) { return sf_strapdown_fits(legs); }
 /* rows: of each packet its number, its arrival and its values as surefoot.robot.TelemetryLayout has them.
  */
-EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
-                                       const double *rows, int count) {
+EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, const sf_strapdown_config *legs,
+                                       void *beliefs, const double *rows, int count) {
     int hinges = model->hinges, size = 2 * hinges + 8;
     for (const double *row = rows; count > 0; count--, row += 2 + size) {
         sf_real values[2 * SF_HINGES + 8], *gyroscope = values + 2 * hinges + 2;
         for (int i = 0; i < size; i++) values[i] = (sf_real)row[2 + i];
-        if (sf_measured(values, size))
-            sf_beliefs_packet(model, timing, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3,
-                              gyroscope);
+        if (!sf_measured(values, size)) continue;
+        if (legs)
+            sf_momentum_packet(model, timing, legs, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3, gyroscope);
+        else sf_beliefs_packet(model, timing, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3, gyroscope);
     }
 }
 /* Returns 1 for a robot that fell, plus 2 if the reference is known, plus 4 if a foot stands by it. */
-EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, sf_beliefs *beliefs, double time,
-                                     const unsigned char *planned, int hold, sf_belief *belief) {
-    sf_beliefs_sample(timing, beliefs, time, planned, hold, belief);
+EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, const sf_strapdown_config *legs, void *beliefs,
+                                     double time, const unsigned char *planned, int hold, sf_belief *belief) {
+    if (legs) sf_momentum_sample(timing, beliefs, time, planned, hold, belief);
+    else sf_beliefs_sample(timing, beliefs, time, planned, hold, belief);
     return belief->fell + 2 * belief->known +
            4 * (belief->reference.stance[0] || belief->reference.stance[1]);
 }
@@ -255,8 +356,8 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     const sf_config *config = at->filter->config;
     sf_told *told = at->told;
     sf_real soles[8];
-    if (count) surefoot_beliefs_packets(at->model, at->timing, at->beliefs, rows, count);
-    int found = surefoot_beliefs_sample(at->timing, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
+    if (count) surefoot_beliefs_packets(at->model, at->timing, at->legs, at->beliefs, rows, count);
+    int found = surefoot_beliefs_sample(at->timing, at->legs, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
                                         at->belief);
     if (found & 1) surefoot_retract(at->filter, at->state);
     int fresh = surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
@@ -264,9 +365,10 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     sf_view_show(config, at->view, at->held, at->estimate, soles, &told->shown);
     told->belief = *at->belief;
     told->estimate = *at->estimate;
-    if (at->filter->method == MOMENT)
-        memcpy(told->covariance, ((const sf_state *)at->state)->learnt,
-               sizeof(sf_real) * (size_t)(4 * config->channels * config->channels));
+    const sf_real *covariance = at->filter->method == MOMENT     ? ((const sf_state *)at->state)->learnt
+                                : at->filter->method == MOMENTUM ? ((const sf_momentum_state *)at->state)->covariance
+                                                                 : NULL;
+    if (covariance) sf_copy(told->covariance, covariance, 4 * config->channels * config->channels);
     return found + 8 * fresh;
 }
 #endif

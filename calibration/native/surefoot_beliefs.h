@@ -16,12 +16,12 @@
    Moments are doubles whatever SF_SINGLE says: after an hour a float tells no milliseconds apart.
 
    Before it is included: SF_BODIES, SF_HINGES, SF_PACKETS and SF_PLANNED are the largest sizes; for what
-   surefoot_calibration.h takes see there. */
+   surefoot_robot.h takes see there. */
 
 #ifndef SUREFOOT_BELIEFS_H
 #define SUREFOOT_BELIEFS_H
 
-#include "surefoot_calibration.h"
+#include "surefoot_robot.h"
 
 #ifdef SF_SINGLE
 #define sf_sin sinf
@@ -179,9 +179,10 @@ SF_API void sf_reach(sf_real *p, sf_real *v, const sf_real *R, const sf_real *w,
 
 /* NominalModel.evaluate: fill a row, in the torso's frame, up to its angular momentum.
 
-   angle, rate: of the hinges in rad and rad/s. spin: angular velocity of the torso in its own axes. */
-SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *rate, const sf_real *spin,
-                       sf_real *row) {
+   angle, rate: of the hinges in rad and rad/s. spin: angular velocity of the torso in its own axes. speeds: if not
+   NULL, NominalModel.velocities, of the centre of mass and then angular velocity and velocity of each site. */
+SF_API void sf_evaluate(const sf_model *m, const sf_real *angle, const sf_real *rate, const sf_real *spin,
+                        sf_real *row, sf_real *speeds) {
     static const sf_real level[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     sf_real R[SF_BODIES * 9], p[SF_BODIES * 3], v[SF_BODIES * 3], w[SF_BODIES * 3];
     sf_real mass = 0, moment[3] = {0, 0, 0}, linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
@@ -237,12 +238,20 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
         }
     }
     for (int k = 0; k < 3; k++) row[SF_ROW_COM + k] = moment[k] / mass;
+    for (int k = 0; speeds && k < 3; k++) speeds[k] = linear[k] / mass;
     sf_cross(b, row + SF_ROW_COM, linear);
     for (int k = 0; k < 3; k++) row[SF_ROW_MOMENTUM + k] = angular[k] - b[k];
     for (int site = 0; site < 3; site++) {
         int on = m->site_body[site];
         sf_turn(a, R + 9 * on, m->position_site + 3 * site);
         for (int k = 0; k < 3; k++) row[SF_ROW_IMU + 3 * site + k] = p[3 * on + k] + a[k];
+        if (speeds) {
+            sf_cross(b, w + 3 * on, a);
+            for (int k = 0; k < 3; k++) {
+                speeds[3 + 6 * site + k] = w[3 * on + k];
+                speeds[6 + 6 * site + k] = v[3 * on + k] + b[k];
+            }
+        }
         sf_then(turned, R + 9 * on, m->R_body_site + 9 * site);
         for (int axis = 0; site > 0 && axis < 3; axis++)
             for (int k = 0; k < 3; k++)
@@ -302,16 +311,22 @@ SF_API void sf_odometry_turn(const sf_timing *t, sf_beliefs *s, const sf_real *s
 
 /* ------------------------------------------------------------------------------------------------ packets */
 
-/* The row of a packet's number. */
-SF_API sf_real *sf_row(sf_beliefs *s, sf_whole number) {
+/* Where in a ring the row of a packet's number is, and that row. */
+SF_API sf_whole sf_place(sf_whole number) {
     sf_whole at = number % SF_PACKETS;
-    return s->ring + SF_ROW * (at < 0 ? at + SF_PACKETS : at);
+    return at < 0 ? at + SF_PACKETS : at;
 }
+SF_API sf_real *sf_row(sf_beliefs *s, sf_whole number) { return s->ring + SF_ROW * sf_place(number); }
 
-/* Beliefs._posture: fill the row at the middle between two packets. */
-SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_real *row,
-                      const sf_real *angle, const sf_real *accelerometer, const sf_real *gyroscope) {
-    sf_real middle[SF_HINGES], rate[SF_HINGES], force[3], spin[3], local[SF_ROW_ACCELERATION], R[9];
+/* Posture: the robot at the middle between two packets, in the torso's axes, as sf_evaluate leaves it. */
+typedef struct {
+    sf_real local[SF_ROW_ACCELERATION], speeds[21], force[3], spin[3];
+} sf_posture;
+
+/* Beliefs._find_posture and _keep: fill the row at the middle between two packets. */
+SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_real *row, const sf_real *angle,
+                      const sf_real *accelerometer, const sf_real *gyroscope, sf_posture *found) {
+    sf_real middle[SF_HINGES], rate[SF_HINGES], *force = found->force, *spin = found->spin, *local = found->local, R[9];
     for (int i = 0; i < m->hinges; i++) {
         middle[i] = (sf_real)0.5 * (s->angle[i] + angle[i]);
         rate[i] = (angle[i] - s->angle[i]) / (sf_real)t->period;
@@ -320,7 +335,7 @@ SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_r
         force[k] = t->averaged ? accelerometer[k] : (sf_real)0.5 * (s->accelerometer[k] + accelerometer[k]);
         spin[k] = t->averaged ? gyroscope[k] : (sf_real)0.5 * (s->gyroscope[k] + gyroscope[k]);
     }
-    sf_posture(m, middle, rate, spin, local);
+    sf_evaluate(m, middle, rate, spin, local, found->speeds);
     sf_odometry_turn(t, s, spin, force, local, R);
     for (int k = 0; k < 3; k++) local[SF_ROW_FORCE + k] = force[k] - s->force_bias[k];
     for (int i = 0; i < SF_ROW_ACCELERATION; i += 3) sf_turn(row + i, R, local + i);
@@ -372,6 +387,35 @@ SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_
     return 1;
 }
 
+/* Beliefs.join: whether a packet is sound, and the last of those that become one: of that what follows is then. */
+SF_API int sf_sound(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole *number, const sf_real *angle,
+                    const sf_real **accelerometer, const sf_real **gyroscope) {
+    if (!sf_measured(angle, m->hinges) || !sf_measured(*accelerometer, 3) || !sf_measured(*gyroscope, 3)) return 0;
+    if (t->joined == 1) return 1;
+    if (!sf_join(t, s, *number, *accelerometer, *gyroscope)) return 0;
+    *number /= t->joined, *accelerometer = s->sum, *gyroscope = s->sum + 3;
+    return 1;
+}
+
+/* Beliefs.take: take in one joined packet; whether it follows the last one, so that a posture was found. */
+SF_API int sf_take(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole number, double arrival,
+                   const sf_real *angle, const sf_real *accelerometer, const sf_real *gyroscope, sf_posture *found) {
+    double left = arrival - t->delay - (double)number * t->period;
+    int first = s->seen == 0;
+    s->seen++;
+    s->clock += (left - s->clock) / ((double)s->seen < SF_CLOCK_MEMORY ? (double)s->seen : SF_CLOCK_MEMORY);
+    if (!first && number == s->number + 1) {
+        s->run++;
+        sf_middle(m, t, s, sf_row(s, number), angle, accelerometer, gyroscope, found);
+        if (s->run >= 3) sf_differentiate(t, s, number);
+    } else s->run = 0;
+    s->number = number;
+    sf_copy(s->angle, angle, m->hinges);
+    sf_copy(s->accelerometer, accelerometer, 3);
+    sf_copy(s->gyroscope, gyroscope, 3);
+    return s->run > 0;
+}
+
 /* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e6, is a lost one.
 
    number: of the packet; those that get lost or come twice leave a gap. arrival: on the host's clock in s.
@@ -379,25 +423,9 @@ SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_
 SF_API void sf_beliefs_packet(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole number,
                               double arrival, const sf_real *angle, const sf_real *accelerometer,
                               const sf_real *gyroscope) {
-    if (!sf_measured(angle, m->hinges) || !sf_measured(accelerometer, 3) || !sf_measured(gyroscope, 3))
-        return;
-    if (t->joined > 1) {
-        if (!sf_join(t, s, number, accelerometer, gyroscope)) return;
-        number /= t->joined, accelerometer = s->sum, gyroscope = s->sum + 3;
-    }
-    double left = arrival - t->delay - (double)number * t->period;
-    int first = s->seen == 0;
-    s->seen++;
-    s->clock += (left - s->clock) / ((double)s->seen < SF_CLOCK_MEMORY ? (double)s->seen : SF_CLOCK_MEMORY);
-    if (!first && number == s->number + 1) {
-        s->run++;
-        sf_middle(m, t, s, sf_row(s, number), angle, accelerometer, gyroscope);
-        if (s->run >= 3) sf_differentiate(t, s, number);
-    } else s->run = 0;
-    s->number = number;
-    sf_copy(s->angle, angle, m->hinges);
-    sf_copy(s->accelerometer, accelerometer, 3);
-    sf_copy(s->gyroscope, gyroscope, 3);
+    sf_posture found;
+    if (sf_sound(m, t, s, &number, angle, &accelerometer, &gyroscope))
+        sf_take(m, t, s, number, arrival, angle, accelerometer, gyroscope, &found);
 }
 
 /* ---------------------------------------------------------------------------------------------- moments */
@@ -410,25 +438,29 @@ SF_API void sf_nothing(sf_belief *out) {
             out->gyroscope[i] = (sf_real)NAN;
     for (int i = 0; i < 3 * SF_FEET; i++) r->position_sole[i] = (sf_real)NAN;
     for (int i = 0; i < 9 * SF_FEET; i++) r->R_level_sole[i] = (sf_real)NAN;
+    r->momentum = 0;
     memset(r->stance, 0, sizeof r->stance);
     memset(r->swing, 0, sizeof r->swing);
     out->known = 0;
 }
 
-/* Beliefs._at: interpolate the rows that are complete; at their ends, take the end. */
-SF_API void sf_at(const sf_timing *t, sf_beliefs *s, double time, sf_real *out) {
-    sf_whole rows = s->run < SF_PACKETS - 1 ? s->run : SF_PACKETS - 1, at;
-    sf_whole low = s->number - rows + 2, high = s->number - 1;
+/* Beliefs.interpolate: what a ring of rows, each `width` numbers, holds at a moment; from row `low` to `high`. */
+SF_API void sf_interpolate(const sf_timing *t, const sf_beliefs *s, const sf_real *ring, int width, double time,
+                           sf_whole low, sf_whole high, sf_real *out) {
+    sf_whole at;
     double index = (time - s->clock) / t->period + 0.5;
     if (!(index > (double)low)) index = (double)low;
     if (!(index < (double)high)) index = (double)high;
     at = (sf_whole)floor(index);
     if (at > high - 1) at = high - 1;
     if (high <= low) at = low;
-    const sf_real *row = sf_row(s, at), *next = sf_row(s, at + 1);
+    const sf_real *row = ring + width * sf_place(at), *next = ring + width * sf_place(at + 1);
     sf_real part = (sf_real)(index - (double)at);
-    for (int i = 0; i < SF_ROW; i++) out[i] = row[i] + part * (next[i] - row[i]);
+    for (int i = 0; i < width; i++) out[i] = row[i] + part * (next[i] - row[i]);
 }
+
+/* Rows that there may be in a ring. */
+SF_API sf_whole sf_rows_kept(const sf_beliefs *s) { return s->run < SF_PACKETS - 1 ? s->run : SF_PACKETS - 1; }
 
 /* Beliefs.reference: what the robot believed to do at a moment, in s of the host's clock. Contacts are left open. */
 SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time, sf_belief *out) {
@@ -437,7 +469,7 @@ SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time,
     sf_reference *r = &out->reference;
     sf_nothing(out);
     if (s->run < 3) return;
-    sf_at(t, s, time, rows);
+    sf_interpolate(t, s, s->ring, SF_ROW, time, s->number - sf_rows_kept(s) + 2, s->number - 1, rows);
     x = rows[SF_ROW_AXES] + rows[SF_ROW_AXES + 9];
     y = rows[SF_ROW_AXES + 1] + rows[SF_ROW_AXES + 10];
     by = 1 / sf_sqrt(x * x + y * y);

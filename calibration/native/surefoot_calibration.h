@@ -14,48 +14,16 @@
 
    Matrices are stored by rows without gaps, as wide as the robot at hand needs: arrays below hold the largest one.
 
-   Before it is included: SF_SINGLE makes numbers floats; SF_CHANNELS, SF_FEET, SF_LAG, SF_EVERY, SF_SETTLE, SF_GROUPS,
-   SF_SENSORS, SF_CELLS, SF_TALKS and SF_PARITIES are the largest sizes; SF_API is what stands before functions. */
+   Before it is included: SF_EVERY, SF_SETTLE, SF_GROUPS, SF_KINDS, SF_SENSORS, SF_CELLS, SF_TALKS and SF_PARITIES are the
+   largest sizes, besides those of surefoot_robot.h. */
 
 #ifndef SUREFOOT_CALIBRATION_H
 #define SUREFOOT_CALIBRATION_H
 
-#ifndef SF_NO_LIBC /* see device.h */
-#include <math.h>
-#include <string.h>
+#ifdef SUREFOOT_ROBOT_H
+#error "surefoot_calibration.h comes before the other headers, as it adds to sf_config"
 #endif
 
-/* -------------------------------------------------------------------------------------- sizes and numbers */
-
-#ifdef SF_SINGLE
-typedef float sf_real;
-#define sf_sqrt sqrtf
-#define sf_fabs fabsf
-#define sf_exp expf
-#define sf_log logf
-#define SF_EPSILON 1.1920929e-07f
-#else
-typedef double sf_real;
-#define sf_sqrt sqrt
-#define sf_fabs fabs
-#define sf_exp exp
-#define sf_log log
-#define SF_EPSILON 2.220446049250313e-16
-#endif
-typedef long long sf_whole;
-
-#ifndef SF_API
-#define SF_API static inline
-#endif
-#ifndef SF_CHANNELS
-#define SF_CHANNELS 20 /* both instruments in both feet */
-#endif
-#ifndef SF_FEET
-#define SF_FEET 2
-#endif
-#ifndef SF_LAG
-#define SF_LAG 8
-#endif
 #ifndef SF_EVERY
 #define SF_EVERY 16 /* samples of a block */
 #endif
@@ -84,7 +52,6 @@ typedef long long sf_whole;
 #define SF_SCALES (SF_CHANNELS + SF_TALKS)
 #define SF_MAP (SF_SCALES + SF_CHANNELS)
 #define SF_UNKNOWNS (SF_MAP + 10)
-#define SF_MOTION (15 + 12 * SF_FEET)
 #define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
 #define SF_PENDING (2 * SF_CHANNELS + SF_MOTION + SF_FEET + 2)
 #define SF_NEWTON (SF_GROUPS * SF_KINDS)
@@ -92,36 +59,29 @@ typedef long long sf_whole;
 #define SF_PAIRS (SF_CELLS * (SF_CELLS - 1) / 2 + 1)
 #define SF_HYPOTHESES (2 * SF_CHANNELS + 2 * SF_PAIRS)
 
-/* Bits of `flags`; see surefoot.calibration.estimate.Flag. */
-enum {
-    SF_MISSING = 1,
-    SF_OUT_OF_RANGE = 2,
-    SF_REFERENCE = 4,
-    SF_GAP = 8,
-    SF_NO_CONTACT = 16,
-    SF_SINGULAR = 32,
-    SF_STANDING = 64,
-    SF_REJECTED = 128,
-    SF_SPIKE = 256,
-    SF_STUCK = 512,
-    SF_DEAD = 1024,
-    SF_FLIPPED = 2048,
-    SF_SWAPPED = 4096,
-    SF_LOST = 8192,
-    SF_SATURATED = 16384
-};
+/* What it adds to sf_config: a MomentFilterConfig, worked out. P scales, of which the first K are the channels' own,
+   M = P + K scales and offsets, N = M + 10 unknowns. */
+#define SF_OF_METHOD \
+    int every, average, settle, kinds, sensors, parities, pairs, keep_every, distal_matters, talks; \
+    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels of the scales behind the first K */ \
+    int first[SF_PAIRS], second[SF_PAIRS];              /* cells that may be exchanged */ \
+    int foot_of_sensor[SF_SENSORS]; \
+    sf_real unit[SF_CHANNELS]; \
+    sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS], sure[SF_UNKNOWNS]; \
+    sf_real change[SF_UNKNOWNS]; /* variances of what a load changes */ \
+    sf_real stated[SF_MAP]; \
+    sf_real row_scale[6], row_variance[6]; /* of the kinds of rows that are seen */ \
+    sf_real timing_noise, gate, reject, still, mass_change; \
+    sf_real swing_noise, swing_load, parity_noise; \
+    sf_real parity[SF_PARITIES * SF_CHANNELS]; \
+    sf_real load_largest[3], load_loose[3]; \
+    sf_real sensor_mass[SF_SENSORS], sensor_com[SF_SENSORS * 3], sensor_share[SF_SENSORS * 6]; \
+    sf_real felt[SF_SENSORS * 6 * SF_CHANNELS]; \
+    sf_real curve_every[SF_EVERY], curve_span[SF_SPAN];
 
-/* Places in a flat reference; behind them the soles' positions (3 each) and rotations (9 each). */
-enum { SF_COM = 0, SF_ACCELERATION = 3, SF_RATE = 6, SF_ACCELEROMETER = 9, SF_GYROSCOPE = 12, SF_SOLES = 15 };
-
-/* Rows of a wrench. */
-enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
+#include "surefoot_robot.h"
 
 /* Constants of the Python modules, by their names there. */
-#define SF_LONGEST_GAP 5.0
-#define SF_SLOPE_SAMPLES 3
-#define SF_LARGEST_REFERENCE ((sf_real)1e6)
-#define SF_LARGEST_WEIGHTS ((sf_real)5.0)
 #define SF_REJECT_STD ((sf_real)8.0)
 #define SF_LEAP_STD ((sf_real)5.0)
 #define SF_LEAST_CHANGE_OF_MASS ((sf_real)0.5)
@@ -158,25 +118,10 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_FIRST_WIDTH ((sf_real)8.0)
 #define SF_LEAST ((sf_real)8.0)
 #define SF_NEGLIGIBLE ((sf_real)1e-18) /* share of a mixture that changes no digit of it */
-#define SF_FLOOR ((sf_real)1e-5)
-#define SF_LONGEST_LEAP 3
-#define SF_LEAST_LEAP_SCALE ((sf_real)0.3)
-#define SF_LARGEST_LEAP_SCALE ((sf_real)3.0)
-#define SF_ALONE ((sf_real)4.0)
-#define SF_BUMPY ((sf_real)1.5)
-#define SF_BUMP_MEMORY ((sf_real)0.993)
 #define SF_SUSPICION ((sf_real)4.0)
 #define SF_TRUST ((sf_real)10.0)
 #define SF_WELL ((sf_real)0.5 * SF_SUSPICION)
 #define SF_WAIT ((sf_real)6.0)
-#define SF_MOVING ((sf_real)0.02)
-#define SF_MOSTLY_MISSING ((sf_real)0.5)
-#define SF_ALL_READ ((sf_real)0.99)
-#define SF_NO_LOAD ((sf_real)0.1)
-#define SF_HEAVIEST ((sf_real)2.0)
-#define SF_RETURN_BLOCKS ((sf_real)15.0)
-#define SF_AGREE ((sf_real)0.03)
-#define SF_AGREE_SHARE ((sf_real)0.2)
 #define SF_CALM ((sf_real)0.4 * SF_SUSPICION)
 #define SF_PATIENCE ((sf_real)10.0)
 #define SF_RELIEF ((sf_real)0.4)
@@ -189,58 +134,6 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LIGHTER ((sf_real)0.02)
 
 /* ------------------------------------------------------------------------------------------------ records */
-
-/* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, P scales, of which the
-   first K are the channels' own, M = P + K scales and offsets, N = M + 10 unknowns. Units as in Python. */
-typedef struct {
-    int channels, feet, lag, kept, every, average, settle, kinds, sensors, parities, pairs, keep_every;
-    int distal_matters, talks;
-    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels of the scales behind the first K */
-    int foot_of_channel[SF_CHANNELS];
-    int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
-    int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
-    int first[SF_PAIRS], second[SF_PAIRS]; /* cells that may be exchanged */
-    int foot_of_sensor[SF_SENSORS];
-    sf_real dt, weight, mass, gravity, length, reach, force_threshold;
-    sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
-    sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
-    sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
-    sf_real unit[SF_CHANNELS];
-    sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS], sure[SF_UNKNOWNS];
-    sf_real change[SF_UNKNOWNS]; /* variances of what a load changes */
-    sf_real stated[SF_MAP];
-    sf_real row_scale[6], row_variance[6]; /* of the kinds of rows that are seen */
-    sf_real timing_noise, gate, reject, still, mass_change;
-    sf_real swing_noise, swing_load, parity_noise;
-    sf_real parity[SF_PARITIES * SF_CHANNELS];
-    sf_real leap, renewal;
-    sf_real prior[SF_CHANNELS * SF_CHANNELS];
-    sf_real load_largest[3], load_loose[3];
-    sf_real sensor_mass[SF_SENSORS], sensor_com[SF_SENSORS * 3], sensor_share[SF_SENSORS * 6];
-    sf_real felt[SF_SENSORS * 6 * SF_CHANNELS];
-    sf_real curve_every[SF_EVERY], curve_span[SF_SPAN];
-} sf_config;
-
-/* What the robot believes of itself `lag` samples ago; see surefoot.calibration.reference.Reference. */
-typedef struct {
-    sf_real com[3], com_acceleration[3], angular_momentum_rate[3];
-    sf_real position_sole[SF_FEET * 3], R_level_sole[SF_FEET * 9];
-    unsigned char stance[SF_FEET], swing[SF_FEET];
-} sf_reference;
-
-/* What the way of a sample remembers, with any method: FrontState. */
-typedef struct {
-    sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 2 * SF_CHANNELS], motion[SF_MOTION];
-    sf_whole known, clean;
-} sf_front;
-
-/* One sample, checked: the newest forces by the starting map, and what is wrong with them. */
-typedef struct {
-    sf_real dt, force[SF_CHANNELS];
-    sf_whole flags[SF_CHANNELS];
-    sf_real change[SF_CHANNELS]; /* by how much they are expected to have changed until now */
-    int read[SF_CHANNELS], sound, gap, good; /* a good reference; a clock that jumped; all to be learnt from */
-} sf_sample;
 
 /* All that is remembered: FrontState, MomentState and ChannelState side by side. */
 typedef struct {
@@ -255,23 +148,9 @@ typedef struct {
     sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
     sf_real unproven, due, quiet, anchor[SF_CHANNELS];
     sf_whole status;
-    sf_real last[SF_CHANNELS];
-    sf_whole leaps[SF_CHANNELS];
-    sf_real leapt[SF_CHANNELS], trust, doubt, scores[1 + SF_HYPOTHESES + 1], size[SF_HYPOTHESES], load[12];
-    sf_real moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
-    sf_whole kind[SF_CHANNELS];
-    sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
-    sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
-    sf_whole altered;
+    sf_faults faults;
+    sf_real trust, doubt, scores[1 + SF_HYPOTHESES + 1], size[SF_HYPOTHESES], load[12];
 } sf_state;
-
-/* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is `learnt` of the state. */
-typedef struct {
-    sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_measured[2], cop_foot[SF_FEET * 2];
-    sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], force_std[SF_CHANNELS], cop_covariance[4], nis, nis_rows;
-    sf_whole flags[SF_CHANNELS];
-    unsigned char cop_valid, cop_foot_valid[SF_FEET];
-} sf_estimate;
 
 /* Some samples in a row, oldest first: those that wait, and which of them may be learnt from. */
 typedef struct {
@@ -331,21 +210,10 @@ SF_API int sf_scales(const sf_config *c) { return c->channels + c->talks; }
 SF_API int sf_map(const sf_config *c) { return sf_scales(c) + c->channels; }
 SF_API int sf_unknowns(const sf_config *c) { return sf_map(c) + 10; }
 SF_API int sf_half(int rows) { return rows * (rows + 1) / 2; } /* of a symmetric matrix */
-SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
 SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
 SF_API int sf_groups(const sf_config *c) { return c->every / c->average; }
 SF_API int sf_hypotheses(const sf_config *c) { return 2 * c->channels + 2 * c->pairs; }
-
-/* Return whether a robot fits into the arrays, with any method. */
-SF_API int sf_robot_fits(const sf_config *c) {
-    int fits = c->channels >= 1 && c->channels <= SF_CHANNELS && c->feet >= 1 && c->feet <= SF_FEET &&
-               c->lag >= 0 && c->lag <= c->kept && c->kept <= SF_LAG;
-    for (int i = 0; fits && i < c->channels; i++)
-        fits = c->foot_of_channel[i] >= 0 && c->foot_of_channel[i] < c->feet &&
-               (c->carried[i] == 0 || c->kept >= SF_SLOPE_SAMPLES);
-    return fits;
-}
 
 /* Return whether it does with the moment filter; call it once for a config that comes from elsewhere. */
 SF_API int sf_calibrator_fits(const sf_config *c) {
@@ -365,67 +233,7 @@ SF_API int sf_calibrator_fits(const sf_config *c) {
     return fits;
 }
 
-/* ----------------------------------------------------------------------------------------- linear algebra */
-
-SF_API sf_real sf_min(sf_real a, sf_real b) { return b < a ? b : a; }
-SF_API sf_real sf_max(sf_real a, sf_real b) { return b > a ? b : a; }
-SF_API sf_real sf_clip(sf_real value, sf_real low, sf_real high) { return sf_min(sf_max(value, low), high); }
-SF_API int sf_finite(sf_real value) { return value - value == 0; }
-
-SF_API void sf_copy(sf_real *to, const sf_real *from, int n) {
-    memcpy(to, from, (size_t)n * sizeof(sf_real));
-}
-
-SF_API int sf_all_finite(const sf_real *values, int n) {
-    int finite = 1;
-    for (int i = 0; i < n; i++) finite &= sf_finite(values[i]);
-    return finite;
-}
-
-/* Sums in four parts: one after the other would wait for every addition. */
-SF_API sf_real sf_dot(const sf_real *a, const sf_real *b, int n) {
-    sf_real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
-    int i = 0;
-    for (; i + 4 <= n; i += 4) {
-        s0 += a[i] * b[i];
-        s1 += a[i + 1] * b[i + 1];
-        s2 += a[i + 2] * b[i + 2];
-        s3 += a[i + 3] * b[i + 3];
-    }
-    for (; i < n; i++) s0 += a[i] * b[i];
-    return (s0 + s1) + (s2 + s3);
-}
-
-/* to += factor * from */
-SF_API void sf_add(sf_real *__restrict to, sf_real factor, const sf_real *__restrict from, int n) {
-    for (int i = 0; i < n; i++) to[i] += factor * from[i];
-}
-
-/* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n numbers each. Four at a time, so that
-   `to` is read and written once for four; most factors are zeros, which cost nothing. */
-SF_API void sf_add_rows(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart,
-                        const sf_real *B, int wide, int inner, int n) {
-    const sf_real *row[4];
-    sf_real by[4];
-    int found = 0;
-    for (int k = 0; k < inner; k++) {
-        if (factor[k * apart] == 0) continue;
-        by[found] = sign * factor[k * apart], row[found++] = B + k * wide;
-        if (found < 4) continue;
-        const sf_real *a = row[0], *b = row[1], *c = row[2], *d = row[3];
-        sf_real p = by[0], q = by[1], r = by[2], s = by[3];
-        for (int i = 0; i < n; i++) to[i] = to[i] + p * a[i] + q * b[i] + r * c[i] + s * d[i];
-        found = 0;
-    }
-    for (int k = 0; k < found; k++) sf_add(to, by[k], row[k], n);
-}
-
-/* out = A B, shapes (rows, inner) and (inner, columns). */
-SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int rows, int inner, int columns) {
-    memset(out, 0, (size_t)(rows * columns) * sizeof(sf_real));
-    for (int i = 0; i < rows; i++)
-        sf_add_rows(out + i * columns, 1, A + i * inner, 1, B, columns, inner, columns);
-}
+/* --------------------------------------------------------------------------------------- moment: unknowns */
 
 /* Return r S r' for a symmetric S, shape (n, n). */
 SF_API sf_real sf_variance(const sf_real *r, const sf_real *S, int n) {
@@ -433,281 +241,6 @@ SF_API sf_real sf_variance(const sf_real *r, const sf_real *S, int n) {
     sf_add_rows(row, 1, r, 1, S, n, n, n);
     return sf_dot(row, r, n);
 }
-
-/* Overwrite the lower half of a positive definite A with L, A = L L'; returns 0 if it is none. */
-SF_API int sf_cholesky(sf_real *A, int n) {
-    /* Row by row of L', in the upper half: its numbers do not wait for each other. */
-    for (int i = 0; i < n; i++) {
-        sf_real *row = A + i * n + i;
-        for (int j = i + 1; j < n; j++) row[j - i] = A[j * n + i];
-        sf_add_rows(row, -1, A + i, n, A + i, n, i, n - i);
-        if (!(row[0] > 0) || !sf_finite(row[0])) return 0;
-        sf_real by = 1 / sf_sqrt(row[0]);
-        for (int j = i; j < n; j++) A[j * n + i] = row[j - i] *= by;
-    }
-    return 1;
-}
-
-/* Overwrite B, shape (n, columns), with (L L')^-1 B: L^-1 B first, and L'^-1 of that. */
-SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
-    for (int step = 0; step < 2 * n; step++) {
-        int back = step >= n, i = back ? 2 * n - 1 - step : step;
-        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
-        if (back) sf_add_rows(row, -1, L + (i + 1) * n + i, n, row + columns, columns, n - i - 1, columns);
-        else sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
-        for (int j = 0; j < columns; j++) row[j] *= by;
-    }
-}
-
-/* Eigenvalues and eigenvectors (rows of `axes`) of a symmetric A, which is overwritten; returns 0 without an
-   answer. Householder's reflections make it tridiagonal, implicit steps with Wilkinson's shift diagonal
-   (Golub & Van Loan, Matrix Computations, sections 8.3.1 and 8.3.3). */
-SF_API int sf_eigen(sf_real *A, int n, sf_real *values, sf_real *axes) {
-    sf_real beside[SF_MAP + 1], v[SF_MAP], w[SF_MAP];
-    memset(axes, 0, (size_t)(n * n) * sizeof(sf_real));
-    for (int i = 0; i < n; i++) axes[i * n + i] = 1;
-    for (int k = 0; k + 1 < n; k++) {
-        sf_real below = 0;
-        for (int i = k + 2; i < n; i++) below += A[i * n + k] * A[i * n + k];
-        beside[k] = A[(k + 1) * n + k];
-        if (!(below > 0)) continue;
-        sf_real length = sf_sqrt(below + beside[k] * beside[k]), alpha = beside[k] > 0 ? -length : length;
-        for (int i = k + 1; i < n; i++) v[i] = A[i * n + k];
-        v[k + 1] -= alpha;
-        sf_real beta = 2 / (below + v[k + 1] * v[k + 1]), half = 0;
-        for (int i = k + 1; i < n; i++) {
-            w[i] = beta * sf_dot(A + i * n + k + 1, v + k + 1, n - k - 1);
-            half += v[i] * w[i];
-        }
-        half *= beta / 2;
-        for (int i = k + 1; i < n; i++) w[i] -= half * v[i];
-        for (int i = k + 1; i < n; i++) {
-            sf_real *row = A + i * n;
-            for (int j = k + 1; j < n; j++) row[j] = row[j] - v[i] * w[j] - w[i] * v[j];
-        }
-        memset(w, 0, (size_t)n * sizeof(sf_real));
-        sf_add_rows(w, 1, v + k + 1, 1, axes + (k + 1) * n, n, n - k - 1, n);
-        for (int i = k + 1; i < n; i++) sf_add(axes + i * n, -beta * v[i], w, n);
-        beside[k] = alpha;
-    }
-    for (int i = 0; i < n; i++) values[i] = A[i * n + i];
-
-    for (int last = n - 1, tries = 30 * n; last > 0;) {
-        int first = last;
-        while (first > 0 && sf_fabs(beside[first - 1]) >
-                                SF_EPSILON * (sf_fabs(values[first - 1]) + sf_fabs(values[first])))
-            first--;
-        if (first == last) {
-            last--;
-            continue;
-        }
-        if (tries-- == 0) return 0;
-        sf_real gap = (values[last - 1] - values[last]) / 2, square = beside[last - 1] * beside[last - 1];
-        sf_real root = sf_sqrt(gap * gap + square), shift = values[last] - square / (gap + (gap < 0 ? -root : root));
-        sf_real x = values[first] - shift, z = beside[first];
-        for (int k = first; k < last; k++) {
-            sf_real r = sf_sqrt(x * x + z * z), cosine = r > 0 ? x / r : 1, sine = r > 0 ? z / r : 0;
-            sf_real a = values[k], b = beside[k], d = values[k + 1];
-            if (k > first) beside[k - 1] = r;
-            values[k] = cosine * cosine * a + 2 * cosine * sine * b + sine * sine * d;
-            values[k + 1] = sine * sine * a - 2 * cosine * sine * b + cosine * cosine * d;
-            beside[k] = cosine * sine * (d - a) + (cosine * cosine - sine * sine) * b;
-            if (k + 1 < last) {
-                x = beside[k];
-                z = sine * beside[k + 1];
-                beside[k + 1] *= cosine;
-            }
-            sf_real *one = axes + k * n, *two = one + n;
-            for (int i = 0; i < n; i++) {
-                sf_real before = one[i];
-                one[i] = cosine * before + sine * two[i];
-                two[i] = cosine * two[i] - sine * before;
-            }
-        }
-    }
-    return 1;
-}
-
-SF_API void sf_cross(sf_real *out, const sf_real *a, const sf_real *b) {
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-/* out = R v, and out = R' v */
-SF_API void sf_turn(sf_real *out, const sf_real *R, const sf_real *v) {
-    for (int i = 0; i < 3; i++) out[i] = R[3 * i] * v[0] + R[3 * i + 1] * v[1] + R[3 * i + 2] * v[2];
-}
-
-SF_API void sf_turn_back(sf_real *out, const sf_real *R, const sf_real *v) {
-    for (int i = 0; i < 3; i++) out[i] = R[i] * v[0] + R[3 + i] * v[1] + R[6 + i] * v[2];
-}
-
-/* ---------------------------------------------------------------------------- front_end: motion, readings */
-
-SF_API const sf_real *sf_position(const sf_real *motion, int foot) { return motion + SF_SOLES + 3 * foot; }
-
-SF_API const sf_real *sf_rotation(const sf_config *c, const sf_real *motion, int foot) {
-    return motion + SF_SOLES + 3 * c->feet + 9 * foot;
-}
-
-/* Motions.flatten. imu: accelerometer and gyroscope, of 3 numbers each; zeros without. */
-SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, const sf_real *const *imu,
-                       sf_real *motion) {
-    memset(motion, 0, SF_SOLES * sizeof(sf_real));
-    for (int i = 0; imu && i < 2; i++) sf_copy(motion + SF_ACCELEROMETER + 3 * i, imu[i], 3);
-    sf_copy(motion + SF_COM, reference->com, 3);
-    sf_copy(motion + SF_ACCELERATION, reference->com_acceleration, 3);
-    sf_copy(motion + SF_RATE, reference->angular_momentum_rate, 3);
-    sf_copy(motion + SF_SOLES, reference->position_sole, 3 * c->feet);
-    sf_copy(motion + SF_SOLES + 3 * c->feet, reference->R_level_sole, 9 * c->feet);
-}
-
-SF_API sf_real sf_ground_height(const sf_config *c, const sf_real *motion) {
-    sf_real height = sf_position(motion, 0)[2];
-    for (int foot = 1; foot < c->feet; foot++) height = sf_min(height, sf_position(motion, foot)[2]);
-    return height;
-}
-
-/* Motions.ground: the vertical force and the centre of pressure that a motion asks for (Eqs. 9-11, or Han's);
-   returns whether a robot can do that at all. */
-SF_API int sf_ground(const sf_config *c, const sf_real *motion, int quasi_static, sf_real asked[3]) {
-    const sf_real *com = motion + SF_COM, *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
-    sf_real vgrf = quasi_static ? c->weight : c->mass * (acceleration[2] + c->gravity),
-            safe = vgrf > c->force_threshold ? vgrf : c->weight;
-    sf_real height = c->mass * (com[2] - sf_ground_height(c, motion));
-    int near = 1;
-    asked[0] = vgrf;
-    asked[1] = com[0] - (quasi_static ? 0 : (height * acceleration[0] + rate[1]) / safe);
-    asked[2] = com[1] - (quasi_static ? 0 : (height * acceleration[1] - rate[0]) / safe);
-    for (int foot = 0; foot < c->feet; foot++)
-        for (int axis = 0; axis < 2; axis++)
-            near = near && sf_fabs(sf_position(motion, foot)[axis] - asked[1 + axis]) <= c->reach;
-    return near && vgrf > c->force_threshold && vgrf < SF_LARGEST_WEIGHTS * c->weight;
-}
-
-/* Motions.rows: what a newton on each channel adds to (Fz, Fz px, Fz py), shape (3, K); the other foot's are zero. */
-SF_API void sf_level_rows(const sf_config *c, const sf_real *motion, sf_real *rows) {
-    int K = c->channels;
-    for (int i = 0; i < K; i++) {
-        int foot = c->foot_of_channel[i];
-        const sf_real *R = sf_rotation(c, motion, foot), *at = sf_position(motion, foot);
-        const sf_real *map = c->wrench_map + foot * 6 * K + i;
-        sf_real force[3] = {map[0], map[K], map[2 * K]}, torque[3] = {map[3 * K], map[4 * K], map[5 * K]};
-        sf_real up = sf_dot(R + 6, force, 3);
-        rows[i] = up;
-        rows[K + i] = at[0] * up - sf_dot(R + 3, torque, 3);
-        rows[2 * K + i] = at[1] * up + sf_dot(R, torque, 3);
-    }
-}
-
-/* FrontEnd.init */
-SF_API void sf_front_init(const sf_config *c, sf_front *s) {
-    memset(s, 0, sizeof *s);
-    for (int foot = 0; foot < c->feet; foot++)
-        for (int i = 0; i < 3; i++) s->motion[SF_SOLES + 3 * c->feet + 9 * foot + 4 * i] = 1;
-    for (int i = 0; i < c->channels; i++) s->raw[i] = 0 - c->offset[i] / c->scale[i];
-}
-
-/* FrontEnd.observe until forces may be repaired: check one sample. */
-SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const sf_reference *reference,
-                     const sf_real *const *imu, sf_real dt, sf_sample *sample) {
-    int R = sf_motion(c);
-    sf_real motion[SF_MOTION];
-    sf_flatten(c, reference, imu, motion);
-    sample->dt = dt;
-    sample->gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
-    sample->sound = 1;
-    for (int i = 0; i < R; i++) sample->sound = sample->sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
-    for (int i = 0; i < c->channels; i++) {
-        sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
-        sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |
-                           (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
-        if (sample->read[i]) s->raw[i] = raw[i];
-        sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
-    }
-    if (sample->sound) sf_copy(s->motion, motion, R);
-    s->known = s->known || sample->sound;
-}
-
-/* What the reference describes: K forces by the starting map, and which of them were read. */
-SF_API const sf_real *sf_past(const sf_config *c, const sf_front *s) {
-    return s->history + (c->kept - c->lag) * 2 * c->channels;
-}
-
-/* expected_change: by how much forces have changed since they were read, in N. */
-SF_API void sf_expected_change(const sf_config *c, const sf_front *s, sf_real dt, sf_real *change) {
-    int K = c->channels, back = c->kept - SF_SLOPE_SAMPLES;
-    for (int i = 0; i < K; i++) {
-        change[i] = 0;
-        if (back >= 0 && c->carried[i] > 0 && s->clean >= SF_SLOPE_SAMPLES) {
-            const sf_real *newest = s->history + c->kept * 2 * K, *before = s->history + back * 2 * K;
-            if (newest[K + i] > (sf_real)0.5 && before[K + i] > (sf_real)0.5)
-                change[i] = c->carried[i] * ((newest[i] - before[i]) / (SF_SLOPE_SAMPLES * sf_max(dt, c->dt)));
-        }
-    }
-}
-
-/* FrontEnd.observe from there on: remember the sample and see whether that which the reference describes may be
-   learnt from. */
-SF_API void sf_align(const sf_config *c, sf_front *s, sf_sample *sample) {
-    int K = c->channels;
-    sf_real *newest = s->history + c->kept * 2 * K;
-    const sf_real *past = sf_past(c, s);
-    memmove(s->history, s->history + 2 * K, (size_t)(c->kept * 2 * K) * sizeof(sf_real));
-    sf_copy(newest, sample->force, K);
-    for (int i = 0; i < K; i++) newest[K + i] = (sf_real)sample->read[i];
-    sample->good = sample->sound && !sample->gap;
-    for (int i = 0; i < K; i++) sample->good = sample->good && past[K + i] > (sf_real)0.5;
-    s->clean = sample->good ? s->clean + 1 : 0;
-    sf_expected_change(c, s, sample->dt, sample->change);
-}
-
-/* FrontEnd.report: what calibrated forces mean. rows: of sf_level_rows; returns the load on all feet in N. */
-SF_API sf_real sf_report(const sf_config *c, const sf_front *s, const sf_real *rows, sf_estimate *out) {
-    int K = c->channels;
-    sf_real load = 0;
-    for (int foot = 0; foot < c->feet; foot++) {
-        sf_real *wrench = out->wrench + 6 * foot, *cop = out->cop_foot + 2 * foot;
-        for (int axis = 0; axis < 6; axis++)
-            wrench[axis] = sf_dot(c->wrench_map + (foot * 6 + axis) * K, out->force, K);
-        out->vgrf[foot] = 0;
-        for (int i = 0; i < K; i++)
-            if (c->foot_of_channel[i] == foot) out->vgrf[foot] += rows[i] * out->force[i];
-        load += out->vgrf[foot];
-        out->cop_foot_valid[foot] = wrench[SF_FZ] > c->force_threshold;
-        cop[0] = out->cop_foot_valid[foot] ? -wrench[SF_MY] / wrench[SF_FZ] + 0 : (sf_real)NAN;
-        cop[1] = out->cop_foot_valid[foot] ? wrench[SF_MX] / wrench[SF_FZ] + 0 : (sf_real)NAN;
-    }
-    out->cop_valid = load > c->force_threshold && s->known;
-    for (int axis = 0; axis < 2; axis++)
-        out->cop[axis] = out->cop_valid ? sf_dot(rows + (1 + axis) * K, out->force, K) / load + 0 : (sf_real)NAN;
-    sf_copy(out->cop_measured, out->cop, 2);
-    return load;
-}
-
-/* The same of forces that are carried on to now; `change`: each by itself in N, which becomes that with which the
-   vertical force stays as it was read (with_total_kept). */
-SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_real *rows, sf_real *change,
-                             sf_estimate *out) {
-    int K = c->channels;
-    sf_real load = sf_report(c, s, rows, out), room = 0, excess = 0, measured[2];
-    for (int i = 0; i < K; i++) {
-        room += rows[i] * change[i] * change[i] * rows[i];
-        excess += rows[i] * change[i];
-    }
-    if (!(room > 0)) return load;
-    for (int i = 0; i < K; i++) {
-        change[i] -= rows[i] * change[i] * change[i] * (excess / room);
-        out->force[i] += change[i];
-    }
-    sf_copy(measured, out->cop, 2);
-    load = sf_report(c, s, rows, out);
-    sf_copy(out->cop_measured, measured, 2);
-    return load;
-}
-
-/* --------------------------------------------------------------------------------------- moment: unknowns */
 
 /* Unknowns.tared: F0 + o in N. */
 SF_API sf_real sf_tared(const sf_config *c, const sf_real *mean, sf_real force, int i) {
@@ -958,9 +491,9 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
             const sf_real *motion = sf_block_motion(c, b, t);
             const sf_real *ahead = sf_block_force(b, t + settle), *behind = sf_block_force(b, t - settle);
             sf_real weight = use[i] / count;
-            sf_real *seen = s->altered ? own : rows;
+            sf_real *seen = s->faults.altered ? own : rows;
             sf_wrench_rows(c, motion, seen);
-            if (s->altered) sf_multiply(rows, own, s->spare, kinds, K, K);
+            if (s->faults.altered) sf_multiply(rows, own, s->faults.spare, kinds, K, K);
             /* How fast the forces change in N/s, without what no reference could follow. */
             sf_forces(c, mean, ahead, change);
             sf_forces(c, mean, behind, other);
@@ -981,9 +514,9 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
                     late[kind] += weight * speed;
                 }
             }
-            if (s->altered) sf_add(places, weight, own, kinds * K);
+            if (s->faults.altered) sf_add(places, weight, own, kinds * K);
         }
-        if (!s->altered) sf_copy(places, of_rows, kinds * K);
+        if (!s->faults.altered) sf_copy(places, of_rows, kinds * K);
         for (int kind = 0; kind < kinds; kind++) {
             sf_real *row = H + kind * N;
             sf_by_offset(c, of_rows + kind * K, mean, row + P);
@@ -1010,8 +543,8 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         for (int kind = 0; kind < kinds; kind++) {
             const sf_real *jitter = of_speed + kind * K;
             variance[kind] += c->timing_noise * c->timing_noise / c->average * sf_dot(jitter, jitter, K);
-            for (int k = 0; s->altered && k < K; k++) {
-                sf_real unsure = places[kind * K + k] * s->spare_std[k];
+            for (int k = 0; s->faults.altered && k < K; k++) {
+                sf_real unsure = places[kind * K + k] * s->faults.spare_std[k];
                 variance[kind] += unsure * unsure;
             }
         }
@@ -1037,7 +570,7 @@ SF_API void sf_landed(const sf_config *c, const sf_state *s, const sf_block *b, 
         const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
         sf_real least = 0;
         int any = 0;
-        if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
+        if (s->faults.altered) sf_multiply(up, vertical, s->faults.spare, 1, K, K);
         else sf_copy(up, vertical, K);
         for (int t = 0; t < n; t++) {
             sf_forces(c, s->mean, sf_block_force(b, t), force);
@@ -1092,7 +625,7 @@ SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count,
     for (int k = 0; k < K; k++) {
         int foot = c->foot_of_channel[k];
         if (!(count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5) ||
-            s->lost[k] != 0)
+            s->faults.lost[k] != 0)
             continue;
         if (sf_fabs(sf_hung(c, s, reading, felt, k) - s->mean[P + k]) >
             SF_WRONG + SF_SURE_STD * sf_sqrt(sf_tare_variance(c, count[foot])))
@@ -1126,7 +659,7 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
         const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
-        if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
+        if (s->faults.altered) sf_multiply(up, vertical, s->faults.spare, 1, K, K);
         else sf_copy(up, vertical, K);
         sf_real stated = 0, known = 0, row[SF_MAP] = {0}, load;
         /* What was learnt before a first swing was learnt with offsets that nobody knew. */
@@ -1154,7 +687,7 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
     sf_begin_anew(c, s, count, reading, felt);
     for (int k = 0; k < K; k++) {
         sf_real number = count[c->foot_of_channel[k]];
-        if (!(number > (sf_real)0.5) || (s->altered && s->lost[k] != 0)) continue;
+        if (!(number > (sf_real)0.5) || (s->faults.altered && s->faults.lost[k] != 0)) continue;
         int at = rows->count++;
         memset(rows->H + at * N, 0, (size_t)N * sizeof(sf_real));
         rows->H[at * N + P + k] = 1;
@@ -1188,7 +721,7 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
         sf_real least = s->swing_ago[foot] < 0 ? (sf_real)0.5 : SF_FEWEST_SAMPLES - (sf_real)0.5;
         int air = count[foot] > (sf_real)0.5, ends = !air && s->swing_samples[foot] > least;
         for (int k = 0; k < K; k++) {
-            if (c->foot_of_channel[k] != foot || s->lost[k] != 0) continue;
+            if (c->foot_of_channel[k] != foot || s->faults.lost[k] != 0) continue;
             channels += 1;
             common += s->swing_sum[k] / number - s->swing_zero[k];
         }
@@ -1198,7 +731,7 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
             sf_real moved = s->swing_sum[k] / number - s->swing_zero[k] - common;
             sf_real expected = s->rate * c->walk[P + k] * s->swing_ago[foot] + 2 * sf_tare_variance(c, number);
             expected *= 1 - 1 / sf_max(channels, 1);
-            if (s->lost[k] == 0)
+            if (s->faults.lost[k] == 0)
                 surplus += sf_clip(moved * moved / (expected > 0 ? expected : 1), 0, SF_LARGEST_SQUARE) - 1;
             if (ends) s->swing_zero[k] = s->swing_sum[k] / number;
             s->swing_sum[k] = air ? s->swing_sum[k] + reading[k] / c->unit[k] * count[foot] : 0;
@@ -1293,66 +826,6 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
 
 /* -------------------------------------------------------------------------- moment: severity, uncertainty */
 
-/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. */
-
-/* out -= a b */
-SF_API void sf_less_four(sf_real *__restrict out, const sf_real *a, const sf_real *b) {
-    for (int l = 0; l < 4; l++) out[l] -= a[l] * b[l];
-}
-
-/* sf_cholesky of four, and the logarithms of their determinants, NaN of those that are not positive definite. */
-SF_API void sf_cholesky_four(sf_real *A, int n, sf_real size[4]) {
-    sf_real by[4], product[4] = {1, 1, 1, 1};
-    for (int l = 0; l < 4; l++) size[l] = 0;
-    for (int i = 0; i < n; i++) {
-        for (int j = i; j < n; j++) {
-            sf_real *out = A + 4 * (j * n + i), sum[4] = {out[0], out[1], out[2], out[3]};
-            for (int k = 0; k < i; k++) sf_less_four(sum, A + 4 * (j * n + k), A + 4 * (i * n + k));
-            for (int l = 0; j == i && l < 4; l++) by[l] = 1 / sf_sqrt(sum[l] > 0 ? sum[l] : (sf_real)NAN);
-            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
-        }
-        for (int l = 0; l < 4; l++) {
-            product[l] *= A[4 * (i * n + i) + l];
-            if (i % 4 == 3 || i == n - 1) size[l] += 2 * sf_log(product[l]), product[l] = 1;
-        }
-    }
-}
-
-/* Overwrite four B, shape (n, columns), with L^-1 B, or with L'^-1 B. */
-SF_API void sf_solve_four(const sf_real *L, int n, sf_real *B, int columns, int upper) {
-    for (int step = 0; step < n; step++) {
-        int i = upper ? n - 1 - step : step, first = upper ? i + 1 : 0, last = upper ? n : i;
-        sf_real by[4];
-        for (int l = 0; l < 4; l++) by[l] = 1 / L[4 * (i * n + i) + l];
-        for (int j = 0; j < columns; j++) {
-            sf_real *out = B + 4 * (i * columns + j), sum[4] = {out[0], out[1], out[2], out[3]};
-            for (int k = first; k < last; k++)
-                sf_less_four(sum, L + 4 * (upper ? k * n + i : i * n + k), B + 4 * (k * columns + j));
-            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
-        }
-    }
-}
-
-/* Overwrite the factors of four with the lower halves of the inverses: L^-1 in place, then its square. */
-SF_API void sf_inverse_four(sf_real *L, int n) {
-    for (int i = 0; i < n; i++) {
-        sf_real own[4];
-        for (int l = 0; l < 4; l++) own[l] = 1 / L[4 * (i * n + i) + l];
-        for (int j = 0; j < i; j++) {
-            sf_real sum[4] = {0, 0, 0, 0};
-            for (int k = j; k < i; k++) sf_less_four(sum, L + 4 * (i * n + k), L + 4 * (k * n + j));
-            for (int l = 0; l < 4; l++) L[4 * (i * n + j) + l] = own[l] * sum[l];
-        }
-        memcpy(L + 4 * (i * n + i), own, sizeof own);
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            sf_real sum[4] = {0, 0, 0, 0}, *out = L + 4 * (i * n + j);
-            for (int k = i; k < n; k++) sf_less_four(sum, L + 4 * (k * n + i), L + 4 * (k * n + j));
-            for (int l = 0; l < 4; l++) out[l] = -sum[l];
-        }
-}
-
 /* Factors of four precisions of scales with the prior of a severity; `size` is as of sf_cholesky_four. */
 SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real *ratio, sf_real severity, int P,
                           sf_real size[4]) {
@@ -1390,7 +863,7 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
     }
     for (int i = 0; i < M; i++)
         for (int j = 0; j < M; j++) covariance[i * M + j] = s->covariance[i * N + j] / (std[i] * std[j]);
-    if (!sf_eigen(covariance, M, share, axes)) return 0;
+    if (!sf_eigen(covariance, M, share, axes, found)) return 0;
 
     /* The information of the data alone, P^-1 - P0^-1, in units of the prior that the filter began with. */
     sf_real worth = 1 / sf_max(s->misfit, 1);
@@ -1535,201 +1008,6 @@ SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
     }
 }
 
-/* ----------------------------------------------------------------------------------------- moment: faults */
-
-/* StandIn.others: how each channel follows from those that are not lost, and how well in N. */
-SF_API void sf_others(const sf_config *c, const sf_state *s, sf_real *others, sf_real *spread) {
-    int K = c->channels;
-    sf_real L[SF_CHANNELS * SF_CHANNELS], precision[SF_CHANNELS * SF_CHANNELS], row[SF_CHANNELS], cut[SF_CHANNELS];
-    for (int i = 0; i < K; i++)
-        for (int j = 0; j < K; j++) {
-            sf_real moment = s->moments[i * K + j] + (i == j) * SF_FLOOR;
-            /* Lost channels are cut off from the others, so that the inverse is that of those that are there. */
-            L[i * K + j] = moment * (1 - s->lost[i]) * (1 - s->lost[j]) + (i == j) * s->lost[i];
-            precision[i * K + j] = i == j;
-        }
-    if (!sf_cholesky(L, K)) { /* never while the floor holds; nothing then follows from nothing */
-        memset(others, 0, (size_t)(K * K) * sizeof(sf_real));
-        for (int i = 0; i < K; i++) spread[i] = c->weight;
-        return;
-    }
-    sf_solve(L, K, precision, K);
-    for (int i = 0; i < K; i++) {
-        sf_real own = precision[i * K + i], variance = 1 / own, there = 1 - s->lost[i];
-        for (int j = 0; j < K; j++)
-            others[i * K + j] = ((sf_real)(i == j) - precision[i * K + j] / own) * there * (1 - s->lost[j]);
-        if (s->lost[i] > (sf_real)0.5) {
-            for (int j = 0; j < K; j++)
-                cut[j] = (s->moments[i * K + j] + (i == j) * SF_FLOOR) * (1 - s->lost[j]);
-            sf_multiply(row, cut, precision, 1, K, K);
-            variance = s->moments[i * K + i] + SF_FLOOR;
-            for (int j = 0; j < K; j++) {
-                sf_real of_lost = row[j] * (1 - s->lost[j]) * s->lost[i];
-                others[i * K + j] += of_lost;
-                variance -= of_lost * (s->moments[i * K + j] + (i == j) * SF_FLOOR);
-            }
-        }
-        spread[i] = sf_sqrt(sf_max(variance, 0)) * c->weight;
-    }
-}
-
-/* ChannelFaults._rebuild: work out how to do without what is lost. */
-SF_API void sf_rebuild(const sf_config *c, sf_state *s) {
-    int K = c->channels;
-    sf_real others[SF_CHANNELS * SF_CHANNELS], spread[SF_CHANNELS];
-    sf_others(c, s, others, spread);
-    for (int i = 0; i < K; i++) {
-        s->spare_std[i] = spread[i] * s->lost[i];
-        for (int j = 0; j < K; j++)
-            s->spare[i * K + j] = (i == j) * (1 - s->lost[i]) + others[i * K + j] * s->lost[i];
-    }
-    s->altered = 1;
-}
-
-/* ChannelFaults._return: take channels in again. */
-SF_API void sf_return(const sf_config *c, sf_state *s, const int *back) {
-    int any = 0;
-    for (int i = 0; i < c->channels; i++) {
-        if (!back[i]) continue;
-        any = 1;
-        s->lost[i] = 0;
-        s->kind[i] &= ~(sf_whole)(SF_LOST | SF_DEAD | SF_STUCK | SF_SATURATED | SF_MISSING);
-    }
-    if (any) sf_rebuild(c, s);
-}
-
-/* ChannelFaults._lose: take channels out. */
-SF_API void sf_lose(const sf_config *c, sf_state *s, const int *fresh, const int *kind) {
-    int any = 0;
-    for (int i = 0; i < c->channels; i++) {
-        if (!fresh[i]) continue;
-        any = 1;
-        s->lost[i] = 1;
-        s->kind[i] |= kind[i] | SF_LOST;
-    }
-    if (any) sf_rebuild(c, s);
-}
-
-/* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in place. */
-SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int *read, sf_whole *kinds) {
-    int K = c->channels, any = 0, leaping[SF_CHANNELS];
-    sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
-    if (s->altered) {
-        int was[SF_CHANNELS];
-        sf_copy(before, force, K);
-        memcpy(was, read, (size_t)K * sizeof(int));
-        for (int i = 0; i < K; i++) {
-            sf_real sum = 0;
-            force[i] = 0;
-            for (int j = 0; j < K; j++) {
-                force[i] += s->wiring[i * K + j] * before[j];
-                sum += sf_fabs(s->wiring[i * K + j]) * (sf_real)was[j];
-            }
-            read[i] = sum > (sf_real)0.5;
-        }
-    }
-    for (int i = 0; i < K; i++) {
-        step[i] = sf_fabs(force[i] - s->last[i]) *
-                  sf_clip(sf_fabs(s->given[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
-        s->leapt[i] *= SF_BUMP_MEMORY;
-        leaping[i] = step[i] > c->leap;
-        any = any || leaping[i];
-        kinds[i] = s->kind[i];
-    }
-    if (!any) {
-        sf_copy(s->last, force, K);
-        memset(s->leaps, 0, (size_t)K * sizeof(sf_whole));
-        return;
-    }
-    for (int i = 0; i < K; i++) {
-        /* A foot that lands moves several of its cells. */
-        sf_real others = 0;
-        for (int j = 0; j < K; j++)
-            if (j != i && c->foot_of_channel[j] == c->foot_of_channel[i]) others = sf_max(others, step[j]);
-        leaping[i] = leaping[i] && read[i] && s->leaps[i] < SF_LONGEST_LEAP && step[i] > SF_ALONE * others;
-        leapt[i] = s->leapt[i] + (sf_real)(leaping[i] && s->leaps[i] == 0);
-        total += s->leapt[i];
-    }
-    for (int i = 0; i < K; i++) {
-        leaping[i] = leaping[i] && total - s->leapt[i] < SF_BUMPY;
-        s->leapt[i] = leapt[i];
-        s->leaps[i] = leaping[i] ? s->leaps[i] + 1 : read[i] ? 0 : s->leaps[i];
-        if (leaping[i]) {
-            force[i] = s->last[i];
-            read[i] = 0;
-            kinds[i] |= SF_SPIKE;
-        }
-        s->last[i] = force[i];
-    }
-}
-
-/* ChannelFaults.silent: find channels that are silent, or always read the same. */
-SF_API void sf_silent(const sf_config *c, sf_state *s, const sf_block *b) {
-    int K = c->channels, n = sf_span(c), flat[SF_CHANNELS], moves[SF_CHANNELS], again[SF_CHANNELS];
-    int fresh[SF_CHANNELS], kind[SF_CHANNELS], stuck[SF_CHANNELS];
-    sf_real high[SF_CHANNELS], share[SF_CHANNELS], most = 0;
-    for (int i = 0; i < K; i++) {
-        sf_real low = high[i] = sf_block_force(b, 0)[i];
-        share[i] = 0;
-        for (int t = 0; t < n; t++) {
-            high[i] = sf_max(high[i], sf_block_force(b, t)[i]);
-            low = sf_min(low, sf_block_force(b, t)[i]);
-            share[i] += sf_block_read(c, b, t)[i];
-        }
-        share[i] /= (sf_real)n;
-        most = sf_max(most, share[i]);
-        flat[i] = high[i] - low == 0;
-        moves[i] = high[i] - low > SF_MOVING * c->weight;
-        again[i] = share[i] > SF_ALL_READ && !flat[i] && (s->kind[i] & SF_MISSING) && s->lost[i] > (sf_real)0.5;
-    }
-    sf_return(c, s, again);
-    for (int i = 0; i < K; i++) {
-        int moving = 0, missing = share[i] < SF_MOSTLY_MISSING && most >= SF_MOSTLY_MISSING;
-        for (int j = 0; j < K; j++)
-            moving = moving || (j != i && moves[j] && c->foot_of_channel[j] == c->foot_of_channel[i]);
-        stuck[i] = flat[i] && moving && share[i] > SF_ALL_READ;
-        int dead = stuck[i] && sf_fabs(high[i]) <= SF_NO_LOAD * c->weight;
-        int rail = stuck[i] && !dead && sf_fabs(high[i]) > SF_HEAVIEST * c->weight;
-        kind[i] = (dead ? SF_DEAD : 0) | (rail ? SF_SATURATED : 0) |
-                  (stuck[i] && !dead && !rail ? SF_STUCK : 0) | (missing ? SF_MISSING : 0);
-        fresh[i] = (stuck[i] || missing) && s->lost[i] < (sf_real)0.5 && c->cells[i];
-    }
-    sf_lose(c, s, fresh, kind);
-}
-
-/* ChannelFaults.learn: how cells share loads while nothing is wrong; let channels come back. */
-SF_API void sf_fault_learn(const sf_config *c, sf_state *s, const sf_real *force, int good) {
-    int K = c->channels, groups = sf_groups(c), back[SF_CHANNELS], any = 0;
-    int well = good && s->doubt < (sf_real)0.5;
-    for (int i = 0; i < K; i++) well = well && s->lost[i] < (sf_real)0.5;
-    for (int i = 0; well && i < K; i++)
-        for (int j = 0; j < K; j++) {
-            sf_real seen = 0;
-            for (int g = 0; c->together[i * K + j] && g < groups; g++)
-                seen += force[g * K + i] / c->weight * (force[g * K + j] / c->weight);
-            s->moments[i * K + j] += c->renewal * (seen / (sf_real)groups - s->moments[i * K + j]);
-        }
-    if (!s->altered) return;
-    for (int i = 0; i < K; i++) {
-        sf_real error = 0, load = 0, high = 0, low = 0;
-        for (int g = 0; g < groups; g++) {
-            sf_real expected = sf_dot(s->spare + i * K, force + g * K, K);
-            error = sf_max(error, sf_fabs(expected - force[g * K + i]));
-            load = sf_max(load, sf_fabs(expected));
-            high = g ? sf_max(high, expected) : expected;
-            low = g ? sf_min(low, expected) : expected;
-        }
-        int moved = high - low > SF_AGREE * c->weight;
-        int near = error < SF_AGREE * c->weight + SF_AGREE_SHARE * load;
-        s->agreed[i] = (near ? s->agreed[i] + (sf_real)moved : 0) * s->lost[i];
-        back[i] = s->agreed[i] >= SF_RETURN_BLOCKS && s->lost[i] > (sf_real)0.5;
-        any = any || back[i];
-    }
-    for (int i = 0; any && i < K; i++)
-        if (back[i]) s->agreed[i] = 0;
-    if (any) sf_return(c, s, back);
-}
-
 /* ------------------------------------------------------------------------------------- moment: hypotheses */
 
 /* Hypotheses: `out` and `flipped` are each channel's own, then two are exchanged, `straight` or `crossed`. */
@@ -1810,19 +1088,19 @@ SF_API void sf_repair(const sf_config *c, sf_state *s, int accepted) {
     if (accepted < K) return;
     if (pair < 0) {
         int i = accepted - K;
-        for (int j = 0; j < K; j++) s->wiring[i * K + j] = -s->wiring[i * K + j];
-        s->kind[i] ^= SF_FLIPPED;
+        for (int j = 0; j < K; j++) s->faults.wiring[i * K + j] = -s->faults.wiring[i * K + j];
+        s->faults.kind[i] ^= SF_FLIPPED;
         return;
     }
     sf_real sign = pair < c->pairs ? 1 : -1;
-    sf_real *one = s->wiring + c->first[pair % c->pairs] * K, *two = s->wiring + c->second[pair % c->pairs] * K;
+    sf_real *one = s->faults.wiring + c->first[pair % c->pairs] * K, *two = s->faults.wiring + c->second[pair % c->pairs] * K;
     for (int j = 0; j < K; j++) {
         sf_real before = one[j];
         one[j] = sign * two[j];
         two[j] = sign * before;
     }
-    s->kind[c->first[pair % c->pairs]] ^= SF_SWAPPED;
-    s->kind[c->second[pair % c->pairs]] ^= SF_SWAPPED;
+    s->faults.kind[c->first[pair % c->pairs]] ^= SF_SWAPPED;
+    s->faults.kind[c->second[pair % c->pairs]] ^= SF_SWAPPED;
 }
 
 /* ChannelFaults.contradicted, Hypotheses.evidence and decide: hold hypotheses against the robot's motion. `mean` is
@@ -1835,7 +1113,7 @@ SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *ne
     *fault = *loaded = 0;
     /* Most of the time nothing is wrong, and no hypothesis needs to be tried. */
     if (!(newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5)) return;
-    sf_others(c, s, others, spread);
+    sf_others(c, &s->faults, others, spread);
 
     /* The block in which a fault begins is half right: what counts are those behind it. */
     sf_real doubt = s->doubt + (sf_real)(s->doubt > (sf_real)0.5), whole = doubt > (sf_real)1.5 ? doubt - 1 : 1;
@@ -1866,7 +1144,7 @@ SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *ne
     int chosen = 0;
     for (int h = 0; h < count; h++) {
         int touched = 0, usable = h >= 2 * K || c->cells[h % K];
-        for (int i = 0; i < K; i++) touched = touched || (s->lost[i] > (sf_real)0.5 && sf_about(c, h, i));
+        for (int i = 0; i < K; i++) touched = touched || (s->faults.lost[i] > (sf_real)0.5 && sf_about(c, h, i));
         left[h] = usable && !touched ? s->scores[1 + h] * (h < K ? SF_LOSS : 1) : HUGE_VAL;
         /* Between its turns a broken cell carries little, and still explains what was wrong in them. */
         if (s->size[h] > SF_LEAST_ERROR * c->weight) any_channel = sf_min(any_channel, left[h]);
@@ -1892,10 +1170,10 @@ SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *ne
         int out[SF_CHANNELS] = {0}, kind[SF_CHANNELS] = {0};
         out[chosen] = 1;
         kind[chosen] = SF_DEAD;
-        sf_lose(c, s, out, kind);
+        sf_lose(c, &s->faults, out, kind);
     }
     sf_repair(c, s, chosen);
-    s->altered = 1;
+    s->faults.altered = 1;
 }
 
 /* ----------------------------------------------------------------------------------------- moment: stream */
@@ -2040,11 +1318,11 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     sf_real reading[SF_GROUPS * SF_CHANNELS], force[SF_GROUPS * SF_CHANNELS];
     sf_readings(c, b, reading);
     for (int g = 0; g < groups; g++) sf_forces(c, mean, reading + g * K, force + g * K);
-    found = memcmp(lost, s->lost, (size_t)K * sizeof(sf_real)) != 0;
+    found = memcmp(lost, s->faults.lost, (size_t)K * sizeof(sf_real)) != 0;
     sf_contradicted(c, s, &w->newton, mean, reading, force, &fault, &loaded);
     found = found || fault;
     for (int g = 0; g < groups; g++) sf_forces(c, s->given, reading + g * K, force + g * K);
-    sf_fault_learn(c, s, force, use_all && !found);
+    sf_fault_learn(c, &s->faults, force, sf_groups(c), use_all && !found && s->doubt < (sf_real)0.5);
     for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
     if (found) sf_back(c, s);
     for (int i = 0; i < N; i++) moved = moved || sf_fabs(s->mean[i] - before[i]) > SF_ROUNDING;
@@ -2095,23 +1373,23 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_rows *rows = &w->rows;
     sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], *covariance = w->covariance, tare_nis = 0, tare_rows = 0;
     sf_real lost[SF_CHANNELS], product[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
-    sf_copy(lost, s->lost, K);
-    sf_silent(c, s, &b);
+    sf_copy(lost, s->faults.lost, K);
+    sf_silent(c, &s->faults, s->pending, sf_block_read(c, &b, 0), b.width, n, 1);
     /* MomentStream._complete: which samples have all readings that they need. */
     for (int t = 0; t < n; t++) {
         sf_real asked[3];
         int complete = sf_block_sound(c, &b, t) != 0 && sf_ground(c, sf_block_motion(c, &b, t), 0, asked);
         for (int i = 0; i < K; i++) {
-            int replaced = s->lost[i] > (sf_real)0.5 && s->spare_std[i] < SF_UNSURE * c->weight;
+            int replaced = s->faults.lost[i] > (sf_real)0.5 && s->faults.spare_std[i] < SF_UNSURE * c->weight;
             complete = complete &&
-                       (replaced || (s->lost[i] < (sf_real)0.5 && sf_block_read(c, &b, t)[i] > (sf_real)0.5));
+                       (replaced || (s->faults.lost[i] < (sf_real)0.5 && sf_block_read(c, &b, t)[i] > (sf_real)0.5));
         }
         b.use[t] = (sf_real)complete;
         use_all = use_all && complete;
         for (int foot = 0; foot < c->feet; foot++)
             swinging = swinging || sf_block_swing(c, &b, t)[foot] > (sf_real)0.5;
     }
-    for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
+    for (int i = 0; i < K; i++) all_there = all_there && s->faults.lost[i] < (sf_real)0.5;
 
     sf_walked(c, s, 1);
     /* MomentStream._tared: first of all, so that the columns of all other rows hold the offsets known by now. */
@@ -2264,8 +1542,8 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
         out->flags[i] = sample->flags[i] | s->status;
     }
     for (int i = 0; i < K; i++) {
-        out->force[i] = s->altered ? sf_dot(s->spare + i * K, force, K) : force[i];
-        change[i] = s->altered ? sf_dot(s->spare + i * K, moved, K) : moved[i];
+        out->force[i] = s->faults.altered ? sf_dot(s->faults.spare + i * K, force, K) : force[i];
+        change[i] = s->faults.altered ? sf_dot(s->faults.spare + i * K, moved, K) : moved[i];
     }
 
     sf_real load = sf_report_now(c, &s->front, rows, change, out);
@@ -2274,17 +1552,17 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
        (p_i - p) / Fz times the same row. */
     for (int i = 0; i < K; i++) {
         sf_real variance = (F0[i] * s->spread[i] + s->spread[K + i]) * F0[i] + s->spread[2 * K + i];
-        if (s->altered || c->talks) {
-            for (int j = 0; j < K; j++) one[j] = s->altered ? s->spare[i * K + j] : (sf_real)(i == j);
+        if (s->faults.altered || c->talks) {
+            for (int j = 0; j < K; j++) one[j] = s->faults.altered ? s->faults.spare[i * K + j] : (sf_real)(i == j);
             sf_row_of(c, s->given, F0, tared, one, turned);
             sf_known(c, known, turned, turned, found);
-            variance = found[0] + s->spare_std[i] * s->spare_std[i];
+            variance = found[0] + s->faults.spare_std[i] * s->faults.spare_std[i];
         }
         out->force_std[i] = sf_sqrt(variance > 0 ? variance : 0);
     }
     const sf_real *seen = rows;
-    if (s->altered) {
-        sf_multiply(own, rows, s->spare, 3, K, K);
+    if (s->faults.altered) {
+        sf_multiply(own, rows, s->faults.spare, 3, K, K);
         seen = own;
     }
     if (!out->cop_valid) load = 1;
@@ -2300,15 +1578,10 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
 
 /* MomentStream.init: the state before any sample. */
 SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w) {
-    int K = c->channels, N = sf_unknowns(c), M = sf_map(c);
+    int N = sf_unknowns(c), M = sf_map(c);
     memset(s, 0, sizeof *s);
     sf_front_init(c, &s->front);
-    for (int i = 0; i < K; i++) {
-        s->last[i] = c->scale[i] * s->front.raw[i] + c->offset[i];
-        s->leaps[i] = SF_LONGEST_LEAP;
-        s->wiring[i * K + i] = s->spare[i * K + i] = 1;
-    }
-    sf_copy(s->moments, c->prior, K * K);
+    sf_faults_init(c, &s->faults, s->front.raw);
     for (int i = 0; i < N; i++) {
         s->covariance[i * N + i] = c->first_variance[i];
         if (i < M) s->given_covariance[i * M + i] = c->first_variance[i];
@@ -2349,7 +1622,7 @@ SF_API int sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, 
     sf_sample sample;
 
     sf_check(c, &s->front, raw, reference, 0, dt, &sample);
-    sf_fault_sample(c, s, sample.force, sample.read, kinds);
+    sf_fault_sample(c, &s->faults, s->given, sample.force, sample.read, kinds);
     sf_align(c, &s->front, &sample);
     gap = sample.gap;
 
@@ -2373,7 +1646,7 @@ SF_API int sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, 
     estimate->nis_rows = 0;
     if (s->step % c->every == 0) {
         sf_learn(c, s, w, &estimate->nis, &estimate->nis_rows);
-        for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
+        for (int i = 0; i < K; i++) kinds[i] |= s->faults.kind[i];
         fresh = s->due == 0;
     }
     if (s->step % c->every == (c->every > 1) && s->due > 0) {

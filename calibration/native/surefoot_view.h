@@ -25,7 +25,7 @@ typedef struct {
 /* The parts of an observation, by their names there. */
 typedef struct {
     float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[4], cop[2], wrench[12], vgrf[2];
-    float foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[3];
+    float foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[3], contact_probability[2], undetermined[SF_CHANNELS];
     int foot_flags[SF_CHANNELS];
 } sf_shown;
 
@@ -48,6 +48,7 @@ SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const
         for (int k = 6 * foot; k < 6 * foot + 6; k++)
             out->wrench[k] = (float)sf_bounded(e->wrench[k], v->force_bound);
         out->vgrf[foot] = (float)sf_bounded(e->vgrf[foot], v->force_bound);
+        out->contact_probability[foot] = (float)e->contact_probability[foot];
     }
     if (out->cop_valid[0]) {
         h->cop[0] = sf_bounded(x / load, v->cop_bound);
@@ -64,6 +65,7 @@ SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const
         out->foot_force[i] = (float)sf_bounded(e->force[i], v->force_bound);
         out->foot_load[i] = (float)(sf_bounded(e->force[i], v->force_bound) / v->weight);
         out->foot_force_std[i] = (float)sf_bounded(e->force_std[i], v->force_bound);
+        out->undetermined[i] = (float)e->undetermined[i];
         out->foot_flags[i] = (int)e->flags[i];
     }
 }

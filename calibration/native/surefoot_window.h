@@ -15,14 +15,18 @@
 #ifndef SUREFOOT_WINDOW_H
 #define SUREFOOT_WINDOW_H
 
-#include "surefoot_calibration.h"
+#include "surefoot_robot.h"
+
+#ifndef SF_EVERY
+#define SF_EVERY 16 /* samples from update to update */
+#endif
 
 #ifndef SF_WINDOW
 #define SF_WINDOW 100 /* samples: half a second at 200 Hz */
 #endif
 
 #define SF_SIGNALS (6 * SF_CHANNELS + 1)
-#define SF_START (SF_MAP + 3)
+#define SF_START (2 * SF_CHANNELS + 3)
 #define SF_MEDIAN_OF_SQUARE ((sf_real)0.79)
 
 /* ------------------------------------------------------------------------------------------------ records */
@@ -53,14 +57,14 @@ typedef struct {
     sf_real pending[SF_EVERY * (SF_CHANNELS + SF_MOTION + 2 * SF_FEET + 2)];
     sf_real filter[2 * SF_SIGNALS], latest[SF_SIGNALS];
     sf_whole started, contact[2 * SF_FEET], since_change;
-    sf_real samples[SF_WINDOW * (SF_SIGNALS + 2)], theta[SF_MAP];
+    sf_real samples[SF_WINDOW * (SF_SIGNALS + 2)], theta[2 * SF_CHANNELS];
     sf_whole status, walking, all_walking;
     sf_standing standing;
 } sf_window_state;
 
 /* Numbers on the way to an answer, of which nothing is remembered. */
 typedef struct {
-    sf_real A[SF_START * SF_START], J[3 * SF_START], gradient[SF_START], theta[SF_MAP];
+    sf_real A[SF_START * SF_START], J[3 * SF_START], gradient[SF_START], theta[2 * SF_CHANNELS];
     sf_real use[SF_WINDOW], square[SF_WINDOW], ordered[SF_WINDOW];
 } sf_window_work;
 

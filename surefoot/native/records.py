@@ -1,6 +1,7 @@
 """Records that a library fills or reads, and what they hold: states of Python, and constants written as C."""
 
 from collections.abc import Callable, Iterator, Mapping
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,8 @@ def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArra
         lines += ["", f"static const {declared} = {{"]
         # C++ complains of fields in another order or left out, C of braces with nothing in them.
         for name in sorted(places, key=lambda field: places[field][1]):
-            numbers = ", ".join(repr(value) for value in record[name].ravel().tolist()) or "0"
+            values = record[name].ravel().tolist()
+            numbers = ", ".join("HUGE_VAL" if value == inf else repr(value) for value in values) or "0"
             lines.append(
                 f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
             )

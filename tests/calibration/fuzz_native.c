@@ -7,6 +7,7 @@
 
 #include <string.h>
 
+#include "surefoot_calibration.h"
 #include "surefoot_window.h"
 
 static unsigned long long bits = 88172645463325252ULL;
@@ -113,7 +114,7 @@ int main(int count, char **words) {
         if (!sf_all_finite(state.mean, N) || !sf_all_finite(state.covariance, N * N) ||
             !sf_all_finite(state.given, N) || !sf_all_finite(state.learnt, 4 * K * K) ||
             !sf_finite(state.misfit) || !sf_all_finite(state.noise, config.kinds) ||
-            !sf_all_finite(state.moments, K * K) || !sf_all_finite(state.spare, K * K) ||
+            !sf_all_finite(state.faults.moments, K * K) || !sf_all_finite(state.faults.spare, K * K) ||
             !sf_all_finite(state.scores, sf_hypotheses(&config) + 2) || !sf_all_finite(estimate.force, K) ||
             !sf_all_finite(estimate.force_std, K) || !sf_all_finite(estimate.scale, K) ||
             !sf_all_finite(estimate.wrench, 6 * config.feet) ||

@@ -29,7 +29,7 @@ _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
 or to take back, if its robot is marked."""
 
 
-_HEADERS = "surefoot_beliefs", "surefoot_window"
+_HEADERS = "surefoot_calibration", "surefoot_beliefs", "surefoot_window"
 
 
 class _Steps(NamedTuple):

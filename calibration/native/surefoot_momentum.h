@@ -1,0 +1,1443 @@
+/* The momentum filter of one robot's feet in C99, one step a sample.
+
+   The specification is the Python in calibration/momentum, whose config.py derives it. A function here has the name of
+   the Python function that it is equal to, and tests hold the two together; constants come from there and nowhere else.
+
+       sf_config robot; sf_momentum_config momentum;      constants, written by surefoot.calibration.native.c_source
+       sf_momentum_state state;                           all that is remembered, a plain record that may be copied
+       sf_momentum_work work;                             of which nothing is remembered
+       sf_momentum_init(&robot, &momentum, &state, &work);
+       sf_momentum_step(&robot, &momentum, &state, &work, raw, &reference, dt, &estimate);      once a sample
+
+   Numbers are doubles: what a zero has drifted is known a million times better at first than what a scale is.
+
+   Before it is included: SF_COMPONENTS is 3 where no foot sees forces along the sole, and SF_BLOCK the most samples of
+   a block, besides what surefoot_robot.h takes. */
+
+#ifndef SUREFOOT_MOMENTUM_H
+#define SUREFOOT_MOMENTUM_H
+
+#include "surefoot_robot.h"
+
+#ifndef SF_COMPONENTS
+#define SF_COMPONENTS 6
+#endif
+#ifndef SF_BLOCK
+#define SF_BLOCK 48
+#endif
+
+#define SF_MODES 3
+#define SF_SEVERITIES 4 /* of scales, and as many of offsets */
+#define SF_WEIGHED (3 * SF_CHANNELS + 2)
+#define SF_STATES (SF_WEIGHED + 2 + 2 * SF_COMPONENTS)
+#define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
+#define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
+#define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
+
+/* Shares of a mixture that change no digit of it. */
+#define SF_LITTLE 1e-15
+/* By how much the share of a variance may exceed 1 by rounding. */
+#define SF_EQUAL 1e-12
+
+/* ------------------------------------------------------------------------------------------------ records */
+
+/* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
+typedef struct {
+    int components, capacity, held;
+    sf_real first_variance[SF_STATES], walk[2], block, mass_std, kept_time, longest_pause, product_time;
+    sf_real largest_error, noise_share, largest_noise, largest_surprise, least_read, held_chance;
+    sf_real velocity_variance[3], spin_variance, ripple, least_load;
+    sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
+    sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
+    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], spread_com[2], unit[SF_CHANNELS];
+    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
+    sf_real most_load, least_row, reading_noise;
+    sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
+    sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
+    sf_real leg_time, spin_time, fastest;
+} sf_momentum_config;
+
+/* Belief: what the modes hold, and how likely they are. */
+typedef struct {
+    sf_real mean[SF_MODES * SF_STATES], covariance[SF_MODES * SF_STATES * SF_STATES], chance[SF_MODES];
+} sf_modes;
+
+/* Publication: what is handed out. */
+typedef struct {
+    sf_real mean[SF_WEIGHED], covariance[SF_WEIGHED * SF_WEIGHED], undetermined[SF_CHANNELS];
+} sf_publication;
+
+typedef struct {
+    sf_modes belief;
+    sf_publication published;
+} sf_known_then;
+
+/* TareState */
+typedef struct {
+    sf_real reading[SF_CHANNELS], centre[SF_CHANNELS], time[SF_FEET], rate;
+    sf_whole followed;
+} sf_tares;
+
+/* Track: where the axes of the last sample lie, and what was added up. */
+typedef struct {
+    sf_real motion[SF_MOTION];
+    sf_whole samples;
+    sf_real heading, origin[3], velocity[3], spin[3];
+} sf_track;
+
+/* MomentumState */
+typedef struct {
+    sf_front front;
+    sf_track track;
+    sf_faults faults;
+    sf_real pending[SF_BLOCK * SF_WAITING], before[SF_WAITING];
+    sf_whole waiting, linked;
+    sf_real point[3], time, drifted[2], noise[SF_COMPONENTS];
+    sf_tares tare;
+    sf_modes belief;
+    sf_publication published;
+    sf_real covariance[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_known_then kept, next;
+    sf_real age;
+    sf_whole status;
+} sf_momentum_state;
+
+/* Rows: what a block does to the momentum, and what measures it. */
+typedef struct {
+    sf_real mean[SF_COMPONENTS * SF_STATES], mean_rest[SF_COMPONENTS];
+    sf_real end[SF_COMPONENTS * SF_STATES], end_rest[SF_COMPONENTS];
+    sf_real measured[SF_COMPONENTS], at_end[SF_COMPONENTS];
+    sf_real variance[SF_COMPONENTS * SF_COMPONENTS], walk[SF_COMPONENTS * SF_COMPONENTS], lasting[SF_COMPONENTS];
+    sf_real point[3], velocity[3], duration, height;
+} sf_momentum_rows;
+
+/* The severities against the data of one mode, in standard deviations of the wide prior: number 4 * k + l is of the
+   severity l of offsets. */
+typedef struct {
+    sf_real pull[SF_WEIGHED], own;
+    sf_real L[4 * SF_REST * SF_REST], W[4 * SF_REST * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_real z[4 * SF_REST], x[4 * SF_CHANNELS];
+    sf_real weight[16], evidence; /* of each severity, and of all together */
+} sf_compared;
+
+typedef struct {
+    sf_modes belief, mixed;
+    sf_momentum_rows rows;
+    sf_compared compared[SF_MODES];
+    sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED], size[16]; /* of priors, and their determinants */
+    sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_WEIGHED * SF_WEIGHED], room[4 * SF_STATES];
+    sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_WEIGHED];
+    sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
+    sf_publication published;
+} sf_momentum_work;
+
+/* Where parts of the unknowns stand: scales from 0 on. */
+SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
+SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
+SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels + 2; }
+SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
+SF_API int sf_states(const sf_config *c, const sf_momentum_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
+
+/* Where parts of a sample stand that waits: forces in W and whether they were read first. */
+SF_API int sf_at_end(const sf_config *c) { return 2 * c->channels; }
+SF_API int sf_at_com(const sf_config *c) { return 2 * c->channels + 3; }
+SF_API int sf_at_velocity(const sf_config *c) { return 2 * c->channels + 6; }
+SF_API int sf_at_spin(const sf_config *c) { return 2 * c->channels + 9; }
+SF_API int sf_at_sole(const sf_config *c) { return 2 * c->channels + 12; }
+SF_API int sf_at_rotation(const sf_config *c) { return 2 * c->channels + 12 + 3 * c->feet; }
+SF_API int sf_at_swing(const sf_config *c) { return 2 * c->channels + 12 + 12 * c->feet; }
+SF_API int sf_at_dt(const sf_config *c) { return 2 * c->channels + 12 + 13 * c->feet; }
+SF_API int sf_waiting(const sf_config *c) { return 2 * c->channels + 13 + 13 * c->feet; }
+
+/* Return whether a robot fits into the arrays; call it once for constants that come from elsewhere. */
+SF_API int sf_momentum_fits(const sf_config *c, const sf_momentum_config *m) {
+    return sizeof(sf_real) == sizeof(double) && sf_robot_fits(c) && (m->components == 3 || m->components == 6) &&
+           m->components <= SF_COMPONENTS && m->capacity >= 1 && m->capacity <= SF_BLOCK && m->held >= 0 &&
+           m->held < SF_MODES;
+}
+
+/* ------------------------------------------------------------------------------------------------- motion */
+
+/* Track.begin */
+SF_API void sf_track_begin(sf_track *s) { memset(s, 0, sizeof *s); }
+
+/* Of a sample: where the robot was while it was taken. Pose. */
+typedef struct {
+    sf_real end[3], com[3], sole[3 * SF_FEET], rotation[9 * SF_FEET];
+} sf_pose;
+
+/* follow_momentum */
+SF_API void sf_follow_momentum(const sf_config *c, sf_track *s, const sf_real *motion, sf_pose *pose) {
+    int R = sf_motion(c);
+    sf_real middle[SF_MOTION];
+    for (int i = 0; i < R; i++)
+        middle[i] = s->samples == 0 ? motion[i] : (sf_real)0.5 * (motion[i] + s->motion[i]);
+    sf_copy(s->motion, motion, R);
+    s->samples++;
+    s->heading = 0;
+    for (int k = 0; k < 3; k++) {
+        s->origin[k] = 0;
+        s->velocity[k] = motion[SF_ACCELERATION + k];
+        s->spin[k] = motion[SF_RATE + k] / c->mass;
+    }
+    sf_copy(pose->end, motion + SF_COM, 3);
+    sf_copy(pose->com, middle + SF_COM, 3);
+    sf_copy(pose->sole, sf_position(middle, 0), 3 * c->feet);
+    sf_copy(pose->rotation, sf_rotation(c, middle, 0), 9 * c->feet);
+}
+
+/* out = a vector turned about the vertical */
+SF_API void sf_about_z(sf_real *out, sf_real angle, const sf_real *v) {
+    sf_real cosine = (sf_real)cos(angle), sine = (sf_real)sin(angle);
+    out[0] = cosine * v[0] - sine * v[1], out[1] = sine * v[0] + cosine * v[1], out[2] = v[2];
+}
+
+/* follow_accelerations */
+SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config *m, sf_track *s, const sf_real *motion,
+                                    const unsigned char *stance, sf_real dt, sf_pose *pose) {
+    int F = c->feet, standing = 0, still[SF_FEET], count = 0;
+    const sf_real *sole = sf_position(motion, 0), *rotation = sf_rotation(c, motion, 0);
+    sf_copy(pose->sole, sole, 3 * F);
+    sf_copy(pose->rotation, rotation, 9 * F);
+    if (s->samples == 0) {
+        sf_track_begin(s);
+        sf_copy(s->motion, motion, sf_motion(c));
+        s->samples = 1;
+        sf_copy(pose->end, motion + SF_COM, 3);
+        sf_copy(pose->com, motion + SF_COM, 3);
+        return;
+    }
+    const sf_real *old_sole = sf_position(s->motion, 0), *old_rotation = sf_rotation(c, s->motion, 0);
+    sf_real least = 0, forward[2] = {0, 0}, before[2] = {0, 0}, heading, origin[3] = {0, 0, 0}, com[3], turned[3];
+    for (int foot = 0; foot < F; foot++) {
+        sf_real height = sole[3 * foot + 2] + old_sole[3 * foot + 2];
+        standing = standing || stance[foot];
+        least = foot ? sf_min(least, height) : height;
+    }
+    for (int foot = 0; foot < F; foot++) {
+        still[foot] = standing ? stance[foot] : sole[3 * foot + 2] + old_sole[3 * foot + 2] == least;
+        for (int k = 0; still[foot] && k < 2; k++) {
+            forward[k] += rotation[9 * foot + 3 * k];
+            before[k] += old_rotation[9 * foot + 3 * k];
+        }
+        count += still[foot];
+    }
+    heading = s->heading + (sf_real)atan2(before[1], before[0]) - (sf_real)atan2(forward[1], forward[0]);
+    for (int foot = 0; foot < F; foot++) {
+        if (!still[foot]) continue;
+        sf_real now[3], then[3];
+        sf_about_z(then, s->heading, old_sole + 3 * foot);
+        sf_about_z(now, heading, sole + 3 * foot);
+        for (int k = 0; k < 3; k++) origin[k] += (then[k] + s->origin[k] - now[k]) / (sf_real)count;
+    }
+    sf_about_z(com, heading, motion + SF_COM);
+    sf_about_z(turned, heading, motion + SF_ACCELERATION);
+    for (int k = 0; k < 3; k++) com[k] += origin[k], s->velocity[k] += turned[k] * dt;
+    if (standing) {
+        sf_real share = sf_max(1 / (sf_real)s->samples, dt / m->leg_time);
+        sf_about_z(turned, s->heading, s->motion + SF_COM);
+        for (int k = 0; k < 3; k++)
+            s->velocity[k] += share * ((com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k]);
+    }
+    sf_about_z(turned, heading, motion + SF_RATE);
+    for (int k = 0; k < 3; k++) s->spin[k] += (turned[k] / c->mass - s->spin[k] / m->spin_time) * dt;
+    s->samples++;
+    s->heading = heading;
+    sf_copy(s->origin, origin, 3);
+    for (int foot = 0; foot < F; foot++) {
+        sf_about_z(pose->sole + 3 * foot, heading, sole + 3 * foot);
+        for (int k = 0; k < 3; k++) {
+            const sf_real *R = rotation + 9 * foot;
+            sf_real axis[3] = {R[k], R[3 + k], R[6 + k]};
+            pose->sole[3 * foot + k] += origin[k];
+            sf_about_z(turned, heading, axis);
+            for (int i = 0; i < 3; i++) pose->rotation[9 * foot + 3 * i + k] = turned[i];
+        }
+    }
+    sf_copy(pose->end, com, 3);
+    sf_copy(pose->com, com, 3);
+    sf_copy(s->motion, motion, sf_motion(c));
+}
+
+/* plausible */
+SF_API int sf_track_plausible(const sf_momentum_config *m, const sf_track *s) {
+    int good = 1;
+    for (int k = 0; k < 3; k++)
+        good = good && sf_fabs(s->velocity[k]) < m->fastest && sf_fabs(s->spin[k]) < m->fastest &&
+               sf_finite(s->origin[k]);
+    return good;
+}
+
+/* -------------------------------------------------------------------------------------------------- model */
+
+/* Components of (force, torque) in the order of the momentum. */
+SF_API int sf_component(int row) {
+    static const int order[6] = {2, 3, 4, 0, 1, 5};
+    return order[row];
+}
+
+/* Whether a component is a force. */
+SF_API int sf_is_force(int row) { return row == 0 || row == 3 || row == 4; }
+
+/* Model._point and _of_channels: o, and in w->unit what a unit of each channel does about it, shape (n, C, K). */
+SF_API void sf_units(const sf_config *c, const sf_momentum_config *m, const sf_real *samples, int n, sf_momentum_work *w) {
+    int K = c->channels, C = m->components, wide = sf_waiting(c);
+    sf_real total = 0, x = 0, y = 0, T = 0, *point = w->rows.point, height = 0;
+    for (int t = 0; t < n; t++) {
+        const sf_real *row = samples + t * wide, *sole = row + sf_at_sole(c), *rotation = row + sf_at_rotation(c);
+        sf_real dt = row[sf_at_dt(c)], *unit = w->unit + t * C * K, low = sole[2];
+        for (int foot = 1; foot < c->feet; foot++) low = sf_min(low, sole[3 * foot + 2]);
+        height += low;
+        T += dt;
+        for (int i = 0; i < K; i++) {
+            int foot = c->foot_of_channel[i];
+            const sf_real *R = rotation + 9 * foot, *at = sole + 3 * foot, *map = c->wrench_map + foot * 6 * K + i;
+            sf_real own[3] = {map[0], map[K], map[2 * K]}, torque[3] = {map[3 * K], map[4 * K], map[5 * K]};
+            sf_real by = dt * w->force[t * K + i], part[6], moved[3];
+            sf_turn(part, R, own);
+            sf_turn(part + 3, R, torque);
+            total += by * part[2];
+            x += by * (at[0] * part[2] - part[4]);
+            y += by * (at[1] * part[2] + part[3]);
+            /* Cells see nothing of what acts along the ground, and the sole is on it. */
+            if (C == 3) part[0] = part[1] = 0;
+            sf_cross(moved, at, part);
+            for (int k = 0; k < 3; k++) part[3 + k] += moved[k];
+            for (int r = 0; r < C; r++) unit[r * K + i] = part[sf_component(r)];
+        }
+    }
+    sf_real least = sf_max(total, m->least_load * T);
+    point[0] = x / least, point[1] = y / least, point[2] = height / (sf_real)n;
+    w->rows.duration = T;
+    for (int t = 0; t < n; t++) {
+        sf_real *unit = w->unit + t * C * K, *fz = unit, *hx = unit + K, *hy = unit + 2 * K;
+        for (int i = 0; i < K; i++) {
+            sf_real fx = C == 6 ? unit[3 * K + i] : 0, fy = C == 6 ? unit[4 * K + i] : 0;
+            hx[i] -= point[1] * fz[i] - point[2] * fy;
+            hy[i] -= point[2] * fx - point[0] * fz[i];
+            if (C == 6) unit[5 * K + i] -= point[0] * fy - point[1] * fx;
+        }
+    }
+}
+
+/* Model._measure: the stated variance of what was measured, by the mean arm from o. */
+SF_API void sf_measured_variance(const sf_config *c, const sf_momentum_config *m, const sf_real arm[3],
+                                 sf_momentum_rows *out) {
+    int C = m->components;
+    const sf_real *v = m->velocity_variance;
+    sf_real turned[9] = {0, -arm[2], arm[1], arm[2], 0, -arm[0], -arm[1], arm[0], 0}, noise[36];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {
+            sf_real spread = i == k ? m->spin_variance : 0;
+            for (int l = 0; l < 3; l++) spread += turned[3 * i + l] * v[l] * turned[3 * k + l];
+            noise[6 * i + k] = i == k ? v[i] : 0;
+            noise[6 * (3 + i) + k] = noise[6 * k + 3 + i] = turned[3 * i + k] * v[k];
+            noise[6 * (3 + i) + 3 + k] = spread;
+        }
+    for (int i = 0; i < C; i++)
+        for (int k = 0; k < C; k++)
+            out->variance[i * C + k] = noise[6 * sf_component(i) + sf_component(k)] / (c->gravity * c->gravity);
+}
+
+/* Model.rows. published: scales, offsets, drift and centre of mass; lasting: variance of each channel's force that
+   lasts, in W^2. */
+SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m, const sf_real *samples, int n,
+                                const sf_real *published, const sf_real *lasting, sf_momentum_work *w) {
+    int K = c->channels, C = m->components, N = sf_states(c, m), wide = sf_waiting(c), at = sf_momenta(c);
+    const sf_real *a = published, *b = published + K, *u = published + 2 * K;
+    sf_momentum_rows *out = &w->rows;
+    sf_real read[SF_CHANNELS] = {0}, x = 0, y = 0, norm, arm[3] = {0, 0, 0}, fewest;
+    sf_real weighted[SF_COMPONENTS * SF_CHANNELS] = {0}, pulls[2 * SF_COMPONENTS] = {0}, shares[2] = {0, 0}, after;
+    sf_real moved[SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
+    for (int t = 0; t < n; t++)
+        for (int i = 0; i < K; i++) {
+            w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
+            read[i] += samples[t * wide + K + i];
+        }
+    sf_units(c, m, samples, n, w);
+    sf_real T = out->duration;
+    memset(out->mean, 0, (size_t)(C * N) * sizeof(sf_real));
+    memset(out->end, 0, (size_t)(C * N) * sizeof(sf_real));
+    memset(out->walk, 0, (size_t)(C * C) * sizeof(sf_real));
+    memset(out->measured, 0, (size_t)C * sizeof(sf_real));
+    memset(out->velocity, 0, sizeof out->velocity);
+    out->height = 0;
+    fewest = read[0];
+    for (int i = 1; i < K; i++) fewest = sf_min(fewest, read[i]);
+    sf_real held = (sf_real)n / sf_max(fewest, 1); /* samples that a reading stands for on the average */
+    after = T;
+    for (int t = 0; t < n; t++) {
+        const sf_real *row = samples + t * wide, *unit = w->unit + t * C * K, *force = w->force + t * K;
+        const sf_real *end = row + sf_at_end(c), *com = row + sf_at_com(c), *velocity = row + sf_at_velocity(c);
+        const sf_real *rotation = row + sf_at_rotation(c);
+        sf_real dt = row[sf_at_dt(c)], share[2] = {dt * (after / T), dt};
+        sf_real away[3], by[3], wrench[6], gravity[3] = {-1, -(com[1] - out->point[1]), com[0] - out->point[0]};
+        for (int r = 0; r < C; r++) {
+            sf_real pull = r < 3 ? gravity[r] : 0, *scale[2] = {out->mean + r * N, out->end + r * N};
+            moved[r] += dt * (sf_dot(unit + r * K, force, K) + pull);
+            for (int which = 0; which < 2; which++) {
+                sf_real *far = reach + (which * C + r) * K, *first = scale[which], by_share = share[which];
+                for (int i = 0; i < K; i++) {
+                    sf_real one = by_share * unit[r * K + i];
+                    first[i] += one * (row[i] + u[i]);
+                    far[i] += one;
+                }
+                pulls[which * C + r] += by_share * pull;
+            }
+            for (int i = 0; i < K; i++) weighted[r * K + i] += unit[r * K + i] * (dt / T);
+        }
+        for (int which = 0; which < 2; which++) shares[which] += share[which];
+        /* Chips have clocks of their own: what a channel changes by is an error of its own. */
+        for (int i = 0; t > 0 && i < K; i++) {
+            sf_real change = (force[i] - force[i - K]) * (dt * m->ripple * held);
+            for (int r = 0; r < C; r++)
+                for (int k = 0; k <= r; k++)
+                    out->walk[r * C + k] += unit[r * K + i] * change * (unit[k * K + i] * change);
+        }
+        for (int foot = 0; foot < c->feet; foot++) x += rotation[9 * foot], y += rotation[9 * foot + 3];
+        for (int k = 0; k < 3; k++) {
+            away[k] = end[k] - out->point[k];
+            arm[k] += away[k] / (sf_real)n;
+            out->velocity[k] += velocity[k] / (sf_real)n;
+        }
+        sf_cross(by, away, velocity);
+        for (int k = 0; k < 3; k++) wrench[k] = velocity[k], wrench[3 + k] = row[sf_at_spin(c) + k] + by[k];
+        for (int r = 0; r < C; r++) {
+            out->at_end[r] = wrench[sf_component(r)] / c->gravity;
+            out->measured[r] += dt * out->at_end[r] / T;
+        }
+        out->height += (com[2] - out->point[2]) / (sf_real)n;
+        after -= dt;
+    }
+    norm = sf_sqrt(x * x + y * y);
+    if (norm == 0) norm = 1;
+    x /= norm, y /= norm;
+    for (int which = 0; which < 2; which++) {
+        sf_real *H = which ? out->end : out->mean, *rest = which ? out->end_rest : out->mean_rest, share = shares[which];
+        for (int r = 0; r < C; r++) {
+            sf_real *row = H + r * N, *far = reach + (which * C + r) * K;
+            rest[r] = pulls[which * C + r];
+            for (int i = 0; i < K; i++) {
+                row[K + i] = far[i];
+                row[2 * K + i] = far[i] * a[i];
+                rest[r] -= far[i] * (a[i] * u[i]);
+            }
+            row[at - 2] = -pulls[which * C + r];
+            row[at + r] = 1;
+            row[at + C + r] = share;
+            if (!which) row[at - 1] -= moved[r] / T;
+        }
+        /* The weight's torque about o: of an error of the centre of mass, in axes that head as the feet do. */
+        sf_real *hx = H + N, *hy = H + 2 * N;
+        hx[sf_coms(c)] = share * y, hx[sf_coms(c) + 1] = share * x;
+        hy[sf_coms(c)] = share * -x, hy[sf_coms(c) + 1] = share * y;
+        hx[at - 1] -= share * out->velocity[1];
+        hy[at - 1] += share * out->velocity[0];
+    }
+    for (int r = 0; r < C; r++) {
+        for (int k = 0; k < r; k++) out->walk[k * C + r] = out->walk[r * C + k];
+        out->lasting[r] = 0;
+        for (int i = 0; i < K; i++) out->lasting[r] += weighted[r * K + i] * weighted[r * K + i] * lasting[i];
+    }
+    sf_measured_variance(c, m, arm, out);
+}
+
+/* Model.move, and what it does to the modes: go on to a point o that has moved by `step` in m. */
+SF_API void sf_momentum_move(const sf_config *c, const sf_momentum_config *m, const sf_real step[3],
+                             const sf_real *velocity, sf_modes *s) {
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
+    /* H <- H - step x P */
+    struct {
+        int to, from;
+        sf_real by;
+    } moves[6] = {{1, 0, -step[1]}, {2, 0, step[0]}, {1, 4, step[2]}, {2, 3, -step[2]}, {5, 4, -step[0]}, {5, 3, step[1]}};
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N;
+        for (int k = 0; k < (C == 6 ? 6 : 2); k++) {
+            int to = at + moves[k].to, from = at + moves[k].from;
+            mean[to] += moves[k].by * mean[from];
+            sf_add(P + to * N, moves[k].by, P + from * N, N);
+            for (int i = 0; i < N; i++) P[i * N + to] += moves[k].by * P[i * N + from];
+        }
+        if (C == 3) {
+            mean[at + 1] += step[2] * velocity[1] / c->gravity;
+            mean[at + 2] -= step[2] * velocity[0] / c->gravity;
+        }
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------- modes */
+
+/* wrench_variance */
+SF_API sf_real sf_wrench_variance(const sf_momentum_config *m, const sf_momentum_rows *rows, int mode, int row) {
+    sf_real std = sf_is_force(row) ? m->mode_force[mode] : m->mode_torque[mode] * rows->height;
+    return std * std + rows->lasting[row];
+}
+
+/* begin: let unknowns begin anew, at 0; their variances are left at 0 as well. */
+SF_API void sf_begin(sf_real *mean, sf_real *P, int N, int first, int count) {
+    for (int k = first; k < first + count; k++) {
+        mean[k] = 0;
+        for (int i = 0; i < N; i++) P[k * N + i] = P[i * N + k] = 0;
+    }
+}
+
+/* The lower half of a symmetric matrix, into its upper half. */
+SF_API void sf_mirror(sf_real *P, int N) {
+    for (int i = 1; i < N; i++)
+        for (int k = 0; k < i; k++) P[k * N + i] = P[i * N + k];
+}
+
+/* mix: let modes turn into each other. */
+SF_API void sf_mix(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, const sf_momentum_rows *rows,
+                   sf_modes *out) {
+    int C = m->components, N = sf_states(c, m), mass = sf_momenta(c) - 2, com = sf_coms(c), wrench = sf_momenta(c) + C;
+    sf_real turning[SF_MODES][SF_MODES];
+    for (int i = 0; i < SF_MODES; i++) {
+        sf_real leaves = 0;
+        for (int j = 0; j < SF_MODES; j++) leaves += turning[i][j] = m->rates[i * SF_MODES + j] * rows->duration;
+        turning[i][i] += 1 - leaves;
+    }
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real share[SF_MODES], *mean = out->mean + j * N, *P = out->covariance + j * N * N, chance = 0;
+        sf_real away[SF_MODES][SF_STATES];
+        for (int i = 0; i < SF_MODES; i++) chance += turning[i][j] * s->chance[i];
+        out->chance[j] = chance;
+        memset(mean, 0, (size_t)N * sizeof(sf_real));
+        for (int i = 0; i < SF_MODES; i++) {
+            share[i] = turning[i][j] * s->chance[i] / chance;
+            sf_copy(away[i], s->mean + i * N, N);
+            if (i != j) memset(away[i] + wrench, 0, (size_t)C * sizeof(sf_real));
+            if (m->mode_load[i] != m->mode_load[j]) away[i][mass] = 0;
+            sf_add(mean, share[i], away[i], N);
+        }
+        for (int i = 0; i < SF_MODES; i++)
+            for (int k = 0; k < N; k++) away[i][k] -= mean[k];
+        for (int r = 0; r < N; r++) {
+            sf_real *row = P + r * N, by[SF_MODES], own[SF_MODES];
+            for (int i = 0; i < SF_MODES; i++) {
+                int anew = (r >= wrench && i != j) || (r == mass && m->mode_load[i] != m->mode_load[j]);
+                own[i] = anew ? 0 : share[i];
+                by[i] = share[i] * away[i][r];
+            }
+            const sf_real *p = s->covariance + r * N, *q = p + N * N, *o = q + N * N;
+            for (int k = 0; k <= r; k++)
+                row[k] = own[0] * p[k] + own[1] * q[k] + own[2] * o[k] + by[0] * away[0][k] + by[1] * away[1][k] +
+                         by[2] * away[2][k];
+            /* What begins anew goes with nothing. */
+            for (int i = 0; r > mass && r < wrench && i < SF_MODES; i++)
+                if (own[i] > 0 && m->mode_load[i] != m->mode_load[j])
+                    row[mass] -= own[i] * s->covariance[i * N * N + r * N + mass];
+        }
+        for (int i = 0; i < SF_MODES; i++) {
+            if (i == j) continue;
+            for (int r = 0; r < C; r++)
+                P[(wrench + r) * N + wrench + r] += share[i] * sf_wrench_variance(m, rows, j, r);
+            if (m->mode_load[i] == m->mode_load[j]) continue;
+            sf_real shift = m->mode_shift[j] - m->mode_shift[i], load = m->mode_load[j];
+            P[mass * N + mass] += share[i] * (m->mass_std * m->mass_std + load * load);
+            for (int k = com; k < com + 2; k++) P[k * N + k] += share[i] * shift * shift;
+        }
+        sf_mirror(P, N);
+    }
+}
+
+/* update: take in rows, of which `predicted` is H P, by Joseph's form; one beyond the gate pulls no harder than at it.
+   `first` to `last`: unknowns that are considered and not estimated. S: what the innovation is expected to be. */
+SF_API int sf_momentum_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
+                              const sf_real *S, sf_real gate, int first, int last, sf_real *room) {
+    sf_real L[SF_AT_ONCE * SF_AT_ONCE], V[SF_AT_ONCE * SF_AT_ONCE], *gain = room, *rest = room + rows * N;
+    sf_copy(V, S, rows * rows);
+    for (int r = 0; r < rows; r++) {
+        sf_real beyond = innovation[r] / gate;
+        V[r * rows + r] += sf_max(beyond * beyond - S[r * rows + r], 0);
+    }
+    sf_copy(L, V, rows * rows);
+    if (!sf_cholesky(L, rows)) return 0;
+    sf_copy(gain, predicted, rows * N);
+    sf_solve(L, rows, gain, N);
+    for (int r = 0; r < rows; r++)
+        for (int i = first; i < last; i++) gain[r * N + i] = 0;
+    /* P - G A - A' G' + G V G', with A = H P: as it is symmetric, its lower half. */
+    sf_multiply(rest, V, gain, rows, rows, N);
+    for (int i = 0; i < rows * N; i++) rest[i] -= predicted[i];
+    for (int i = 0; i < N; i++) {
+        sf_real *row = P + i * N;
+        for (int r = 0; r < rows; r++) {
+            sf_real by = -gain[r * N + i], other = rest[r * N + i];
+            const sf_real *one = predicted + r * N, *two = gain + r * N;
+            mean[i] -= by * innovation[r];
+            for (int k = 0; k <= i; k++) row[k] += by * one[k] + other * two[k];
+        }
+    }
+    sf_mirror(P, N);
+    return 1;
+}
+
+/* What a block taught: Step, but for the modes themselves. */
+typedef struct {
+    sf_real likelihood[SF_MODES], innovation[SF_COMPONENTS];
+    sf_real expected[SF_COMPONENTS * SF_COMPONENTS], stated[SF_COMPONENTS * SF_COMPONENTS];
+} sf_taught;
+
+/* x' S^-1 x, and the logarithm of the determinant of S; NaN where S is not positive definite. */
+SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real *size) {
+    sf_real L[SF_COMPONENTS * SF_COMPONENTS], y[SF_COMPONENTS];
+    *size = 0;
+    sf_copy(L, S, n * n);
+    sf_copy(y, x, n);
+    if (!sf_cholesky(L, n)) return *size = (sf_real)NAN;
+    sf_solve(L, n, y, 1);
+    for (int i = 0; i < n; i++) *size += 2 * sf_log(L[i * n + i]);
+    return sf_dot(x, y, n);
+}
+
+/* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
+SF_API int sf_momentum_learn(const sf_config *c, const sf_momentum_config *m, const sf_real *noise, sf_modes *s,
+                             sf_momentum_work *w, sf_taught *out) {
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c), wrench = at + C, likeliest = 0, good = 1;
+    const sf_momentum_rows *rows = &w->rows;
+    for (int j = 1; j < SF_MODES; j++)
+        if (s->chance[j] > s->chance[likeliest]) likeliest = j;
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N, *predicted = w->A, *end = w->B;
+        sf_real decay = sf_exp(-rows->duration / m->mode_time[j]), innovation[SF_COMPONENTS], size;
+        sf_real expected[SF_COMPONENTS * SF_COMPONENTS], prior[SF_COMPONENTS * SF_COMPONENTS], moved[SF_COMPONENTS];
+        for (int k = wrench; k < N; k++) {
+            mean[k] *= decay;
+            for (int i = 0; i < N; i++) P[k * N + i] *= decay;
+            for (int i = 0; i < N; i++) P[i * N + k] *= decay;
+            P[k * N + k] += sf_wrench_variance(m, rows, j, k - wrench) * (1 - decay * decay);
+        }
+        sf_multiply(predicted, rows->mean, P, C, N, N);
+        for (int r = 0; r < C; r++) {
+            innovation[r] = rows->measured[r] - sf_dot(rows->mean + r * N, mean, N) - rows->mean_rest[r];
+            for (int k = 0; k < C; k++) prior[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N);
+        }
+        for (int r = 0; r < C; r++)
+            for (int k = 0; k < C; k++) {
+                int i = r * C + k;
+                /* The mean over a block of what walks within it has a third of its variance at the end. */
+                expected[i] = prior[i] + rows->variance[i] * (sf_sqrt(noise[r]) * sf_sqrt(noise[k])) + rows->walk[i] / 3;
+                if (j == likeliest) out->stated[i] = prior[i] + (rows->variance[i] + rows->walk[i] / 3);
+            }
+        out->likelihood[j] = sf_normalised(innovation, expected, C, &size);
+        out->likelihood[j] = (sf_real)-0.5 * (out->likelihood[j] + size);
+        if (j == likeliest) sf_copy(out->innovation, innovation, C), sf_copy(out->expected, expected, C * C);
+        /* What a load weighs is estimated; what the robot itself weighs is only considered, and so is all but the
+           momentum while somebody holds it. */
+        int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
+        if (j == m->held) first = 0, last = at;
+        good = sf_momentum_update(mean, P, N, C, predicted, innovation, expected, m->gate, first, last, w->B) && good;
+        sf_multiply(end, rows->end, P, C, N, N);
+        for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
+        sf_copy(mean + at, moved, C);
+        for (int r = 0; r < C; r++) {
+            sf_real *row = P + (at + r) * N;
+            sf_copy(row, end + r * N, N);
+            for (int k = 0; k < C; k++)
+                row[at + k] = sf_dot(end + r * N, rows->end + k * N, N) + rows->walk[r * C + k];
+        }
+        for (int r = 0; r < C; r++)
+            for (int i = 0; i < N; i++) P[i * N + at + r] = P[(at + r) * N + i];
+    }
+    return good;
+}
+
+/* log_ndtr: the logarithm of how likely a standard normal number is below x. */
+SF_API sf_real sf_log_below(sf_real x) {
+    if (x > -1) return (sf_real)log1p(-0.5 * erfc(x / sqrt(2.0)));
+    if (x > -25) return (sf_real)log(0.5 * erfc(-x / sqrt(2.0)));
+    double y = 1 / ((double)x * x), tail = 1 - y * (1 - 3 * y * (1 - 5 * y * (1 - 7 * y * (1 - 9 * y))));
+    return (sf_real)(-0.5 * x * x - log(-x) - 0.5 * log(2 * 3.141592653589793) + log(tail));
+}
+
+/* load_evidence */
+SF_API sf_real sf_load_evidence(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, int j) {
+    int N = sf_states(c, m), at = sf_momenta(c) - 2;
+    if (!(m->mode_load[j] > 0)) return 0;
+    return sf_log_below(-s->mean[j * N + at] / sf_sqrt(s->covariance[(j * N + at) * N + at]));
+}
+
+/* weigh_modes */
+SF_API void sf_weigh_modes(const sf_momentum_config *m, const sf_real *evidence, sf_real *chance) {
+    sf_real most = evidence[0], total = 0, sum = 0;
+    for (int j = 1; j < SF_MODES; j++) most = sf_max(most, evidence[j]);
+    for (int j = 0; j < SF_MODES; j++) total += chance[j] *= sf_exp(evidence[j] - most);
+    for (int j = 0; j < SF_MODES; j++) sum += chance[j] = sf_max(chance[j] / total, m->least_chance);
+    for (int j = 0; j < SF_MODES; j++) chance[j] /= sum;
+}
+
+/* ----------------------------------------------------------------------------------------------- severity */
+
+/* Severity.prior: standard deviations of the wide prior, and in these the inverse variances of the others: of scales by
+   the severity of scales, of all else by that of offsets. */
+SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_real *drifted, sf_momentum_work *w) {
+    int K = c->channels, M = sf_weighed(c);
+    sf_real square = m->wide * m->wide, least = m->smallest_drift * m->smallest_drift, of[2][SF_SEVERITIES] = {{0}};
+    for (int i = 0; i < K; i++) {
+        sf_real unit = m->unit[i] * m->unit[i];
+        w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted[0] / square));
+        w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
+        w->std[2 * K + i] = sf_sqrt(square * (drifted[1] / square) * unit + least);
+    }
+    for (int i = 0; i < 2; i++) w->std[3 * K + i] = sf_sqrt(m->spread_com[i]);
+    for (int l = 0; l < SF_SEVERITIES; l++) {
+        sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
+        for (int i = 0; i < M; i++) {
+            int k = i % K;
+            sf_real variance = i < K       ? by * (m->spread_scale[k] + drifted[0])
+                               : i < 2 * K ? by * m->spread_offset[k]
+                               : i < 3 * K ? by * drifted[1] * (m->unit[k] * m->unit[k]) + least
+                                           : m->spread_com[i - 3 * K];
+            inverse[i] = w->std[i] * w->std[i] / variance;
+            of[i >= K][l] -= sf_log(inverse[i]);
+        }
+    }
+    for (int i = 0; i < SF_SEVERITIES; i++)
+        for (int l = 0; l < SF_SEVERITIES; l++) w->size[SF_SEVERITIES * i + l] = of[0][i] + of[1][l];
+}
+
+/* Overwrite the factor L of A = L L' with the lower half of the inverse of A; room: for n^2 numbers. */
+SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
+    for (int i = 0; i < n; i++) {
+        sf_real *row = room + i * n, by = 1 / L[i * n + i];
+        memset(row, 0, (size_t)n * sizeof(sf_real));
+        sf_add_rows(row, -by, L + i * n, 1, room, n, i, i);
+        row[i] = by;
+    }
+    for (int i = 0; i < n; i++) {
+        sf_real *row = L + i * n;
+        memset(row, 0, (size_t)(i + 1) * sizeof(sf_real));
+        sf_add_rows(row, 1, room + i * n + i, n, room + i * n, n, n - i, i + 1);
+    }
+}
+
+/* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
+   `S` is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
+SF_API int sf_information(const sf_config *c, const sf_momentum_config *m, sf_real *S, const sf_real *off,
+                          sf_momentum_work *w, sf_real *pull, sf_real *mine) {
+    int M = sf_weighed(c);
+    sf_real *room = w->A, *share = w->room, own = 0, most = 0;
+    sf_copy(room, S, M * M);
+    for (int i = 0; i < M * M; i++) room[i] = -room[i];
+    for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
+    if (sf_cholesky(room, M)) { /* it is wider nowhere */
+        sf_real *L = w->axes;
+        sf_copy(L, S, M * M);
+        if (sf_cholesky(L, M)) {
+            for (int i = 0; i < M; i++) own += sf_log(L[i * M + i]);
+            sf_inverse(L, M, room);
+            for (int i = 0; i < M; i++) most = sf_max(most, L[i * M + i]);
+            if (most * m->least_share < (sf_real)0.1) {
+                sf_mirror(L, M);
+                for (int i = 0; i < M; i++) pull[i] = sf_dot(L + i * M, off, M);
+                *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
+                sf_copy(S, L, M * M);
+                for (int i = 0; i < M; i++) S[i * M + i] -= 1;
+                return 1;
+            }
+        }
+    }
+    sf_real *axes = w->axes, *factor = w->room + M;
+    if (!sf_eigen(S, M, share, axes, w->room + M)) return 0;
+    *mine = 0;
+    memset(pull, 0, (size_t)M * sizeof(sf_real));
+    for (int k = 0; k < M; k++) {
+        sf_real value = sf_max(share[k], m->least_share), along = sf_dot(axes + k * M, off, M);
+        share[k] = 0;
+        if (!(value < 1)) continue;
+        share[k] = 1 / value - 1;
+        sf_add(pull, along / value, axes + k * M, M);
+        *mine += (sf_real)0.5 * (along * along / value + sf_log(value));
+    }
+    memset(S, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int i = 0; i < M; i++) {
+        for (int k = 0; k < M; k++) factor[k] = share[k] * axes[k * M + i];
+        sf_add_rows(S + i * M, 1, factor, 1, axes, M, M, i + 1);
+    }
+    return 1;
+}
+
+/* Factors of four precisions of scales with the prior of a severity of scales, as sf_cholesky_four leaves them. */
+SF_API void sf_of_scales(const sf_config *c, const sf_compared *d, const sf_real *inverse, sf_real *out, sf_real size[4]) {
+    int K = c->channels;
+    sf_copy(out, d->S, 4 * K * K);
+    for (int i = 0; i < K; i++)
+        for (int l = 0; l < 4; l++) out[4 * (i * K + i) + l] += inverse[i];
+    sf_cholesky_four(out, K, size);
+}
+
+/* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
+   once: with the information A, B and C of scales, both and all else, W = L^-1 B', L L' = C + o and S = A - W' W. */
+SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_real *mean, const sf_real *P, int N,
+                      sf_momentum_work *w, sf_compared *d) {
+    int K = c->channels, M = sf_weighed(c), E = M - K;
+    sf_real off[SF_WEIGHED], *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
+    for (int i = 0; i < M; i++) {
+        off[i] = (mean[i] - (sf_real)(i < K)) / w->std[i];
+        for (int k = 0; k < M; k++) I[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
+    }
+    if (!sf_information(c, m, I, off, w, d->pull, &mine)) return 0;
+    for (int i = 0; i < E; i++) {
+        const sf_real *row = I + (K + i) * M;
+        for (int l = 0; l < 4; l++) {
+            for (int k = 0; k <= i; k++) d->L[4 * (i * E + k) + l] = row[K + k];
+            d->L[4 * (i * E + i) + l] += w->inverse[l * M + K + i];
+            for (int k = 0; k < K; k++) d->W[4 * (i * K + k) + l] = row[k];
+            d->z[4 * i + l] = d->pull[K + i];
+        }
+    }
+    sf_cholesky_four(d->L, E, sizes);
+    sf_solve_four(d->L, E, d->W, K, 0);
+    sf_solve_four(d->L, E, d->z, 1, 0);
+    sf_real base[4] = {0, 0, 0, 0};
+    for (int i = 0; i < E; i++)
+        for (int l = 0; l < 4; l++) base[l] += d->z[4 * i + l] * d->z[4 * i + l];
+    for (int i = 0; i < K; i++) {
+        for (int k = 0; k <= i; k++) {
+            sf_real *out = d->S + 4 * (i * K + k);
+            for (int l = 0; l < 4; l++) out[l] = I[i * M + k];
+            for (int e = 0; e < E; e++) sf_less_four(out, d->W + 4 * (e * K + i), d->W + 4 * (e * K + k));
+        }
+        for (int l = 0; l < 4; l++) d->x[4 * i + l] = d->pull[i];
+        for (int e = 0; e < E; e++) sf_less_four(d->x + 4 * i, d->z + 4 * e, d->W + 4 * (e * K + i));
+    }
+    for (int i = 0; i < SF_SEVERITIES; i++) {
+        sf_real y[4 * SF_CHANNELS];
+        sf_of_scales(c, d, w->inverse + i * M, w->own, own);
+        sf_copy(y, d->x, 4 * K);
+        sf_solve_four(w->own, K, y, 1, 0);
+        for (int l = 0; l < 4; l++) {
+            sf_real square = base[l], *out = d->weight + 4 * i + l;
+            for (int k = 0; k < K; k++) square += y[4 * k + l] * y[4 * k + l];
+            *out = (sf_real)0.5 * (square - sizes[l] - own[l] - w->size[4 * i + l]) +
+                   sf_log(m->likely[i] * m->likely[l]) - mine;
+            if (*out > best) best = *out; /* not of NaN */
+        }
+    }
+    if (!sf_finite(best)) return 0;
+    for (int which = 0; which < 16; which++) {
+        d->weight[which] = sf_exp(d->weight[which] - best);
+        if (!(d->weight[which] > 0)) d->weight[which] = 0;
+        total += d->weight[which];
+    }
+    for (int which = 0; which < 16; which++) d->weight[which] /= total;
+    d->evidence = best + sf_log(total);
+    return 1;
+}
+
+/* The posterior of one mode under all severities together, in standard deviations of the wide prior: its mean, shape
+   (M,), and the lower half of its covariance, times `chance`. Returns nothing of severities of no weight. */
+SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_momentum_work *w, sf_real *mean,
+                         sf_real *covariance) {
+    int K = c->channels, M = sf_weighed(c), E = M - K;
+    sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_WEIGHED], lane[4] = {0, 0, 0, 0};
+    sf_solve_four(d->L, E, d->W, K, 1);
+    sf_solve_four(d->L, E, d->z, 1, 1);
+    memset(mean, 0, (size_t)M * sizeof(sf_real));
+    memset(shared, 0, (size_t)(4 * K * K) * sizeof(sf_real));
+    memset(found, 0, (size_t)(16 * M) * sizeof(sf_real));
+    for (int i = 0; i < SF_SEVERITIES; i++) {
+        sf_real *of = d->weight + 4 * i, any = 0;
+        for (int l = 0; l < 4; l++) any += of[l] = of[l] * chance > SF_LITTLE ? of[l] : 0;
+        if (!(any > 0)) continue;
+        sf_of_scales(c, d, w->inverse + i * M, own, size);
+        sf_copy(answer, d->x, 4 * K);
+        sf_solve_four(own, K, answer, 1, 0);
+        sf_solve_four(own, K, answer, 1, 1);
+        sf_copy(answer + 4 * K, d->z, 4 * E);
+        for (int e = 0; e < E; e++)
+            for (int k = 0; k < K; k++) sf_less_four(answer + 4 * (K + e), d->W + 4 * (e * K + k), answer + 4 * k);
+        for (int l = 0; l < 4; l++) {
+            if (!(of[l] > 0)) continue;
+            for (int k = 0; k < M; k++) found[(4 * i + l) * M + k] = answer[4 * k + l];
+            sf_add(mean, of[l], found + (4 * i + l) * M, M);
+            lane[l] += of[l];
+        }
+        sf_inverse_four(own, K);
+        for (int j = 0; j < K; j++)
+            for (int k = 4 * K * j; k < 4 * (K * j + j + 1); k++) shared[k] += of[k % 4] > 0 ? of[k % 4] * own[k] : 0;
+    }
+    memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int which = 0; which < 16; which++) {
+        sf_real *here = found + which * M, weight = d->weight[which];
+        if (!(weight > 0)) continue;
+        for (int k = 0; k < M; k++) here[k] -= mean[k];
+        for (int j = 0; j < M; j++) sf_add(covariance + j * M, weight * here[j], here, j + 1);
+    }
+    sf_inverse_four(d->L, E);
+    for (int l = 0; l < 4; l++)
+        for (int i = 0; lane[l] > 0 && i < K; i++)
+            for (int j = 0; j <= i; j++) covariance[i * M + j] += shared[4 * (i * K + j) + l];
+    for (int e = 0; e < E; e++) {
+        sf_real *out = covariance + (K + e) * M;
+        memset(answer, 0, (size_t)(4 * (K + e + 1)) * sizeof(sf_real));
+        for (int j = 0; j < K; j++)
+            for (int k = 0; k < K; k++)
+                sf_less_four(answer + 4 * j, d->W + 4 * (e * K + k), shared + 4 * (k < j ? j * K + k : k * K + j));
+        for (int j = 0; j <= e; j++) {
+            sf_real *both = answer + 4 * (K + j);
+            for (int l = 0; l < 4; l++) both[l] = lane[l] * d->L[4 * (e * E + j) + l];
+            for (int k = 0; k < K; k++) sf_less_four(both, answer + 4 * k, d->W + 4 * (j * K + k));
+        }
+        for (int j = 0; j <= K + e; j++)
+            for (int l = 0; l < 4; l++) out[j] += lane[l] > 0 ? answer[4 * j + l] : 0;
+    }
+}
+
+/* Weighed.publish: what all modes hold together; overwrites w->compared. */
+SF_API void sf_momentum_publish(const sf_config *c, const sf_real *chance, sf_momentum_work *w, sf_publication *out) {
+    int K = c->channels, M = sf_weighed(c);
+    sf_real means[SF_MODES * SF_WEIGHED], *covariance = w->A;
+    memset(out->mean, 0, (size_t)M * sizeof(sf_real));
+    memset(out->covariance, 0, (size_t)(M * M) * sizeof(sf_real));
+    memset(out->undetermined, 0, (size_t)K * sizeof(sf_real));
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_compared *d = &w->compared[j];
+        sf_posterior(c, d, chance[j], w, means + j * M, covariance);
+        for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j], covariance + i * M, i + 1);
+        sf_add(out->mean, chance[j], means + j * M, M);
+        for (int i = 0; i < K; i++) {
+            sf_real prior = 0;
+            for (int which = 0; which < 16; which++) prior += d->weight[which] / w->inverse[which / 4 * M + i];
+            out->undetermined[i] += chance[j] * (covariance[i * M + i] / prior);
+        }
+    }
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *apart = means + j * M;
+        for (int i = 0; i < M; i++) apart[i] -= out->mean[i];
+        for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j] * apart[i], apart, i + 1);
+    }
+    for (int i = 0; i < M; i++) {
+        out->mean[i] = (sf_real)(i < K) + w->std[i] * out->mean[i];
+        for (int k = 0; k <= i; k++) out->covariance[i * M + k] *= w->std[i] * w->std[k];
+        if (i < K) out->undetermined[i] = sf_clip(out->undetermined[i], 0, 1);
+    }
+    sf_mirror(out->covariance, M);
+}
+
+/* ----------------------------------------------------------------------------------------- health, report */
+
+/* map_covariance: the covariance of (a, b) of each channel, b in N, shape (2K, 2K). */
+SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_real *learnt) {
+    int K = c->channels, M = sf_weighed(c), wide = 2 * K;
+    sf_real W = c->weight, row[SF_WEIGHED];
+    for (int r = 0; r < wide; r++) {
+        int i = r % K;
+        if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
+        else
+            for (int k = 0; k < 3 * K; k++)
+                row[k] = W * (p->mean[2 * K + i] * p->covariance[i * M + k] + p->covariance[(K + i) * M + k] +
+                              p->mean[i] * p->covariance[(2 * K + i) * M + k]);
+        for (int k = 0; k < K; k++) {
+            learnt[r * wide + k] = row[k];
+            learnt[r * wide + K + k] = W * (p->mean[2 * K + k] * row[k] + row[K + k] + p->mean[k] * row[2 * K + k]);
+        }
+    }
+}
+
+/* Three products r S q' of rows over (a, b): of one, of both, of the other. Most numbers of a row are zeros. */
+SF_API void sf_products(const sf_config *c, const sf_real *S, const sf_real *one, const sf_real *other, sf_real out[3]) {
+    int wide = 2 * c->channels;
+    sf_real p[2 * SF_CHANNELS] = {0}, q[2 * SF_CHANNELS] = {0};
+    sf_add_rows(p, 1, one, 1, S, wide, wide, wide);
+    out[0] = sf_dot(p, one, wide);
+    if (one == other) return;
+    sf_add_rows(q, 1, other, 1, S, wide, wide, wide);
+    out[1] = sf_dot(p, other, wide), out[2] = sf_dot(q, other, wide);
+}
+
+/* contact_probability of one foot: its load in N, and the variance of that. */
+SF_API sf_real sf_contact(const sf_config *c, const sf_momentum_config *m, sf_real load, sf_real variance) {
+    sf_real std = sf_sqrt(variance), most = m->most_load * c->weight, far = sf_min(load / std, 30);
+    sf_real below = (sf_real)(0.5 * erfc(-load / std / sqrt(2.0))),
+            beyond = (sf_real)(0.5 * erfc(-(load - most) / std / sqrt(2.0)));
+    sf_real with_load = (below - beyond) / most;
+    sf_real without = sf_exp((sf_real)-0.5 * far * far) / (sf_sqrt((sf_real)(2 * 3.141592653589793)) * std);
+    /* A pull of no sole counts as no load. */
+    if (load <= 0) without = sf_max(without, 1 / most);
+    return with_load / (with_load + without);
+}
+
+/* MomentumFilter._line: a, and b in N, as they are handed out. */
+SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_real *b) {
+    int K = c->channels;
+    for (int i = 0; i < K; i++) {
+        a[i] = p->mean[i];
+        b[i] = (p->mean[K + i] + a[i] * p->mean[2 * K + i]) * c->weight;
+    }
+}
+
+/* MomentumFilter._estimate: apply the map to the newest sample, and say how sure it is. */
+SF_API void sf_momentum_estimate(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s,
+                                 const sf_sample *sample, sf_estimate *out) {
+    int K = c->channels, wide = 2 * K;
+    const sf_real *F0 = sample->force, *S = s->covariance;
+    const sf_faults *faults = &s->faults;
+    sf_real a[SF_CHANNELS], b[SF_CHANNELS], force[SF_CHANNELS], moved[SF_CHANNELS], change[SF_CHANNELS];
+    sf_real rows[3 * SF_CHANNELS], turned[2][2 * SF_CHANNELS], found[3];
+    sf_level_rows(c, s->front.motion, rows);
+    sf_line(c, &s->published, a, b);
+    for (int i = 0; i < K; i++) {
+        force[i] = a[i] * F0[i] + b[i];
+        moved[i] = a[i] * sample->change[i];
+        out->scale[i] = a[i] * c->scale[i];
+        out->offset[i] = a[i] * c->offset[i] + b[i];
+        out->flags[i] = sample->flags[i] | s->status;
+    }
+    for (int i = 0; i < K; i++) {
+        out->force[i] = faults->altered ? sf_dot(faults->spare + i * K, force, K) : force[i];
+        change[i] = faults->altered ? sf_dot(faults->spare + i * K, moved, K) : moved[i];
+    }
+    sf_real load = sf_report_now(c, &s->front, rows, change, out);
+    if (!out->cop_valid) load = 1;
+
+    for (int i = 0; i < K; i++) {
+        sf_real variance = (F0[i] * S[i * wide + i] + 2 * S[(K + i) * wide + i]) * F0[i] + S[(K + i) * wide + K + i];
+        if (faults->altered) {
+            const sf_real *spare = faults->spare + i * K;
+            for (int k = 0; k < K; k++) turned[0][k] = spare[k] * F0[k], turned[0][K + k] = spare[k];
+            sf_products(c, S, turned[0], turned[0], found);
+            variance = found[0] + faults->spare_std[i] * faults->spare_std[i];
+        }
+        out->force_std[i] = sf_sqrt(sf_max(variance, 0));
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        sf_real one[SF_CHANNELS], own[SF_CHANNELS];
+        for (int i = 0; i < K; i++) one[i] = (rows[(1 + axis) * K + i] - out->cop[axis] * rows[i]) / load;
+        if (faults->altered) sf_multiply(own, one, faults->spare, 1, K, K);
+        for (int i = 0; i < K; i++) {
+            turned[axis][K + i] = faults->altered ? own[i] : one[i];
+            turned[axis][i] = turned[axis][K + i] * F0[i];
+        }
+    }
+    sf_products(c, S, turned[0], turned[1], found);
+    for (int i = 0; i < 4; i++) out->cop_covariance[i] = found[(i + 1) / 2];
+    for (int foot = 0; foot < c->feet; foot++) {
+        sf_real square = 0;
+        for (int i = 0; i < K; i++) {
+            sf_real up = c->foot_of_channel[i] == foot ? rows[i] : 0;
+            turned[0][i] = up * F0[i], turned[0][K + i] = up;
+            square += up * up;
+        }
+        sf_products(c, S, turned[0], turned[0], found);
+        sf_real noise = sf_max(square, m->least_row) * m->reading_noise * m->reading_noise;
+        out->contact_probability[foot] = sf_contact(c, m, out->vgrf[foot], sf_max(found[0], 0) + noise);
+    }
+    sf_copy(out->undetermined, s->published.undetermined, K);
+}
+
+/* --------------------------------------------------------------------------------------------------- tare */
+
+/* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
+SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s, int n,
+                                  int foot, const int *channels, int count, sf_real *reading) {
+    int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0;
+    sf_real seconds = 0, total = 0;
+    for (int k = 0; k < count; k++) reading[k] = 0;
+    for (int t = 0; t < n; t++) {
+        const sf_real *row = s->pending + t * wide, *before = t ? row - wide : s->before, *behind = t + 1 < n ? row + wide : row;
+        /* The sample before and the one after are in the air as well. */
+        int sure = row[at] > (sf_real)0.5 && before[at] > (sf_real)0.5 && behind[at] > (sf_real)0.5;
+        for (int k = 0; k < count; k++) sure = sure && row[K + channels[k]] > (sf_real)0.5;
+        if (!sure) continue;
+        found++;
+        seconds += row[sf_at_dt(c)];
+        for (int k = 0; k < count; k++) reading[k] += row[channels[k]];
+    }
+    if (!found || !count) return 0;
+    for (int k = 0; k < count; k++) {
+        sf_real unit = m->unit[channels[k]];
+        reading[k] /= (sf_real)found;
+        total += reading[k] / unit;
+        if (sf_fabs(reading[k]) > m->largest_load * unit) return 0;
+    }
+    return sf_fabs(total) <= m->largest_sum ? seconds : 0;
+}
+
+/* Tare._follow: by how many times sensors drift faster than stated. */
+SF_API sf_real sf_followed_rate(const sf_momentum_config *m, const sf_tares *s, const sf_real *change,
+                                const sf_real *expected, int count) {
+    sf_real mean = 0, surprise = 0, share = sf_max(m->rate_share, 1 / ((sf_real)s->followed + m->stated_rate));
+    for (int k = 0; k < count; k++) mean += change[k] / (sf_real)count;
+    for (int k = 0; k < count; k++) {
+        sf_real own = (change[k] - mean) * (change[k] - mean) * (sf_real)count / (sf_real)(count > 1 ? count - 1 : 1);
+        surprise += sf_min(own / expected[k], m->tare_surprise) / (sf_real)count;
+    }
+    return sf_clip(s->rate * sf_sqrt(1 + share * (surprise - 1)), m->smallest_rate, m->largest_rate);
+}
+
+/* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
+SF_API int sf_take_tare(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s, int n, sf_real duration,
+                        sf_modes *belief, sf_real *published, sf_tares *tare, sf_momentum_work *w) {
+    int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c) - 2;
+    for (int foot = 0; foot < c->feet; foot++) {
+        int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
+        sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], centre[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS];
+        sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], last = tare->time[foot], *predicted = w->A;
+        for (int i = 0; i < K; i++)
+            if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
+        sf_real seconds = sf_hanging_reading(c, m, s, n, foot, channels, count, reading);
+        if (!(seconds >= m->tare_share * duration)) continue;
+        for (int k = 0; k < count; k++) {
+            int i = channels[k];
+            noise[k] = m->tare_variance[i] / seconds;
+            centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
+            change[k] = reading[k] - tare->reading[i];
+            walked[k] = noise[k] * 2;
+            if (last >= 0) walked[k] += tare->rate * tare->rate * m->tare_drift[i] * (s->time - last);
+            leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
+        }
+        if (last >= 0 && s->time - last > m->least_apart) {
+            tare->rate = sf_followed_rate(m, tare, change, walked, count);
+            tare->followed++;
+        }
+        for (int j = 0; j < SF_MODES; j++) {
+            sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
+            for (int k = 0; k < count; k++) {
+                int i = channels[k], drift = 2 * K + i;
+                if (leapt[k]) P[drift * N + drift] += change[k] * change[k];
+            }
+            memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
+            for (int k = 0; k < count; k++) {
+                int i = channels[k];
+                sf_real a = published[i], *row = predicted + k * N;
+                sf_add(row, centre[k], P + i * N, N);
+                sf_add(row, 1, P + (K + i) * N, N);
+                sf_add(row, a, P + (2 * K + i) * N, N);
+                innovation[k] = a * (centre[k] - reading[k]) - (centre[k] * mean[i] + mean[K + i] + a * mean[2 * K + i]);
+            }
+            for (int k = 0; k < count; k++)
+                for (int l = 0; l < count; l++) {
+                    int i = channels[l];
+                    const sf_real *row = predicted + k * N;
+                    S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * published[i];
+                    if (k == l) S[k * count + l] += published[i] * published[i] * noise[k];
+                }
+            good = sf_momentum_update(mean, P, N, count, predicted, innovation, S, m->gate, mass, mass + 1, w->B) && good;
+        }
+        for (int k = 0; k < count; k++) {
+            int i = channels[k];
+            published[2 * K + i] = centre[k] - reading[k];
+            tare->reading[i] = reading[k];
+            tare->centre[i] = centre[k];
+        }
+        tare->time[foot] = s->time;
+    }
+    return good;
+}
+
+/* ------------------------------------------------------------------------------------------------- filter */
+
+SF_API void sf_copy_modes(const sf_config *c, const sf_momentum_config *m, sf_modes *to, const sf_modes *from) {
+    int N = sf_states(c, m);
+    sf_copy(to->mean, from->mean, SF_MODES * N);
+    sf_copy(to->covariance, from->covariance, SF_MODES * N * N);
+    sf_copy(to->chance, from->chance, SF_MODES);
+}
+
+SF_API void sf_copy_published(const sf_config *c, sf_publication *to, const sf_publication *from) {
+    int M = sf_weighed(c);
+    sf_copy(to->mean, from->mean, M);
+    sf_copy(to->covariance, from->covariance, M * M);
+    sf_copy(to->undetermined, from->undetermined, c->channels);
+}
+
+SF_API void sf_copy_known(const sf_config *c, const sf_momentum_config *m, sf_known_then *to, const sf_modes *belief,
+                          const sf_publication *published) {
+    sf_copy_modes(c, m, &to->belief, belief);
+    sf_copy_published(c, &to->published, published);
+}
+
+/* MomentumFilter._break: forget the samples that wait, and what the momentum is. */
+SF_API void sf_break(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
+    sf_track_begin(&s->track);
+    memset(s->pending, 0, (size_t)(m->capacity * sf_waiting(c)) * sizeof(sf_real));
+    s->waiting = -1;
+    s->linked = 0;
+}
+
+/* MomentumFilter._age: let scales and zeros drift for a time in s. */
+SF_API void sf_age(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_real duration) {
+    int K = c->channels, N = sf_states(c, m);
+    sf_real walked[2];
+    for (int i = 0; i < 2; i++) {
+        walked[i] = m->walk[i] * (s->tare.rate * s->tare.rate) * duration;
+        s->drifted[i] += walked[i];
+    }
+    for (int j = 0; j < SF_MODES; j++)
+        for (int i = 0; i < K; i++) {
+            sf_real *P = s->belief.covariance + j * N * N;
+            P[i * N + i] += walked[0];
+            P[(2 * K + i) * N + 2 * K + i] += walked[1] * (m->unit[i] * m->unit[i]);
+        }
+    s->time += duration;
+}
+
+/* MomentumFilter._weigh: hold what modes are about against all severities, in w->compared. */
+SF_API int sf_weigh(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, sf_momentum_work *w) {
+    int N = sf_states(c, m), good = 1;
+    for (int j = 0; j < SF_MODES; j++)
+        good = sf_compare(c, m, s->mean + j * N, s->covariance + j * N * N, N, w, &w->compared[j]) && good;
+    return good;
+}
+
+/* MomentumFilter.retract: take back what was learnt of late. */
+SF_API void sf_momentum_retract(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
+    sf_break(c, m, s);
+    sf_copy_modes(c, m, &s->belief, &s->kept.belief);
+    sf_copy_published(c, &s->published, &s->kept.published);
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+    sf_map_covariance(c, &s->published, s->covariance);
+    s->age = 0;
+}
+
+/* MomentumFilter.init: the state before any sample. */
+SF_API void sf_momentum_init(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w) {
+    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c) - 2;
+    sf_front_init(c, &s->front);
+    sf_faults_init(c, &s->faults, s->front.raw);
+    sf_break(c, m, s);
+    memset(s->before, 0, sizeof s->before);
+    memset(s->point, 0, sizeof s->point);
+    memset(s->drifted, 0, sizeof s->drifted);
+    memset(&s->tare, 0, sizeof s->tare);
+    memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
+    memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
+    s->time = s->age = 0;
+    s->status = 0;
+    s->tare.rate = 1;
+    for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
+    for (int r = 0; r < m->components; r++) s->noise[r] = 1;
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *P = s->belief.covariance + j * N * N, load = m->mode_load[j];
+        for (int i = 0; i < N; i++) P[i * N + i] = m->first_variance[i];
+        if (load > 0) P[mass * N + mass] = m->mass_std * m->mass_std + load * load;
+        for (int i = 0; i < K; i++) s->belief.mean[j * N + i] = 1;
+        s->belief.chance[j] = m->first_chance[j];
+    }
+    sf_priors(c, m, s->drifted, w);
+    sf_weigh(c, m, &s->belief, w);
+    sf_momentum_publish(c, s->belief.chance, w, &s->published);
+    sf_map_covariance(c, &s->published, s->covariance);
+    sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+}
+
+/* MomentumFilter._rest: keep what is known now and then, and learn how cells share loads. */
+SF_API void sf_rest(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w, int n,
+                    sf_real duration, int good) {
+    int K = c->channels, wide = sf_waiting(c);
+    sf_real a[SF_CHANNELS], b[SF_CHANNELS];
+    sf_line(c, &s->published, a, b);
+    for (int t = 0; t < n; t++)
+        for (int i = 0; i < K; i++) w->force[t * K + i] = a[i] * s->pending[t * wide + i] * c->weight + b[i];
+    sf_fault_learn(c, &s->faults, w->force, n, good);
+    if (s->age + duration >= m->kept_time) {
+        sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published);
+        sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+        s->age = 0;
+    } else s->age += duration;
+}
+
+/* MomentumFilter._product: variances of forces in W^2 by open errors of scale and drift together. */
+SF_API void sf_open_product(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s,
+                            const sf_tares *tare, sf_real *product) {
+    int K = c->channels, M = sf_weighed(c);
+    const sf_real *P = s->published.covariance;
+    for (int i = 0; i < K; i++) {
+        sf_real since = s->time - sf_max(tare->time[c->foot_of_channel[i]], 0);
+        sf_real longer = sf_max(sf_min(since, m->product_time) / (2 * m->mode_time[0]), 1);
+        product[i] = longer * P[i * M + i] * P[(2 * K + i) * M + 2 * K + i];
+    }
+}
+
+/* MomentumFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
+SF_API void sf_begin_momentum(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows, sf_modes *s) {
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N;
+        sf_begin(mean, P, N, at, 2 * C);
+        sf_copy(mean + at, rows->at_end, C);
+        for (int r = 0; r < C; r++) {
+            P[(at + C + r) * N + at + C + r] = sf_wrench_variance(m, rows, j, r);
+            sf_copy(P + (at + r) * N + at, rows->variance + r * C, C);
+        }
+    }
+}
+
+/* MomentumFilter._follow_noise: by how many times rows' variances are larger than stated, learnt upwards only. */
+SF_API void sf_follow_noise(const sf_momentum_config *m, const sf_momentum_rows *rows, const sf_taught *step, sf_real free,
+                            sf_real *noise) {
+    int C = m->components;
+    for (int r = 0; r < C; r++) {
+        sf_real variance = step->expected[r * C + r], share = rows->variance[r * C + r] * noise[r] / variance;
+        sf_real square = step->innovation[r] * step->innovation[r] / variance;
+        sf_real surprise = sf_min(square, m->largest_surprise) - 1;
+        noise[r] = sf_clip(noise[r] * (1 + m->noise_share * free * share * surprise), 1, m->largest_noise);
+    }
+}
+
+/* The part of MomentumFilter._learn that takes rows in; returns a flag of what forbids it, or 0. */
+SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+                        sf_real *nis) {
+    int C = m->components, N = sf_states(c, m), likeliest = 0, good;
+    sf_momentum_rows *rows = &w->rows;
+    sf_modes *belief = &w->belief;
+    sf_priors(c, m, s->drifted, w);
+    if (!s->linked) {
+        sf_begin_momentum(c, m, rows, belief);
+        good = sf_weigh(c, m, belief, w);
+    } else {
+        sf_real step[3], ahead, before[SF_MODES], after[SF_MODES], size;
+        sf_taught taught;
+        for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];
+        sf_momentum_move(c, m, step, rows->velocity, belief);
+        for (int j = 1; j < SF_MODES; j++)
+            if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
+        ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
+        if (sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration) return SF_REJECTED;
+        sf_mix(c, m, belief, rows, &w->mixed);
+        good = sf_weigh(c, m, &w->mixed, w);
+        for (int j = 0; j < SF_MODES; j++)
+            before[j] = w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j);
+        good = good && sf_momentum_learn(c, m, s->noise, &w->mixed, w, &taught);
+        good = good && sf_weigh(c, m, &w->mixed, w);
+        for (int j = 0; good && j < SF_MODES; j++)
+            after[j] = taught.likelihood[j] + w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j) - before[j];
+        if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
+        sf_weigh_modes(m, after, w->mixed.chance);
+        *nis = sf_normalised(taught.innovation, taught.stated, C, &size);
+        belief = &w->mixed;
+        good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
+        if (good) sf_follow_noise(m, rows, &taught, belief->chance[0], s->noise);
+    }
+    if (!good) return SF_SINGULAR;
+    sf_momentum_publish(c, belief->chance, w, &w->published);
+    if (!sf_all_finite(w->published.mean, sf_weighed(c))) return SF_SINGULAR;
+    sf_copy_modes(c, m, &s->belief, belief);
+    return 0;
+}
+
+/* MomentumFilter._learn: learn from the block that is full; how its innovation compares, and how many rows it had. */
+SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+                              sf_real *nis, sf_real *nis_rows) {
+    int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting, held = 0, missing = 0, out = 0;
+    sf_real duration = 0, lost[SF_CHANNELS], published[SF_WEIGHED], product[SF_CHANNELS];
+    sf_tares tare;
+    for (int t = 0; t < n; t++) duration += s->pending[t * wide + sf_at_dt(c)];
+    sf_age(c, m, s, duration);
+    sf_copy(lost, s->faults.lost, K);
+    sf_silent(c, &s->faults, s->pending, s->pending + K, wide, n, c->weight);
+    for (int i = 0; i < K; i++) {
+        if (s->faults.lost[i] > lost[i]) {
+            /* What was learnt of late was learnt from wrong readings. */
+            sf_momentum_retract(c, m, s);
+            return;
+        }
+    }
+    s->status = 0;
+    for (int i = 0; i < K; i++) {
+        sf_real read = 0;
+        for (int t = 0; t < n; t++) read += s->pending[t * wide + K + i];
+        missing = missing || (read / (sf_real)n < m->least_read && s->faults.lost[i] < (sf_real)0.5);
+        out = out || s->faults.lost[i] > (sf_real)0.5;
+    }
+    if (missing) s->linked = 0;
+    else {
+        sf_copy_modes(c, m, &w->belief, &s->belief);
+        sf_copy(published, s->published.mean, M);
+        tare = s->tare;
+        int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
+        if (out) {
+            /* What stands in for a channel is too far off to teach scales; zeros are seen without it. */
+            sf_copy(s->published.mean, published, M);
+            s->linked = 0;
+        } else {
+            sf_open_product(c, m, s, &tare, product);
+            sf_momentum_rows_of(c, m, s->pending, n, published, product, w);
+            if (good) flag = sf_take_rows(c, m, s, w, nis);
+            missing = flag != 0;
+            s->linked = !flag;
+            s->status = flag;
+        }
+        if (!out && !missing) {
+            held = s->belief.chance[m->held] > m->held_chance;
+            sf_copy_published(c, &s->published, &w->published);
+            sf_map_covariance(c, &s->published, s->covariance);
+            sf_copy(s->point, w->rows.point, 3);
+            s->tare = tare;
+            s->status = held ? SF_HELD : 0;
+            *nis_rows = (sf_real)m->components;
+        } else *nis = (sf_real)NAN;
+    }
+    sf_rest(c, m, s, w, n, duration, !missing && !out && !held);
+    sf_copy(s->before, s->pending + (n - 1) * wide, wide);
+    memset(s->pending, 0, (size_t)(m->capacity * wide) * sizeof(sf_real));
+    s->waiting = 0;
+}
+
+/* MomentumFilter._collect: put a sample to those that wait. */
+SF_API void sf_collect(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, const sf_reference *reference,
+                       sf_real dt) {
+    int K = c->channels;
+    const sf_real *motion = s->front.motion, *past = sf_past(c, &s->front);
+    sf_real asked[3], *row;
+    sf_pose pose;
+    if (reference->momentum) sf_follow_momentum(c, &s->track, motion, &pose);
+    else {
+        sf_follow_accelerations(c, m, &s->track, motion, reference->stance, dt, &pose);
+        if (!sf_ground(c, motion, 0, asked)) s->track.velocity[0] = (sf_real)NAN; /* as no robot moves */
+    }
+    if (!sf_track_plausible(m, &s->track)) {
+        sf_break(c, m, s);
+        return;
+    }
+    row = s->waiting < 0 ? s->before : s->pending + s->waiting * sf_waiting(c);
+    s->waiting++;
+    for (int i = 0; i < K; i++) {
+        row[i] = past[i] / c->weight;
+        row[K + i] = (sf_real)(past[K + i] > (sf_real)0.5);
+    }
+    sf_copy(row + sf_at_end(c), pose.end, 3);
+    sf_copy(row + sf_at_com(c), pose.com, 3);
+    sf_copy(row + sf_at_velocity(c), s->track.velocity, 3);
+    sf_copy(row + sf_at_spin(c), s->track.spin, 3);
+    sf_copy(row + sf_at_sole(c), pose.sole, 3 * c->feet);
+    sf_copy(row + sf_at_rotation(c), pose.rotation, 9 * c->feet);
+    for (int foot = 0; foot < c->feet; foot++) row[sf_at_swing(c) + foot] = (sf_real)(reference->swing[foot] != 0);
+    row[sf_at_dt(c)] = dt;
+}
+
+/* MomentumFilter.update: take in one sample.
+
+   raw: K readings, NaN where none arrived. reference: the robot's beliefs `lag` samples ago. dt: time since
+   the last sample in s. Values never stop it: what is not finite or not possible is held and flagged.
+   Returns whether something new is handed out. */
+SF_API int sf_momentum_step(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+                            const sf_real *raw, const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+    int K = c->channels, full = 0;
+    sf_whole kinds[SF_CHANNELS];
+    sf_real waited = 0;
+    sf_sample sample;
+    sf_check(c, &s->front, raw, reference, 0, dt, &sample);
+    sf_fault_sample(c, &s->faults, s->published.mean, sample.force, sample.read, kinds);
+    sf_align(c, &s->front, &sample);
+    if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));
+    if (!sample.sound || sample.gap) sf_break(c, m, s);
+    else sf_collect(c, m, s, reference, dt);
+    estimate->nis = (sf_real)NAN;
+    estimate->nis_rows = 0;
+    for (int t = 0; t < s->waiting; t++) waited += s->pending[t * sf_waiting(c) + sf_at_dt(c)];
+    full = s->waiting >= 1 && (waited >= m->block - (sf_real)0.5 * c->dt || s->waiting == m->capacity);
+    if (full) {
+        sf_momentum_block(c, m, s, w, &estimate->nis, &estimate->nis_rows);
+        for (int i = 0; i < K; i++) kinds[i] |= s->faults.kind[i];
+    }
+    for (int i = 0; i < K; i++) sample.flags[i] |= kinds[i];
+    sf_momentum_estimate(c, m, s, &sample, estimate);
+    return full;
+}
+
+#endif
