@@ -222,7 +222,7 @@ class RobotCalibration:
                 joined=joined_packets(telemetry),
             )
             corners = setup.corners
-            self.beliefs = native_beliefs(beliefs) if corners is None else MomentumBeliefs(beliefs, corners)
+            self.beliefs = native_beliefs(beliefs if corners is None else MomentumBeliefs(beliefs, corners))
         self._view.begin_episode()
         return fresh
 

@@ -71,7 +71,7 @@ class FootView:
 
     Attributes:
         spaces: The space of each part that is calibrated.
-        every: The space of each part that the library makes as well.
+        every: The space of each part.
         flawed: Whether the feet have no centres of pressure.
         held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
         force_bound: Largest force that is shown in N.
@@ -107,12 +107,10 @@ class FootView:
             "foot_force_std": box(0.0, force, (channels,), np.float32),
             "cop_std": box(0.0, COP_BOUND, (2,), np.float32),
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
-        }
-        shares: dict[str, spaces.Space[Any]] = {
             "contact_probability": box(0.0, 1.0, (feet,), np.float32),
             "undetermined": box(0.0, 1.0, (channels,), np.float32),
         }
-        self.spaces = {part: (self.every | shares)[part] for part in self.parts}
+        self.spaces = {part: self.every[part] for part in self.parts}
         # In one array, for the library.
         self.held: Floats = np.zeros(8)
         self.begin_episode()

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, Reference
+from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import reference_info
-from surefoot.robot.foot_view import FootView
+from surefoot.robot.foot_view import DETERMINED, FootView
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 """What ``info`` holds of an estimate."""
@@ -119,11 +119,14 @@ class NativeSample:
         shown, told = self._read(np.ndarray(len(robots), self._dtype, memory), np.ones(len(robots), bool))
         if not all(robot._of[0].known for robot in robots):
             del told["reference"]["known"]
-            told["reference"] = reference_info(Reference(**told["reference"]))
+            told["reference"] = reference_info(self._of[0].believed.kind(**told["reference"]))
         return shown, told
 
     def _read(self, one: NDArray[Any], known: Any) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         flags, vgrf, scale, offset, *others = self._fields(one)
+        shares = {}
+        if self._filter.constants.contact:
+            shares, others = dict(zip(DETERMINED, others)), others[len(DETERMINED) :]  # noqa: B905
         # Others follow behind both.
         shown = dict(zip(self._parts, others))  # noqa: B905
         reference = dict(zip(self._believed, (known, *others[len(shown) :])))  # noqa: B905
@@ -133,6 +136,7 @@ class NativeSample:
             "flags": flags,
             "vgrf": vgrf,
             "reference": reference,
+            **shares,
         }
 
     def estimate(self) -> Estimate:
@@ -169,7 +173,10 @@ def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: 
     """
     places, unknowns = library.places["told"], 2 * len(native.raw)
     taken = {
-        "estimate": (native.estimate.now.dtype, _OF_ESTIMATE),
+        "estimate": (
+            native.estimate.now.dtype,
+            _OF_ESTIMATE + DETERMINED * native.constants.contact,
+        ),
         "shown": (shown_dtype(library, view), view.parts),
         "belief": (beliefs.believed.dtype, beliefs.believed.dtype.names or ()),
     }

@@ -13,7 +13,7 @@ A sole's lowest points stand still: V_legs is what they ask for. Nothing is diff
 A row is of the middle between two packets; rows are read by linear interpolation.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,23 @@ ROWS = 11
 """Number of the vectors."""
 
 
+class StrapdownConstants(NamedTuple):
+    """Constants by their names in C; module constants of the same names say what they are.
+
+    Attributes:
+        count: Points of each sole that may touch, n.
+        corners: These points in the sole frames in m, shape (2, n, 3).
+    """
+
+    count: int
+    corners: Floats
+    leg_time: float = LEG_TIME
+    tilt_rate: float = TILT_RATE
+    bias_time: float = BIAS_TIME
+    touch: float = TOUCH
+    free_fall: float = FREE_FALL
+
+
 class Strapdown:
     """The IMU's velocity and the torso's rotation.
 
@@ -63,13 +80,16 @@ class Strapdown:
         R: Rotation from the torso's to the level axes, shape (3, 3).
         velocity: Of the IMU in m/s, shape (3,).
         place: Of the torso in m, by the legs alone, shape (3,).
+        spin_bias: Of the gyroscope in rad/s, shape (3,).
+        vertical_bias: Of the vertical acceleration in m/s^2.
+        count: Packets that the legs had a say in.
     """
 
     def __init__(self, period: float, gravity: float) -> None:
-        self._period, self._gravity, self._count = period, gravity, 0
+        self._period, self._gravity, self.count = period, gravity, 0
         self.R = np.eye(3)
         self.velocity, self.place = np.zeros(3), np.zeros(3)
-        self._spin_bias, self._vertical_bias = np.zeros(3), 0.0
+        self.spin_bias, self.vertical_bias = np.zeros(3), 0.0
 
     def begin(self, force: Floats) -> None:
         """Begin with what the specific force of a robot at rest shows of up."""
@@ -92,21 +112,21 @@ class Strapdown:
             Rotation and velocity of the IMU at the middle since the last packet, shapes (3, 3) and (3,).
         """
         period, before, start = self._period, self.velocity, self.R
-        turn = (spin - self._spin_bias) * period
+        turn = (spin - self.spin_bias) * period
         middle, end = start @ _rotation(0.5 * turn), start @ _rotation(turn)
         rise = middle @ force
-        rise[2] -= self._gravity + self._vertical_bias
+        rise[2] -= self._gravity + self.vertical_bias
         velocity = before + rise * period
         by_legs = middle @ legs
         if force @ force > (FREE_FALL * self._gravity) ** 2:
-            self._count += 1
+            self.count += 1
             off = by_legs + middle @ imu - 0.5 * (before + velocity)
             # The first packets are averaged: nothing was known before.
-            velocity = velocity + max(1.0 / self._count, period / LEG_TIME) * off
+            velocity = velocity + max(1.0 / self.count, period / LEG_TIME) * off
             tilt = TILT_RATE**2 / self._gravity * period * np.array([-off[1], off[0], 0.0])
             end = _rotation(tilt) @ end
-            self._spin_bias = self._spin_bias - middle.T @ tilt / BIAS_TIME
-            self._vertical_bias -= period / (LEG_TIME * BIAS_TIME) * off[2]
+            self.spin_bias = self.spin_bias - middle.T @ tilt / BIAS_TIME
+            self.vertical_bias -= period / (LEG_TIME * BIAS_TIME) * off[2]
         self.velocity, self.R = velocity, _orthonormal(end)
         self.place = self.place + by_legs * period
         return middle, 0.5 * (before + velocity)
@@ -122,18 +142,28 @@ class MomentumBeliefs(Believed):
     Attributes:
         beliefs: Those that hold accelerations.
         believed: What the last :meth:`sample` found.
+        corners: The same.
+        ring: A row for each of the last packets by number, shape (HISTORY, ROWS, 3).
+        strapdown: Velocity and attitude.
+        run: Rows in a row.
+        number: Of the last packet.
     """
 
     def __init__(self, beliefs: Beliefs, corners: Floats) -> None:
-        self.beliefs, self._corners = beliefs, corners
-        self._ring = np.zeros((HISTORY, ROWS, 3))
-        self._strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
-        self._run, self._number = 0, 0
+        self.beliefs, self.corners = beliefs, corners
+        self.ring = np.zeros((HISTORY, ROWS, 3))
+        self.strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
+        self.run, self.number = 0, 0
         self.believed = unknown()
 
     def begun(self) -> "MomentumBeliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return MomentumBeliefs(self.beliefs.begun(), self._corners)
+        return MomentumBeliefs(self.beliefs.begun(), self.corners)
+
+    @property
+    def constants(self) -> StrapdownConstants:
+        """Constants, by their names in C."""
+        return StrapdownConstants(self.corners.shape[1], self.corners)
 
     @property
     def model(self) -> NominalModel:
@@ -147,38 +177,38 @@ class MomentumBeliefs(Believed):
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.beliefs.join(packets):
-            posture, self._number = self.beliefs.take(packet), packet.number
+            posture, self.number = self.beliefs.take(packet), packet.number
             if posture is not None:
-                self._run += 1
+                self.run += 1
                 self._advance(posture)
             else:
-                self._run = 0
-                self._strapdown = Strapdown(self.beliefs.period, self.model.gravity)
-                self._strapdown.begin(packet.values[self.beliefs.layout.accelerometer])
+                self.run = 0
+                self.strapdown = Strapdown(self.beliefs.period, self.model.gravity)
+                self.strapdown.begin(packet.values[self.beliefs.layout.accelerometer])
 
     def _advance(self, posture: Posture) -> None:
         """Fill the row at the middle before the newest packet."""
         com, momentum, sites, axes, force, spin = posture
         com_velocity, twist = self.model.velocities()
-        down = self._strapdown.R[2]
-        legs = -touching(sites[1:], axes.reshape(2, 3, 3), twist[1:], self._corners, down)
-        R, velocity = self._strapdown.advance(force, spin, legs, twist[0, 3:])
-        row = self._ring[self._number % HISTORY]
+        down = self.strapdown.R[2]
+        legs = -touching(sites[1:], axes.reshape(2, 3, 3), twist[1:], self.corners, down)
+        R, velocity = self.strapdown.advance(force, spin, legs, twist[0, 3:])
+        row = self.ring[self.number % HISTORY]
         row[COM], row[SOLES], row[AXES], row[MOMENTUM] = com, sites[1:], axes, momentum
         row[VELOCITY] = com_velocity - twist[0, 3:]
         np.matmul(row, R.T, out=row)
         row[VELOCITY] += velocity
-        row[: SOLES.stop] += self._strapdown.place
+        row[: SOLES.stop] += self.strapdown.place
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """Find what the robot believes for one sample of its feet; as :meth:`Beliefs.sample`."""
         fell = self.beliefs.sample(time, command, hold)
         found, self.believed = self.beliefs.believed, unknown()
-        if self.beliefs.known and self._run > 1:
+        if self.beliefs.known and self.run > 1:
             # A reading stands for the middle of its interval, a momentum for the end.
-            low = self._number - min(self._run, HISTORY - 1) + 1
+            low = self.number - min(self.run, HISTORY - 1) + 1
             end = time + 0.5 * self.beliefs.dt
-            rows = self.beliefs.interpolate(self._ring, end, low, self._number)
+            rows = self.beliefs.interpolate(self.ring, end, low, self.number)
             self.believed = MomentumReference(
                 com=rows[COM],
                 com_velocity=rows[VELOCITY],

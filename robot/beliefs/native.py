@@ -1,15 +1,17 @@
-"""The beliefs of one robot by the library: the same numbers as :class:`Beliefs`, to rounding."""
+"""The beliefs of one robot by the library: the same numbers as those of Python, to rounding."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, required
 from surefoot.robot.beliefs.contacts import planned_window
 from surefoot.robot.beliefs.lag import HISTORY
+from surefoot.robot.beliefs.momentum import ROWS as MOVED
+from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
 from surefoot.robot.beliefs.references import ROWS, Beliefs, nothing
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
@@ -24,6 +26,12 @@ _ODOMETRY = {
 }  # fmt: skip
 _UPRIGHT = {"lean": "_mean", "highest": "_highest", "upright": "_upright"}
 """Attributes of the Python by the names of ``sf_beliefs``."""
+
+_STRAPDOWN = {
+    "R": "R", "velocity": "velocity", "place": "place", "velocity_spin_bias": "spin_bias",
+    "vertical_bias": "vertical_bias", "velocities": "count",
+}  # fmt: skip
+"""The same of a :class:`Strapdown`, by the names of ``sf_momentum_beliefs``."""
 
 
 class NativeBeliefs:
@@ -42,9 +50,12 @@ class NativeBeliefs:
         ValueError: If the library is not made for such a robot; docs/native.md has its limits.
     """
 
-    def __init__(self, library: Library, beliefs: Beliefs) -> None:
+    def __init__(self, library: Library, beliefs: Beliefs | MomentumBeliefs) -> None:
         self.library, self._functions, self._spec = library, library.functions, beliefs
         self.model = beliefs.model
+        momentum = beliefs if isinstance(beliefs, MomentumBeliefs) else None
+        beliefs = beliefs if momentum is None else momentum.beliefs
+        self._layout = beliefs.layout
         needed, window = planned_window(beliefs._lag)
         timing = {
             "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs.dt,
@@ -59,28 +70,43 @@ class NativeBeliefs:
             "parts": (), "sum": (6,),
             "planned": (window, 4), "found": (4,), "upright": (),
         }  # fmt: skip
-        found, state = library.filled("timing", timing), library.record("beliefs", shapes)
-        if found is None or state is None:
+        legs, record = None, "beliefs"
+        if momentum is not None:
+            legs, record = (
+                library.filled("strapdown_config", momentum.constants._asdict()),
+                "momentum_beliefs",
+            )
+            shapes |= {
+                "moved": (HISTORY, MOVED, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
+                "velocity_spin_bias": (3,), "vertical_bias": (), "velocities": (),
+            }  # fmt: skip
+        found, state = library.filled("timing", timing), library.record(record, shapes)
+        if found is None or state is None or (legs is None and momentum is not None):
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
-        self._timing, self._state = found, np.zeros((), state)
+        self._timing, self._state, self._legs = found, np.zeros((), state), legs
         self._rows = np.zeros((AT_ONCE, 2 + beliefs.layout.size))
         self._slots = [(row[:2], row[2:]) for row in self._rows]
         self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
         self._stance, self._swing = self._planned[:2], self._planned[2:]
-        self.believed = ReferenceRecord(library)
+        self.believed = ReferenceRecord(library, Reference if momentum is None else MomentumReference)
         self._other = ReferenceRecord(library)
         self._force_bias = self._state["force_bias"]
         self._adopt()
         self._pack(beliefs)
-        self.believed.fill(beliefs.believed)
-        self.known, self.standing = beliefs.known, beliefs.standing
+        if momentum is not None:
+            self._state["moved"] = momentum.ring
+            for name, attribute in _STRAPDOWN.items():
+                self._state[name] = getattr(momentum.strapdown, attribute)
+        self.believed.fill(self._spec.believed)
+        self.known, self.standing = self._spec.known, self._spec.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
+        self._legs_at = None if legs is None else legs.ctypes.data
 
     def begun(self) -> "NativeBeliefs":
         """Go on at an episode's start; as :meth:`Beliefs.begun`, but in place."""
-        self._functions.surefoot_beliefs_init(self._addresses[1])
-        self.believed.fill(nothing(2))
+        self._functions.surefoot_beliefs_init(self._legs_at, self._addresses[1])
+        self.believed.fill(nothing(2) if self._legs is None else unknown())
         self.known = self.standing = False
         return self
 
@@ -98,6 +124,7 @@ class NativeBeliefs:
             model is None
             or model["hinges"] != self._state["angle"].size
             or not library.functions.surefoot_beliefs_fit(model.ctypes.data, self._timing.ctypes.data)
+            or not (self._legs is None or library.functions.surefoot_legs_fit(self._legs.ctypes.data))
         ):
             raise ValueError(
                 "The robot is no tree of bodies that the library has room for, or packets have other joints."
@@ -119,19 +146,22 @@ class NativeBeliefs:
             for (head, content), (number, arrival, values) in zip(self._slots, some, strict=False):
                 head[0], head[1] = number, arrival
                 content[...] = values
-            self._functions.surefoot_beliefs_packets(self._tree, timing, state, rows, len(some))
+            self._functions.surefoot_beliefs_packets(
+                self._tree, timing, self._legs_at, state, rows, len(some)
+            )
 
     def update_rows(self, address: int, count: int) -> None:
         """Take in packets of telemetry where the library has written them, so many."""
         self._keep_up()
         timing, state, _, _, _ = self._addresses
-        self._functions.surefoot_beliefs_packets(self._tree, timing, state, address, count)
+        self._functions.surefoot_beliefs_packets(self._tree, timing, self._legs_at, state, address, count)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses
+        plan = planned if self.plan(command) else None
         found = self._functions.surefoot_beliefs_sample(
-            timing, state, time, planned if self.plan(command) else None, hold, self.believed.address
+            timing, self._legs_at, state, time, plan, hold, self.believed.address
         )
         self.tell(found)
         return bool(found & 1)
@@ -143,6 +173,7 @@ class NativeBeliefs:
         return {
             "model": self._tree,
             "timing": timing,
+            "legs": self._legs_at or 0,
             "beliefs": state,
             "belief": self.believed.address,
             "planned": planned,
@@ -167,7 +198,8 @@ class NativeBeliefs:
         """As :meth:`Beliefs.reference`."""
         timing, state, _, _, _ = self._addresses
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
-        return self._other.reference()._replace(stance=stance, swing=swing)
+        found: Reference = self._other.reference()._replace(stance=stance, swing=swing)
+        return found
 
     def soles(self, time: float) -> NDArray[np.float64]:
         """As :meth:`Beliefs.soles`."""
@@ -175,9 +207,24 @@ class NativeBeliefs:
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)
         return self._soles.astype(np.float64)
 
-    def unpack(self) -> Beliefs:
+    def unpack(self) -> Beliefs | MomentumBeliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        spec, state, found = self._spec, self._state, self._spec.begun()
+        begun, state, believed = self._spec.begun(), self._state, self.believed.reference()
+        if not isinstance(begun, MomentumBeliefs):
+            self._unpack(begun)
+            begun.believed = believed
+            return begun
+        self._unpack(begun.beliefs)
+        # What it believes of accelerations is made anew at each sample.
+        begun.believed, begun.ring[...] = believed, state["moved"]
+        begun.run, begun.number = int(state["run"]), int(state["number"])
+        for name, attribute in _STRAPDOWN.items():
+            part = state[name].copy()
+            setattr(begun.strapdown, attribute, part if part.ndim else part.item())
+        return begun
+
+    def _unpack(self, found: Beliefs) -> None:
+        state = self._state
         for owner, names in _owners(found):
             for name, attribute in names.items():
                 part = state[name].tolist()
@@ -188,12 +235,10 @@ class NativeBeliefs:
         found._plan._runs.extend(state["planned"].tolist())
         found._kinematics._runs = state["found"].tolist()
         if found._seen:
-            values = np.zeros(spec.layout.size)
-            for name, part in _measured(spec.layout):
+            values = np.zeros(self._layout.size)
+            for name, part in _measured(self._layout):
                 values[part] = state[name]
             found._last = Packet(int(state["number"]), 0.0, values)
-        found.believed = self.believed.reference()
-        return found
 
     def _pack(self, beliefs: Beliefs) -> None:
         state, last = self._state, beliefs._last
@@ -214,7 +259,7 @@ class NativeBeliefs:
         return native_beliefs, (self.unpack(),)
 
 
-def native_beliefs(beliefs: Beliefs) -> Beliefs | NativeBeliefs:
+def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeliefs | NativeBeliefs:
     """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
     library = installed()
     if library is None or library.real != np.float64:
@@ -225,8 +270,10 @@ def native_beliefs(beliefs: Beliefs) -> Beliefs | NativeBeliefs:
         return beliefs
 
 
-def c_source(beliefs: Beliefs) -> str:
+def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     """Return a header with one robot's ``sf_model model`` and ``sf_timing timing``, for its controller.
+
+    Of beliefs that hold momentum it declares ``sf_strapdown_config legs`` as well.
 
     Raises:
         RuntimeError: If there is no library here.
@@ -239,7 +286,11 @@ def c_source(beliefs: Beliefs) -> str:
         "HINGES": max(1, int(model["hinges"])),
         "PLANNED": int(timing["window"]),
     }
-    return c_header("surefoot_beliefs.h", sizes, {"sf_model model": model, "sf_timing timing": timing})
+    records = {"sf_model model": model, "sf_timing timing": timing}
+    if native._legs is None:
+        return c_header("surefoot_beliefs.h", sizes, records)
+    sizes["CORNERS"] = int(native._legs["count"])
+    return c_header("surefoot_strapdown.h", sizes, records | {"sf_strapdown_config legs": native._legs})
 
 
 def _owners(beliefs: Beliefs) -> tuple[tuple[Any, dict[str, str]], ...]:
