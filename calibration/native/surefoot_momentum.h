@@ -115,7 +115,7 @@ typedef struct {
    severity l of offsets. */
 typedef struct {
     sf_real pull[SF_WEIGHED], own;
-    sf_real L[4 * SF_REST * SF_REST], W[4 * SF_REST * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_real U[4 * SF_REST * SF_REST], W[4 * SF_REST * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
     sf_real z[4 * SF_REST], x[4 * SF_CHANNELS];
     sf_real weight[16], evidence; /* of each severity, and of all together */
 } sf_compared;
@@ -127,6 +127,7 @@ typedef struct {
     sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED], size[16]; /* of priors, and their determinants */
     sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_WEIGHED * SF_WEIGHED], room[4 * SF_STATES];
     sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_WEIGHED];
+    sf_real turned[4 * SF_REST * SF_CHANNELS], quads[4 * SF_REST * SF_REST];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
 } sf_momentum_work;
@@ -698,6 +699,84 @@ SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_
         for (int l = 0; l < SF_SEVERITIES; l++) w->size[SF_SEVERITIES * i + l] = of[0][i] + of[1][l];
 }
 
+/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. They
+   are symmetric, or triangular with their upper halves. */
+
+/* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n quadruples each. */
+SF_API void sf_add_quads(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart, const sf_real *B,
+                         int wide, int inner, int n) {
+    int k = 0;
+    for (; k + 2 <= inner; k += 2) {
+        const sf_real *f = factor + k * apart, *g = f + apart, *a = B + k * wide, *b = a + wide;
+        sf_real p[4], q[4];
+        for (int l = 0; l < 4; l++) p[l] = sign * f[l], q[l] = sign * g[l];
+        for (int i = 0; i < 4 * n; i += 4)
+            for (int l = 0; l < 4; l++) to[i + l] = to[i + l] + p[l] * a[i + l] + q[l] * b[i + l];
+    }
+    for (; k < inner; k++) {
+        const sf_real *f = factor + k * apart, *a = B + k * wide;
+        sf_real p[4];
+        for (int l = 0; l < 4; l++) p[l] = sign * f[l];
+        for (int i = 0; i < 4 * n; i += 4)
+            for (int l = 0; l < 4; l++) to[i + l] += p[l] * a[i + l];
+    }
+}
+
+/* n quadruples times one. */
+SF_API void sf_scale_quads(sf_real *to, const sf_real by[4], int n) {
+    for (int i = 0; i < 4 * n; i += 4)
+        for (int l = 0; l < 4; l++) to[i + l] *= by[l];
+}
+
+/* Overwrite A with U, A = U' U; the logarithms of the determinants, NaN of those that are not positive definite. */
+SF_API void sf_factor_quads(sf_real *A, int n, sf_real size[4]) {
+    sf_real by[4], product[4] = {1, 1, 1, 1};
+    for (int l = 0; l < 4; l++) size[l] = 0;
+    for (int i = 0; i < n; i++) {
+        sf_real *row = A + 4 * (i * n + i);
+        sf_add_quads(row, -1, A + 4 * i, 4 * n, A + 4 * i, 4 * n, i, n - i);
+        for (int l = 0; l < 4; l++) by[l] = 1 / sf_sqrt(row[l] > 0 ? row[l] : (sf_real)NAN);
+        sf_scale_quads(row, by, n - i);
+        for (int l = 0; l < 4; l++) {
+            product[l] *= row[l];
+            if (i % 4 == 3 || i == n - 1) size[l] += 2 * sf_log(product[l]), product[l] = 1;
+        }
+    }
+}
+
+/* Overwrite B, shape (n, columns), with U'^-1 B, or with U^-1 B. */
+SF_API void sf_solve_quads(const sf_real *U, int n, sf_real *B, int columns, int upper) {
+    for (int step = 0; step < n; step++) {
+        int i = upper ? n - 1 - step : step;
+        sf_real by[4], *row = B + 4 * i * columns;
+        const sf_real *own = U + 4 * (i * n + i);
+        if (upper) sf_add_quads(row, -1, own + 4, 4, row + 4 * columns, 4 * columns, n - i - 1, columns);
+        else sf_add_quads(row, -1, U + 4 * i, 4 * n, B, 4 * columns, i, columns);
+        for (int l = 0; l < 4; l++) by[l] = 1 / own[l];
+        sf_scale_quads(row, by, columns);
+    }
+}
+
+/* The inverses of U' U, all of their numbers, in `out`; U becomes U'^-1, in its lower half. */
+SF_API void sf_invert_quads(sf_real *U, int n, sf_real *out) {
+    for (int i = 0; i < n; i++) {
+        sf_real by[4], *row = U + 4 * i * n, *here = out + 4 * i * n;
+        for (int l = 0; l < 4; l++) by[l] = 1 / row[4 * i + l];
+        memset(here, 0, (size_t)(4 * n) * sizeof(sf_real));
+        sf_add_quads(here, -1, U + 4 * i, 4 * n, out, 4 * n, i, i);
+        sf_scale_quads(here, by, i);
+        for (int l = 0; l < 4; l++) here[4 * i + l] = by[l];
+    }
+    for (int i = 0; i < n; i++) sf_copy(U + 4 * i * n, out + 4 * i * n, 4 * (i + 1));
+    for (int i = 0; i < n; i++) {
+        sf_real *here = out + 4 * i * n;
+        memset(here, 0, (size_t)(4 * (i + 1)) * sizeof(sf_real));
+        sf_add_quads(here, 1, U + 4 * (i * n + i), 4 * n, U + 4 * i * n, 4 * n, n - i, i + 1);
+        for (int k = 0; k < i; k++)
+            for (int l = 0; l < 4; l++) out[4 * (k * n + i) + l] = here[4 * k + l];
+    }
+}
+
 /* Overwrite the factor L of A = L L' with the lower half of the inverse of A; room: for n^2 numbers. */
 SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
     for (int i = 0; i < n; i++) {
@@ -759,17 +838,17 @@ SF_API int sf_information(const sf_config *c, const sf_momentum_config *m, sf_re
     return 1;
 }
 
-/* Factors of four precisions of scales with the prior of a severity of scales, as sf_cholesky_four leaves them. */
+/* Factors of four precisions of scales with the prior of a severity of scales, as sf_factor_quads leaves them. */
 SF_API void sf_of_scales(const sf_config *c, const sf_compared *d, const sf_real *inverse, sf_real *out, sf_real size[4]) {
     int K = c->channels;
     sf_copy(out, d->S, 4 * K * K);
     for (int i = 0; i < K; i++)
         for (int l = 0; l < 4; l++) out[4 * (i * K + i) + l] += inverse[i];
-    sf_cholesky_four(out, K, size);
+    sf_factor_quads(out, K, size);
 }
 
 /* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
-   once: with the information A, B and C of scales, both and all else, W = L^-1 B', L L' = C + o and S = A - W' W. */
+   once: with the information A, B and C of scales, both and all else, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
 SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_real *mean, const sf_real *P, int N,
                       sf_momentum_work *w, sf_compared *d) {
     int K = c->channels, M = sf_weighed(c), E = M - K;
@@ -782,32 +861,30 @@ SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_
     for (int i = 0; i < E; i++) {
         const sf_real *row = I + (K + i) * M;
         for (int l = 0; l < 4; l++) {
-            for (int k = 0; k <= i; k++) d->L[4 * (i * E + k) + l] = row[K + k];
-            d->L[4 * (i * E + i) + l] += w->inverse[l * M + K + i];
+            for (int k = 0; k <= i; k++) d->U[4 * (k * E + i) + l] = row[K + k];
+            d->U[4 * (i * E + i) + l] += w->inverse[l * M + K + i];
             for (int k = 0; k < K; k++) d->W[4 * (i * K + k) + l] = row[k];
             d->z[4 * i + l] = d->pull[K + i];
         }
     }
-    sf_cholesky_four(d->L, E, sizes);
-    sf_solve_four(d->L, E, d->W, K, 0);
-    sf_solve_four(d->L, E, d->z, 1, 0);
+    sf_factor_quads(d->U, E, sizes);
+    sf_solve_quads(d->U, E, d->W, K, 0);
+    sf_solve_quads(d->U, E, d->z, 1, 0);
     sf_real base[4] = {0, 0, 0, 0};
     for (int i = 0; i < E; i++)
         for (int l = 0; l < 4; l++) base[l] += d->z[4 * i + l] * d->z[4 * i + l];
     for (int i = 0; i < K; i++) {
-        for (int k = 0; k <= i; k++) {
-            sf_real *out = d->S + 4 * (i * K + k);
-            for (int l = 0; l < 4; l++) out[l] = I[i * M + k];
-            for (int e = 0; e < E; e++) sf_less_four(out, d->W + 4 * (e * K + i), d->W + 4 * (e * K + k));
-        }
+        for (int k = i; k < K; k++)
+            for (int l = 0; l < 4; l++) d->S[4 * (i * K + k) + l] = I[k * M + i];
+        sf_add_quads(d->S + 4 * (i * K + i), -1, d->W + 4 * i, 4 * K, d->W + 4 * i, 4 * K, E, K - i);
         for (int l = 0; l < 4; l++) d->x[4 * i + l] = d->pull[i];
-        for (int e = 0; e < E; e++) sf_less_four(d->x + 4 * i, d->z + 4 * e, d->W + 4 * (e * K + i));
     }
+    sf_add_quads(d->x, -1, d->z, 4, d->W, 4 * K, E, K);
     for (int i = 0; i < SF_SEVERITIES; i++) {
         sf_real y[4 * SF_CHANNELS];
         sf_of_scales(c, d, w->inverse + i * M, w->own, own);
         sf_copy(y, d->x, 4 * K);
-        sf_solve_four(w->own, K, y, 1, 0);
+        sf_solve_quads(w->own, K, y, 1, 0);
         for (int l = 0; l < 4; l++) {
             sf_real square = base[l], *out = d->weight + 4 * i + l;
             for (int k = 0; k < K; k++) square += y[4 * k + l] * y[4 * k + l];
@@ -828,13 +905,17 @@ SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_
 }
 
 /* The posterior of one mode under all severities together, in standard deviations of the wide prior: its mean, shape
-   (M,), and the lower half of its covariance, times `chance`. Returns nothing of severities of no weight. */
+   (M,), and the lower half of its covariance. Severities of no weight in a mode of this chance are left out. With
+   X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
 SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_momentum_work *w, sf_real *mean,
                          sf_real *covariance) {
     int K = c->channels, M = sf_weighed(c), E = M - K;
     sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_WEIGHED], lane[4] = {0, 0, 0, 0};
-    sf_solve_four(d->L, E, d->W, K, 1);
-    sf_solve_four(d->L, E, d->z, 1, 1);
+    sf_real *turned = w->turned, *inverse = w->quads;
+    sf_solve_quads(d->U, E, d->W, K, 1);
+    sf_solve_quads(d->U, E, d->z, 1, 1);
+    for (int e = 0; e < E; e++)
+        for (int k = 0; k < 4 * K; k++) turned[4 * ((k / 4) * E + e) + k % 4] = d->W[4 * e * K + k];
     memset(mean, 0, (size_t)M * sizeof(sf_real));
     memset(shared, 0, (size_t)(4 * K * K) * sizeof(sf_real));
     memset(found, 0, (size_t)(16 * M) * sizeof(sf_real));
@@ -844,45 +925,37 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
         if (!(any > 0)) continue;
         sf_of_scales(c, d, w->inverse + i * M, own, size);
         sf_copy(answer, d->x, 4 * K);
-        sf_solve_four(own, K, answer, 1, 0);
-        sf_solve_four(own, K, answer, 1, 1);
+        sf_solve_quads(own, K, answer, 1, 0);
+        sf_solve_quads(own, K, answer, 1, 1);
         sf_copy(answer + 4 * K, d->z, 4 * E);
-        for (int e = 0; e < E; e++)
-            for (int k = 0; k < K; k++) sf_less_four(answer + 4 * (K + e), d->W + 4 * (e * K + k), answer + 4 * k);
+        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * E, K, E);
         for (int l = 0; l < 4; l++) {
             if (!(of[l] > 0)) continue;
             for (int k = 0; k < M; k++) found[(4 * i + l) * M + k] = answer[4 * k + l];
             sf_add(mean, of[l], found + (4 * i + l) * M, M);
             lane[l] += of[l];
         }
-        sf_inverse_four(own, K);
-        for (int j = 0; j < K; j++)
-            for (int k = 4 * K * j; k < 4 * (K * j + j + 1); k++) shared[k] += of[k % 4] > 0 ? of[k % 4] * own[k] : 0;
+        sf_invert_quads(own, K, inverse);
+        for (int k = 0; k < 4 * K * K; k++) shared[k] += of[k % 4] > 0 ? of[k % 4] * inverse[k] : 0;
     }
     memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
-    for (int which = 0; which < 16; which++) {
-        sf_real *here = found + which * M, weight = d->weight[which];
-        if (!(weight > 0)) continue;
-        for (int k = 0; k < M; k++) here[k] -= mean[k];
-        for (int j = 0; j < M; j++) sf_add(covariance + j * M, weight * here[j], here, j + 1);
+    for (int which = 0; which < 16; which++)
+        for (int k = 0; d->weight[which] > 0 && k < M; k++) found[which * M + k] -= mean[k];
+    for (int j = 0; j < M; j++) {
+        sf_real apart[16];
+        for (int which = 0; which < 16; which++) apart[which] = d->weight[which] * found[which * M + j];
+        sf_add_rows(covariance + j * M, 1, apart, 1, found, M, 16, j + 1);
     }
-    sf_inverse_four(d->L, E);
-    for (int l = 0; l < 4; l++)
-        for (int i = 0; lane[l] > 0 && i < K; i++)
-            for (int j = 0; j <= i; j++) covariance[i * M + j] += shared[4 * (i * K + j) + l];
+    sf_invert_quads(d->U, E, inverse);
+    for (int i = 0; i < K; i++)
+        for (int k = 0; k < 4 * (i + 1); k++) covariance[i * M + k / 4] += lane[k % 4] > 0 ? shared[4 * i * K + k] : 0;
     for (int e = 0; e < E; e++) {
         sf_real *out = covariance + (K + e) * M;
-        memset(answer, 0, (size_t)(4 * (K + e + 1)) * sizeof(sf_real));
-        for (int j = 0; j < K; j++)
-            for (int k = 0; k < K; k++)
-                sf_less_four(answer + 4 * j, d->W + 4 * (e * K + k), shared + 4 * (k < j ? j * K + k : k * K + j));
-        for (int j = 0; j <= e; j++) {
-            sf_real *both = answer + 4 * (K + j);
-            for (int l = 0; l < 4; l++) both[l] = lane[l] * d->L[4 * (e * E + j) + l];
-            for (int k = 0; k < K; k++) sf_less_four(both, answer + 4 * k, d->W + 4 * (j * K + k));
-        }
-        for (int j = 0; j <= K + e; j++)
-            for (int l = 0; l < 4; l++) out[j] += lane[l] > 0 ? answer[4 * j + l] : 0;
+        memset(answer, 0, (size_t)(4 * K) * sizeof(sf_real));
+        sf_add_quads(answer, -1, d->W + 4 * e * K, 4, shared, 4 * K, K, K);
+        for (int k = 0; k < 4 * (e + 1); k++) answer[4 * K + k] = lane[k % 4] * inverse[4 * e * E + k];
+        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * E, K, e + 1);
+        for (int k = 0; k < 4 * (K + e + 1); k++) out[k / 4] += lane[k % 4] > 0 ? answer[k] : 0;
     }
 }
 

@@ -509,68 +509,6 @@ SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_rea
     return load;
 }
 
-/* ------------------------------------------------------------------------------------------- four at a time */
-
-/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. */
-
-/* out -= a b */
-SF_API void sf_less_four(sf_real *__restrict out, const sf_real *a, const sf_real *b) {
-    for (int l = 0; l < 4; l++) out[l] -= a[l] * b[l];
-}
-
-/* sf_cholesky of four, and the logarithms of their determinants, NaN of those that are not positive definite. */
-SF_API void sf_cholesky_four(sf_real *A, int n, sf_real size[4]) {
-    sf_real by[4], product[4] = {1, 1, 1, 1};
-    for (int l = 0; l < 4; l++) size[l] = 0;
-    for (int i = 0; i < n; i++) {
-        for (int j = i; j < n; j++) {
-            sf_real *out = A + 4 * (j * n + i), sum[4] = {out[0], out[1], out[2], out[3]};
-            for (int k = 0; k < i; k++) sf_less_four(sum, A + 4 * (j * n + k), A + 4 * (i * n + k));
-            for (int l = 0; j == i && l < 4; l++) by[l] = 1 / sf_sqrt(sum[l] > 0 ? sum[l] : (sf_real)NAN);
-            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
-        }
-        for (int l = 0; l < 4; l++) {
-            product[l] *= A[4 * (i * n + i) + l];
-            if (i % 4 == 3 || i == n - 1) size[l] += 2 * sf_log(product[l]), product[l] = 1;
-        }
-    }
-}
-
-/* Overwrite four B, shape (n, columns), with L^-1 B, or with L'^-1 B. */
-SF_API void sf_solve_four(const sf_real *L, int n, sf_real *B, int columns, int upper) {
-    for (int step = 0; step < n; step++) {
-        int i = upper ? n - 1 - step : step, first = upper ? i + 1 : 0, last = upper ? n : i;
-        sf_real by[4];
-        for (int l = 0; l < 4; l++) by[l] = 1 / L[4 * (i * n + i) + l];
-        for (int j = 0; j < columns; j++) {
-            sf_real *out = B + 4 * (i * columns + j), sum[4] = {out[0], out[1], out[2], out[3]};
-            for (int k = first; k < last; k++)
-                sf_less_four(sum, L + 4 * (upper ? k * n + i : i * n + k), B + 4 * (k * columns + j));
-            for (int l = 0; l < 4; l++) out[l] = sum[l] * by[l];
-        }
-    }
-}
-
-/* Overwrite the factors of four with the lower halves of the inverses: L^-1 in place, then its square. */
-SF_API void sf_inverse_four(sf_real *L, int n) {
-    for (int i = 0; i < n; i++) {
-        sf_real own[4];
-        for (int l = 0; l < 4; l++) own[l] = 1 / L[4 * (i * n + i) + l];
-        for (int j = 0; j < i; j++) {
-            sf_real sum[4] = {0, 0, 0, 0};
-            for (int k = j; k < i; k++) sf_less_four(sum, L + 4 * (i * n + k), L + 4 * (k * n + j));
-            for (int l = 0; l < 4; l++) L[4 * (i * n + j) + l] = own[l] * sum[l];
-        }
-        memcpy(L + 4 * (i * n + i), own, sizeof own);
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            sf_real sum[4] = {0, 0, 0, 0}, *out = L + 4 * (i * n + j);
-            for (int k = i; k < n; k++) sf_less_four(sum, L + 4 * (k * n + i), L + 4 * (k * n + j));
-            for (int l = 0; l < 4; l++) out[l] = -sum[l];
-        }
-}
-
 /* ------------------------------------------------------------------------------------------------- faults */
 
 /* StandIn.others: how each channel follows from those that are not lost, and how well in N. */
