@@ -38,6 +38,8 @@
 #define SF_LITTLE 1e-15
 /* By how much the share of a variance may exceed 1 by rounding. */
 #define SF_EQUAL 1e-12
+/* Square of the share of an eigenvalue by which its direction may be off. */
+#define SF_SETTLED_SQUARE 1e-28
 
 /* ------------------------------------------------------------------------------------------------ records */
 
@@ -792,30 +794,65 @@ SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
     }
 }
 
+/* Directions in which S is wider than the prior, two at most, and how wide: by iteration from the axes of the centre of
+   mass, which a load moves. Returns how many; 0 as well if they do not settle. room: for 2 M numbers. */
+SF_API int sf_wider(const sf_real *S, int M, sf_real *v, sf_real value[2], sf_real *room) {
+    sf_real *one = v, *two = v + M, *p = room, *q = room + M;
+    if (!(S[M * M - 1] > 1) && !(S[(M - 2) * M + M - 2] > 1)) return 0;
+    memset(v, 0, (size_t)(2 * M) * sizeof(sf_real));
+    one[M - 2] = two[M - 1] = 1;
+    for (int tries = 0; tries < 24; tries++) {
+        for (int i = 0; i < M; i++) p[i] = sf_dot(S + i * M, one, M), q[i] = sf_dot(S + i * M, two, M);
+        sf_real a = sf_dot(one, p, M), b = sf_dot(one, q, M), d = sf_dot(two, q, M), apart = (a - d) / 2;
+        sf_real root = sf_sqrt(apart * apart + b * b), away[2] = {0, 0};
+        value[0] = (a + d) / 2 + root, value[1] = (a + d) / 2 - root;
+        /* The axes of the two by two, and how far both are from being those of S. */
+        sf_real x = apart >= 0 ? apart + root : b, y = apart >= 0 ? b : root - apart, by = sf_sqrt(x * x + y * y);
+        x = by > 0 ? x / by : 1, y = by > 0 ? y / by : 0;
+        for (int i = 0; i < M; i++) {
+            sf_real e = one[i], f = two[i], g = p[i], h = q[i];
+            one[i] = x * e + y * f, two[i] = x * f - y * e;
+            p[i] = x * g + y * h, q[i] = x * h - y * g;
+            away[0] += (p[i] - value[0] * one[i]) * (p[i] - value[0] * one[i]);
+            away[1] += (q[i] - value[1] * two[i]) * (q[i] - value[1] * two[i]);
+        }
+        int found = (value[0] > 1) + (value[1] > 1), settled = 1;
+        for (int k = 0; k < found; k++) settled = settled && away[k] < SF_SETTLED_SQUARE * value[k] * value[k];
+        if (settled) return found;
+        by = 1 / sf_sqrt(sf_dot(p, p, M));
+        for (int i = 0; i < M; i++) one[i] = p[i] * by;
+        sf_add(q, -sf_dot(one, q, M), one, M);
+        by = 1 / sf_sqrt(sf_dot(q, q, M));
+        for (int i = 0; i < M; i++) two[i] = q[i] * by;
+    }
+    return 0;
+}
+
 /* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
    `S` is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
 SF_API int sf_information(const sf_config *c, const sf_momentum_config *m, sf_real *S, const sf_real *off,
                           sf_momentum_work *w, sf_real *pull, sf_real *mine) {
-    int M = sf_weighed(c);
-    sf_real *room = w->A, *share = w->room, own = 0, most = 0;
-    sf_copy(room, S, M * M);
-    for (int i = 0; i < M * M; i++) room[i] = -room[i];
+    int M = sf_weighed(c), wider;
+    sf_real *room = w->A, *share = w->room, *L = w->axes, *v = w->room + 2 * M, own = 0, most = 0, value[2];
+    /* As if it were as wide as the prior where it is wider: if that is nowhere else, an inverse is all. */
+    wider = sf_wider(S, M, v, value, w->room);
+    sf_copy(L, S, M * M);
+    for (int k = 0; k < wider; k++)
+        for (int i = 0; i < M; i++) sf_add(L + i * M, (1 - value[k]) * v[k * M + i], v + k * M, M);
+    for (int i = 0; i < M * M; i++) room[i] = -L[i];
     for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
-    if (sf_cholesky(room, M)) { /* it is wider nowhere */
-        sf_real *L = w->axes;
-        sf_copy(L, S, M * M);
-        if (sf_cholesky(L, M)) {
-            for (int i = 0; i < M; i++) own += sf_log(L[i * M + i]);
-            sf_inverse(L, M, room);
-            for (int i = 0; i < M; i++) most = sf_max(most, L[i * M + i]);
-            if (most * m->least_share < (sf_real)0.1) {
-                sf_mirror(L, M);
-                for (int i = 0; i < M; i++) pull[i] = sf_dot(L + i * M, off, M);
-                *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
-                sf_copy(S, L, M * M);
-                for (int i = 0; i < M; i++) S[i * M + i] -= 1;
-                return 1;
-            }
+    if (sf_cholesky(room, M) && sf_cholesky(L, M)) {
+        for (int i = 0; i < M; i++) own += sf_log(L[i * M + i]);
+        sf_inverse(L, M, room);
+        for (int i = 0; i < M; i++) most = sf_max(most, L[i * M + i]);
+        if (most * m->least_share < (sf_real)0.1) {
+            sf_mirror(L, M);
+            for (int i = 0; i < M; i++) pull[i] = sf_dot(L + i * M, off, M);
+            for (int k = 0; k < wider; k++) sf_add(pull, -sf_dot(v + k * M, off, M), v + k * M, M);
+            *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
+            sf_copy(S, L, M * M);
+            for (int i = 0; i < M; i++) S[i * M + i] -= 1;
+            return 1;
         }
     }
     sf_real *axes = w->axes, *factor = w->room + M;
