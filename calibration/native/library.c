@@ -235,6 +235,7 @@ static const place places[] = {
     IN_MOMENTUM(R_level_sole, reference.R_level_sole, "real"), IN_MOMENTUM(stance, reference.stance, "byte"),
     IN_MOMENTUM(swing, reference.swing, "byte"), IN_MOMENTUM(momentum, reference.momentum, "byte"),
     IN_MOMENTUM(accelerometer, accelerometer, "real"), IN_MOMENTUM(gyroscope, gyroscope, "real"),
+    IN_MOMENTUM(known, known, "byte"), IN_MOMENTUM(fell, fell, "byte"),
 
     WHOLE_OF(view), WHOLE_OF(shown),
 
