@@ -1,6 +1,7 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from os import PathLike
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
@@ -12,10 +13,11 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
+from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
-from surefoot.sensors import Encoders, Fault, Imu, Link
+from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
@@ -36,8 +38,8 @@ class SensorOptions(TypedDict, total=False):
     imu: str | Mapping[str, Any] | Imu | None
     encoders: str | Mapping[str, Any] | Encoders | None
     link: str | Mapping[str, Any] | Link | None
-    severity: float
-    faults: Sequence[str | Fault | Mapping[str, Any]]
+    severity: Severity
+    faults: Faults
     fresh: bool
     stream: int
 
@@ -115,6 +117,7 @@ class BatchSensors:
         self.listeners: list[Listener] = []
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
+        self._drawn: dict[str, NDArray[Any]] = {}
 
     def listen(self, listener: Listener) -> None:
         """Send telemetry from the next reset on, and tell of every step and reset."""
@@ -153,6 +156,8 @@ class BatchSensors:
                 robot.reset(truth, dt)
             else:
                 robot.step(truth)
+        if starting is not None:
+            self._note_conditions()
         for listener in self.listeners:
             listener.step(starting, fell)
 
@@ -175,6 +180,7 @@ class BatchSensors:
         seeds = [None] * len(rows) if seeds is None else seeds
         for i in np.flatnonzero(mask).tolist():
             self.robots[i].reset(truths[i], self._meaning.dt, seeds[i], asked.get("sensors"))
+        self._note_conditions()
         for listener in self.listeners:
             listener.begin(mask, seeds, asked.get("calibration"))
 
@@ -191,7 +197,48 @@ class BatchSensors:
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.means.mean_truth`."""
-        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
+        truth = mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
+        return truth | {name: part.copy() for name, part in self._drawn.items()}
+
+    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
+        """Let the next fresh sensors of some robots be of another severity.
+
+        Args:
+            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
+                one a robot.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
+        """
+        named = self._named(robots)
+        own = isinstance(severity, list | np.ndarray)
+        values = list(severity) if own else [severity]
+        if own and len(values) != len(named):
+            raise ValueError(
+                f"'severity' must be one number, or one a robot: got {len(values)} for {len(named)} robots."
+            )
+        set_one = self.equipment.with_severity
+        found = [set_one(robot.conditions, value) for robot, value in zip(named, cycle(values), strict=False)]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
+
+    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
+        """Let other things break on some robots, or with other probabilities, from their next resets on.
+
+        Args:
+            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If a fault or a probability is refused.
+        """
+        named = self._named(robots)
+        found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
 
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
@@ -214,6 +261,21 @@ class BatchSensors:
             ValueError: If the file is of other or of more robots, or of other sensors.
         """
         load_hardware(path, self.robots)
+
+    def _named(self, robots: Sequence[int] | None) -> list[RobotSensors]:
+        """Return robots by their numbers."""
+        count = len(self.robots)
+        numbers = range(count) if robots is None else np.asarray(robots, dtype=np.intp).ravel().tolist()
+        odd = [number for number in numbers if not 0 <= number < count]
+        if odd:
+            raise IndexError(f"There are robots 0 to {count - 1}, got {odd}.")
+        return [self.robots[number] for number in numbers]
+
+    def _note_conditions(self) -> None:
+        """Keep what was drawn of the robots' conditions, shape (N, ...); nothing where they do not differ."""
+        differ = any(robot.differs for robot in self.robots)
+        drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
+        self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
 
     def _look(self, rows: Floats) -> list[Any]:
         """Keep what each robot plans, and return what happened to it."""
@@ -243,6 +305,14 @@ class SensorsFace:
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
         return self.sensors.true_parameters()
+
+    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
+        """Change the severity of robots, as :meth:`BatchSensors.set_severity` does."""
+        self.sensors.set_severity(severity, robots)
+
+    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
+        """Change what breaks on robots, as :meth:`BatchSensors.set_faults` does."""
+        self.sensors.set_faults(faults, robots)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""
