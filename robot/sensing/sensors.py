@@ -337,6 +337,19 @@ class RobotSensors:
         self._note()
         return None
 
+    def reader(self, shape: tuple[int, ...]) -> NativeSensing | None:
+        """Return what reads the next control step by the library; ``None`` where :meth:`step` has to.
+
+        Args:
+            shape: Of its rows of truth.
+        """
+        sensing = self._sensing
+        return sensing if sensing is not None and sensing.takes(shape) else None
+
+    def follow(self, time: float) -> None:
+        """Take over a control step that ends at a time of the host's, which :meth:`reader` has read."""
+        self.time, self._packets = time, None
+
     @property
     def packets(self) -> Packets:
         """Telemetry that arrived during the last step, in order; only while somebody listens."""

@@ -132,3 +132,19 @@ def test_what_cannot_be_set_changes_nothing():
     with pytest.raises(ValueError, match="from 0 to 1"):
         env.set_faults({"dies": -0.1})
     assert not any(own.differs for own in env.sensors.robots)
+
+
+def test_the_number_of_threads_changes_nothing():
+    seen = []
+    for threads in (1, 3):
+        env = robots(
+            48, config="hx711-load-cells", link="nao-wlan", severity=(0.0, 2.0), faults={"dies": 0.1}
+        )
+        env.sensors._threads = threads
+        env.reset(seed=0)
+        found = [env.step(np.tile(STILL, (48, 1)))[0] for _ in range(6)]
+        env.reset(options={"reset_mask": np.arange(48) % 5 == 0})
+        seen.append([*found, env.step(np.tile(STILL, (48, 1)))[0], env.sensors.true_parameters()._asdict()])
+    for one, other in zip(*seen, strict=True):
+        for name, part in one.items():
+            np.testing.assert_array_equal(part, other[name], err_msg=name)

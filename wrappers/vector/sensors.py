@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
+from operator import is_not
 from os import PathLike
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
@@ -13,8 +14,10 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
+from surefoot.native import cores
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
 from surefoot.sensors import Encoders, Imu, Link
@@ -118,6 +121,8 @@ class BatchSensors:
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
+        self._together: ManySensing | None = None
+        self._threads = cores()
 
     def listen(self, listener: Listener) -> None:
         """Send telemetry from the next reset on, and tell of every step and reset."""
@@ -150,12 +155,14 @@ class BatchSensors:
             starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
             fell: Robots whose episode was terminated, shape (N,), or ``None``.
         """
-        begun, dt = [False] * len(rows) if starting is None else starting.tolist(), self._meaning.dt
-        for robot, truth, begins in zip(self.robots, self._look(rows), begun, strict=True):
-            if begins:
-                robot.reset(truth, dt)
+        substeps, dt = self._look(rows), self._meaning.dt
+        begins = np.zeros(len(rows), dtype=bool) if starting is None else np.asarray(starting)
+        for i in np.flatnonzero(~self._read_together(substeps, ~begins)).tolist():
+            truth = read_rows(substeps[i], self._key)
+            if begins[i]:
+                self.robots[i].reset(truth, dt)
             else:
-                robot.step(truth)
+                self.robots[i].step(truth)
         if starting is not None:
             self._note_conditions()
         for listener in self.listeners:
@@ -176,10 +183,11 @@ class BatchSensors:
             seeds: What each was reset with.
             asked: As of :meth:`reset`.
         """
-        truths, asked = self._look(rows), asked or {}
+        substeps, asked = self._look(rows), asked or {}
         seeds = [None] * len(rows) if seeds is None else seeds
         for i in np.flatnonzero(mask).tolist():
-            self.robots[i].reset(truths[i], self._meaning.dt, seeds[i], asked.get("sensors"))
+            truth = read_rows(substeps[i], self._key)
+            self.robots[i].reset(truth, self._meaning.dt, seeds[i], asked.get("sensors"))
         self._note_conditions()
         for listener in self.listeners:
             listener.begin(mask, seeds, asked.get("calibration"))
@@ -196,9 +204,12 @@ class BatchSensors:
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.means.mean_truth`."""
-        truth = mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
-        return truth | {name: part.copy() for name, part in self._drawn.items()}
+        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`drawn`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.drawn()
+
+    def drawn(self) -> dict[str, NDArray[Any]]:
+        """Return what was drawn of the robots' conditions, (N, ...); nothing where these do not differ."""
+        return {name: part.copy() for name, part in self._drawn.items()}
 
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
         """Let the next fresh sensors of some robots be of another severity.
@@ -277,15 +288,38 @@ class BatchSensors:
         drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
         self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
 
-    def _look(self, rows: Floats) -> list[Any]:
-        """Keep what each robot plans, and return what happened to it."""
+    def _read_together(self, truth: Floats, steps: Mask) -> Mask:
+        """Let the library read a control step of all robots for whom it can, in one call.
+
+        Args:
+            truth: What the simulator read in each substep, shape (N, S, columns).
+            steps: Robots that have made a step, shape (N,).
+
+        Returns:
+            Robots that were read, shape (N,).
+        """
+        readers = [robot.reader(truth.shape[1:]) for robot in self.robots]
+        known = np.array([reader is not None for reader in readers])
+        if not known.all() or len(readers) < 2:
+            return np.zeros(len(readers), dtype=bool)
+        if self._together is None or any(map(is_not, self._together.robots, readers)):
+            self._together = ManySensing([reader for reader in readers if reader is not None])
+        which = np.flatnonzero(steps)
+        time = np.array([self.robots[i].time for i in which.tolist()]) + self.robots[0].telemetry.dt
+        self._together.step(which, truth, time, self._threads)
+        for i, now in zip(which.tolist(), time.tolist(), strict=True):
+            self.robots[i].follow(now)
+        return steps
+
+    def _look(self, rows: Floats) -> Floats:
+        """Keep what each robot plans, and return what the simulator read in each substep."""
         self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
             self.planned = [None] * len(rows)
         else:
             self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
-        return [read_rows(own, self._key) for own in self._substeps(rows)]
+        return self._substeps(rows)
 
     def _substeps(self, rows: Floats) -> Floats:
         """Return what the simulator read in each substep, shape (N, S, columns)."""
