@@ -6,7 +6,7 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.sensors.faults.channels import KINDS
-from surefoot.wrappers import FootSensors, VectorFootSensors
+from surefoot.wrappers import FootSensors, VectorFootSensors, VectorSelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)
 
@@ -137,14 +137,16 @@ def test_what_cannot_be_set_changes_nothing():
 def test_the_number_of_threads_changes_nothing():
     seen = []
     for threads in (1, 3):
-        env = robots(
-            48, config="hx711-load-cells", link="nao-wlan", severity=(0.0, 2.0), faults={"dies": 0.1}
-        )
-        env.sensors._threads = threads
+        feet = robots(48, severity=(0.0, 2.0), faults={"dies": 0.1})
+        feet.sensors.threads = threads
+        env = VectorSelfCalibration(feet)
         env.reset(seed=0)
-        found = [env.step(np.tile(STILL, (48, 1)))[0] for _ in range(6)]
+        found = [env.step(np.tile(STILL, (48, 1)))[0] for _ in range(40)]
         env.reset(options={"reset_mask": np.arange(48) % 5 == 0})
-        seen.append([*found, env.step(np.tile(STILL, (48, 1)))[0], env.sensors.true_parameters()._asdict()])
+        observation, *_, infos = env.step(np.tile(STILL, (48, 1)))
+        told = infos["surefoot"]
+        learnt = {"flags": told["flags"], "covariance": told["covariance"], **told["parameters"]}
+        seen.append([*found, observation, feet.true_parameters()._asdict(), learnt])
     for one, other in zip(*seen, strict=True):
         for name, part in one.items():
             np.testing.assert_array_equal(part, other[name], err_msg=name)

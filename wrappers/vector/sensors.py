@@ -88,6 +88,7 @@ class BatchSensors:
         view: What is seen of them.
         planned: What each robot plans; ``None`` for one that plans nothing.
         listeners: Who takes in what they read.
+        threads: How many threads sensors and calibrators may use, all cores by default.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -122,7 +123,7 @@ class BatchSensors:
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
         self._together: ManySensing | None = None
-        self._threads = cores()
+        self.threads = cores()
 
     def listen(self, listener: Listener) -> None:
         """Send telemetry from the next reset on, and tell of every step and reset."""
@@ -306,7 +307,7 @@ class BatchSensors:
             self._together = ManySensing([reader for reader in readers if reader is not None])
         which = np.flatnonzero(steps)
         time = np.array([self.robots[i].time for i in which.tolist()]) + self.robots[0].telemetry.dt
-        self._together.step(which, truth, time, self._threads)
+        self._together.step(which, truth, time, self.threads)
         for i, now in zip(which.tolist(), time.tolist(), strict=True):
             self.robots[i].follow(now)
         return steps
