@@ -248,7 +248,8 @@ class RobotCalibration:
             self.beliefs.update(sensors.packets)
         self._estimate = None  # made of the library's record when somebody asks
         how = native.put(sensors.raw, command, hold)
-        return Sample(*(arrived or NOTHING), self.reference_time, sensors.time, how)
+        rows, packets = arrived or NOTHING
+        return Sample(rows, packets, self.reference_time, sensors.time, how)
 
     def note(self) -> None:
         """Note what the last sample gave to learn from."""
