@@ -8,8 +8,9 @@
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
 the bare step it is, with an interval that holds this median 19 times in 20, and last the time of a reset that
-keeps sensors and what was learnt. Time is that of the process. The specification is the Python that runs
-where no library is (``SUREFOOT_NATIVE=0``). G1 needs ``pip install surefoot[robots]``.
+keeps sensors and what was learnt. Time is that of the process; of many robots also the time that passes. The
+specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs
+``pip install surefoot[robots]``.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
@@ -27,6 +29,7 @@ from stepping import shares, step
 import surefoot  # noqa: F401
 from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.envs import InstrumentedEnv
+from surefoot.native import cores
 from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
@@ -81,17 +84,17 @@ class Stack:
             self.env.reset(seed=seed)
             return time.process_time() - begin
 
-    def run(self, steps: int) -> tuple[float, bool]:
-        """Step on; return the time of one step in s, and whether an episode has ended."""
+    def run(self, steps: int) -> tuple[float, float, bool]:
+        """Step on; return a step's time of the process and of the wall in s, and whether an episode ended."""
         done, taken, end = False, 0, False
         with self._way():
-            begin = time.process_time()
+            begin, start = time.process_time(), time.perf_counter()
             while taken < steps and not end:
                 _, _, terminated, truncated, _ = self.env.step(self._action)
                 taken, done = taken + 1, terminated | truncated
                 end = bool(np.any(done))
-            passed = time.process_time() - begin
-        return passed / taken, end
+            used, passed = time.process_time() - begin, time.perf_counter() - start
+        return used / taken, passed / taken, end
 
 
 def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) -> dict[str, Stack]:
@@ -115,14 +118,16 @@ def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) ->
     return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
 
 
-def many(robot: Robot, count: int, methods: list[str], faults: list[str]) -> dict[str, Stack]:
+def many(robot: Robot, count: int, methods: list[str], faults: list[str], threads: int) -> dict[str, Stack]:
     """Make the same of many robots in native threads."""
 
     def bare() -> Any:
-        return gym.make_vec(robot.env, count, "vector_entry_point", **robot.options)
+        return gym.make_vec(robot.env, count, "vector_entry_point", threads=threads, **robot.options)
 
     def sensed() -> Any:
-        return VectorFootSensors(bare(), robot.config, faults=faults)
+        feet = VectorFootSensors(bare(), robot.config, faults=faults)
+        feet.sensors.threads = threads
+        return feet
 
     found = {"bare": bare(), "VectorFootSensors": sensed()}
     for method in methods:
@@ -130,19 +135,21 @@ def many(robot: Robot, count: int, methods: list[str], faults: list[str]) -> dic
     return {name: Stack(env, True) for name, env in found.items()}
 
 
-def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
-    """Step all in turns and print their rows of the table."""
+def compare(found: dict[str, Stack], rounds: int, steps: int, robots: int = 1) -> None:
+    """Step all in turns and print their rows of the table; of many robots in the wall's time as well."""
     taken: dict[str, list[float]] = {name: [] for name in found}
+    walls: dict[str, list[float]] = {name: [] for name in found}
     for number in range(-3, rounds):
         ended = number == -3
         if ended:
             for stack in found.values():
                 stack.reset()
         for name, stack in found.items():
-            passed, end = stack.run(steps)
+            used, passed, end = stack.run(steps)
             ended |= end
             if number >= 0:
-                taken[name].append(passed)
+                taken[name].append(used)
+                walls[name].append(passed)
         if ended and number > -3:
             for stack in found.values():
                 stack.reset()
@@ -151,7 +158,7 @@ def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
         for name, stack in found.items():
             stack.run(2)
             resets[name].append(stack.reset(None))
-    bare = np.array(taken["bare"])
+    bare, wall = np.array(taken["bare"]), np.array(walls["bare"])
     for name, times in taken.items():
         ratio = np.sort(np.array(times) / bare)
         # Order statistics around the median: how many of n are below it is binomial.
@@ -159,7 +166,12 @@ def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
         low, high = (ratio[int(np.clip(middle + off, 0, len(ratio) - 1))] for off in (-away, away))
         told = f"{1e6 * np.median(times):9.0f} {np.median(ratio):6.2f}"
         reset = 1e6 * np.median(resets[name])
-        print(f"  {name:44s} {told}  ({low:.2f} to {high:.2f}) {reset:9.0f}", flush=True)
+        line = f"  {name:44s} {told}  ({low:.2f} to {high:.2f}) {reset:9.0f}"
+        if robots > 1:
+            passed = np.array(walls[name])
+            added = 1e6 * np.median(passed - wall) / robots
+            line += f"   wall {np.median(passed / wall):5.2f} of bare, {added:6.1f} us a robot added"
+        print(line, flush=True)
 
 
 def main() -> None:
@@ -170,7 +182,8 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=["moment"])
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--steps", type=int, default=20, help="steps of each stack in a round")
-    parser.add_argument("--many", type=int, default=64, help="robots of a vector environment; 0 for none")
+    parser.add_argument("--many", nargs="*", type=int, default=[64], help="robots of vector environments")
+    parser.add_argument("--threads", nargs="+", type=int, default=[1, cores()], help="of vector environments")
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     arguments = parser.parse_args()
@@ -189,10 +202,11 @@ def main() -> None:
             print("Shares of the time, as the profiler sees it:")
             last = found[f"+ SelfCalibration({arguments.methods[-1]})"].env
             shares(partial(step, last, 1000))
-    for name in [robot for robot in arguments.robots if robot in MANY and arguments.many]:
-        print(f"{name}, {arguments.many} robots")
-        of_many = many(ROBOTS[name], arguments.many, arguments.methods, arguments.faults)
-        compare(of_many, max(20, arguments.rounds // 8), 5)
+    cases = product([robot for robot in arguments.robots if robot in MANY], arguments.many, arguments.threads)
+    for name, count, threads in cases:
+        print(f"{name}, {count} robots, {threads} threads")
+        of_many = many(ROBOTS[name], count, arguments.methods, arguments.faults, threads)
+        compare(of_many, max(20, arguments.rounds // 8), 5, count)
 
 
 if __name__ == "__main__":

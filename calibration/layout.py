@@ -180,13 +180,36 @@ class FootLayout:
         array([10. ,  0. , 50. ,  0. ,  0.5,  0. ])
         """
         position = _check_vector(name, "position_sensor_sole", position_sensor_sole)
-        R = np.eye(3) if R_sole_sensor is None else np.asarray(R_sole_sensor, dtype=np.float64)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
-            raise ValueError(f"'R_sole_sensor' of foot '{name}' must be a rotation of shape (3, 3), got {R}.")
+        R = _check_rotation(name, R_sole_sensor)
         wrench_map = np.block([[R, np.zeros((3, 3))], [skew(position) @ R, R]])
         below = _check_below(name, mass_below, com_below_sole)
         sensor = FootSensor(slice(0, 6), wrench_map, True, np.ones(6), *below)
         return cls(name, wrench_map, FORCE_TORQUE_NAMES, None, (sensor,))
+
+    @classmethod
+    def point(cls, name: str, axes: str = "z", *, R_sole_sensor: ArrayLike | None = None) -> "FootLayout":
+        """Describe a foot that touches the ground at one point, the origin of its frame: a quadruped's.
+
+        Its channels are forces there. Of its centre of pressure nothing needs to be measured.
+
+        Args:
+            name: What messages and logs call the foot.
+            axes: Which forces are measured: ``"z"`` alone, or any of ``"xyz"`` in this order.
+            R_sole_sensor: Rotation from the sensor's axes to those of the foot, shape (3, 3); by default they
+                are parallel.
+
+        Raises:
+            ValueError: If ``axes`` are none, or the rotation is no rotation.
+
+        >>> FootLayout.point("front left", "xyz").channel_names
+        ('fx', 'fy', 'fz')
+        """
+        if not axes or list(axes) != [axis for axis in "xyz" if axis in axes]:
+            raise ValueError(f"'axes' of foot '{name}' must be some of 'xyz' in this order, got {axes!r}.")
+        R = _check_rotation(name, R_sole_sensor)
+        wrench_map = np.zeros((6, len(axes)))
+        wrench_map[:3] = R[:, ["xyz".index(axis) for axis in axes]]
+        return cls(name, wrench_map, tuple(f"f{axis}" for axis in axes))
 
     @classmethod
     def combined(cls, name: str, *feet: "FootLayout") -> "FootLayout":
@@ -226,29 +249,27 @@ class FootLayout:
 class FeetLayout:
     """Both feet, ordered (left, right); their channels follow each other in one flat array.
 
-    A force plate or a balance board is one foot alone. What is documented with a 2 for the feet then has
-    a 1: positions of the soles, for instance, have shape (1, 3).
+    There may be any number of feet. A force plate or a balance board is one, a quadruped has four. What is
+    documented with a 2 for the feet then has their number: of four, positions of the soles have shape (4, 3).
 
     Attributes:
-        feet: The layouts of the left and of the right foot, or of the only one.
+        feet: The layouts of the feet.
     """
 
     feet: tuple[FootLayout, ...]
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is no foot, or two have the same name."""
-        if len(self.feet) not in (1, 2):
-            raise ValueError(
-                "A layout has two feet, ordered (left, right), or one foot alone such as a force plate; "
-                f"got {len(self.feet)}."
-            )
+        if not self.feet:
+            raise ValueError("A layout has one foot at least, such as a force plate; got none.")
         for i, foot in enumerate(self.feet):
             if not isinstance(foot, FootLayout):
                 raise TypeError(
                     f"'feet[{i}]' must be a FootLayout, got {type(foot).__name__}; leave a missing foot out."
                 )
-        if len(self.feet) == 2 and self.feet[0].name == self.feet[1].name:
-            raise ValueError(f"Both feet are named '{self.feet[0].name}'; give each its own name.")
+        names = [foot.name for foot in self.feet]
+        if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+            raise ValueError(f"Several feet are named {twice}; give each its own name.")
 
     @property
     def channels(self) -> int:
@@ -307,6 +328,13 @@ def _check_vector(foot: str, what: str, value: ArrayLike) -> NDArray[np.float64]
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"'{what}' of foot '{foot}' must hold three finite numbers in m, got {value!r}.")
     return vector
+
+
+def _check_rotation(foot: str, value: ArrayLike | None) -> NDArray[np.float64]:
+    R = np.eye(3) if value is None else np.asarray(value, dtype=np.float64)
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
+        raise ValueError(f"'R_sole_sensor' of foot '{foot}' must be a rotation of shape (3, 3), got {R}.")
+    return R
 
 
 def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, NDArray[np.float64]]:

@@ -62,6 +62,7 @@ class MethodEntry(NamedTuple):
         momentum: Whether it would rather learn from a
             :class:`~surefoot.calibration.reference.MomentumReference`.
         contact: Whether it reports how likely feet bear load, and what it could not determine.
+        feet: For how many feet it is made; ``None`` for any number.
     """
 
     build: Callable[..., OnlineMethod]
@@ -69,10 +70,11 @@ class MethodEntry(NamedTuple):
     certain: bool = False
     momentum: bool = False
     contact: bool = False
+    feet: int | None = None
 
 
 _METHODS = {
-    "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True),
+    "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True, feet=2),
     "momentum": MethodEntry(momentum_filter, MomentumConfig, certain=True, momentum=True, contact=True),
     "window": MethodEntry(window, WindowConfig),
     "quasi-static": MethodEntry(quasi_static, WindowConfig),
@@ -171,7 +173,12 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     ValueError: Method 'windows' does not exist. Available: 'moment', 'momentum', ..., 'tare', 'none'.
     """
     name = method_name(name)
-    build, config, *_ = method_entry(name)
+    entry = method_entry(name)
+    build, config, feet = entry.build, entry.config, len(setup.layout.feet)
+    if entry.feet is not None and feet > entry.feet:
+        raise ValueError(
+            f"Method {name!r} is for robots on {entry.feet} feet, got {feet}; 'momentum' takes any number."
+        )
     known = [] if config is None else [field.name for field in fields(config)]
     unknown = [option for option in options if option not in known]
     if unknown:

@@ -54,6 +54,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
     Attributes:
         robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
+        mean_truth: Of what is shown now (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
         ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
@@ -224,8 +225,9 @@ class BatchVectorEnv(SyncVectorEnv):
             self._batch.set_models([env.model for env in self.envs])
 
     def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-        observation, *truth = self.robots._observe(self._rows, self._qvel[:, -2])
-        return {key: observation[key] for key in self.single_observation_space}, *truth  # type: ignore
+        observation, pressed, self.mean_truth = self.robots._observe(self._rows, self._qvel[:, -2])
+        seen = {key: observation[key] for key in self.single_observation_space}  # type: ignore
+        return seen, pressed, self.mean_truth
 
     def _share(self) -> None:
         """Bring the robots' own environments to where the robots are now."""

@@ -27,7 +27,7 @@ from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DEFAULT, DETERMINED, FootView, check_certainty, check_parts
-from surefoot.robot.native import NOTHING, NativeSample
+from surefoot.robot.native import NOTHING, NativeSample, Sample
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors
 from surefoot.robot.starting_map import StartingMap
@@ -237,15 +237,23 @@ class RobotCalibration:
             self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
         return self._native
 
-    def feed(self, native: NativeSample, command: Any) -> None:
-        """Take in the packets that have arrived and one sample by :meth:`by_library`."""
-        sensors, beliefs, hold = self._sensors, self.beliefs, self._next()
+    def put(self, native: NativeSample, command: Any) -> Sample:
+        """Put one sample where :meth:`by_library` finds it; return what it is asked.
+
+        The packets that have arrived belong to it. :meth:`note` has to follow.
+        """
+        sensors, hold = self._sensors, self._next()
         arrived = sensors.arrived()
         if arrived is None:
-            beliefs.update(sensors.packets)
+            self.beliefs.update(sensors.packets)
         self._estimate = None  # made of the library's record when somebody asks
-        native.feed(sensors.raw, self.reference_time, sensors.time, command, hold, *(arrived or NOTHING))
-        self._chances.add(beliefs.known, beliefs.standing)
+        how = native.put(sensors.raw, command, hold)
+        rows, packets = arrived or NOTHING
+        return Sample(rows, packets, self.reference_time, sensors.time, how)
+
+    def note(self) -> None:
+        """Note what the last sample gave to learn from."""
+        self._chances.add(self.beliefs.known, self.beliefs.standing)
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
@@ -255,14 +263,15 @@ class RobotCalibration:
         else:
             beliefs.update(self._sensors.packets)
         fell = beliefs.sample(self.reference_time, command, hold)
-        self._chances.add(self.beliefs.known, self.beliefs.standing)
+        self.note()
         return fell
 
     def sample(self, command: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Take in one sample; return what an agent is shown and what ``info`` holds, as fresh arrays."""
         native = self.by_library()
         if native is not None:
-            self.feed(native, command)
+            native.feed(self.put(native, command))
+            self.note()
             shown, told = native.told()
         else:
             if self.believe(command):

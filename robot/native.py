@@ -1,7 +1,8 @@
 """All of one sample of one robot by the library, in one call: beliefs, filter and what an agent is shown."""
 
+from collections.abc import Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
+from surefoot.native import call_for_many
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import reference_info
 from surefoot.robot.foot_view import DETERMINED, FootView
@@ -19,6 +21,24 @@ _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 
 NOTHING = None, 0
 """No packets: neither a place of rows nor a number of them."""
+
+
+class Sample(NamedTuple):
+    """What the library is asked of one sample.
+
+    Attributes:
+        rows: Where rows of packets lie that have arrived before it; ``None`` for nowhere.
+        packets: Their number.
+        then: What the sample is about, in s on the host's clock.
+        now: The host's clock in s.
+        how: 1 if there is a plan, plus 2 to learn nothing.
+    """
+
+    rows: int | None
+    packets: int
+    then: float
+    now: float
+    how: int
 
 
 class NativeSample:
@@ -33,6 +53,7 @@ class NativeSample:
 
     Attributes:
         sampled: Whether it has taken in any sample.
+        many: The library's function of several robots.
     """
 
     def __init__(
@@ -63,6 +84,7 @@ class NativeSample:
         assert records is not None
         self._kept = config, view.held, records
         self._sample, self._at = library.functions.surefoot_sample, records.ctypes.data
+        self.many = library.functions.surefoot_sample_many
 
     def __reduce__(self) -> Any:
         # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
@@ -73,30 +95,24 @@ class NativeSample:
         own, state, revision = self._of
         return beliefs is own and own.model.revision == revision and calibrator.is_in(state)
 
-    def feed(
-        self,
-        raw: NDArray[np.float64],
-        then: float,
-        now: float,
-        command: Any,
-        hold: bool,
-        rows: int | None,
-        count: int,
-    ) -> None:
-        """Take in one sample.
+    def put(self, raw: NDArray[np.float64], command: Any, hold: bool) -> int:
+        """Put a sample where the library finds it; return how it is asked, as :class:`Sample` has it.
 
         Args:
             raw: Counts, shape (K,).
-            then: What the sample is about, in s on the host's clock.
-            now: The host's clock in s.
             command: What the robot commands itself, if anything.
             hold: Whether nothing is learnt of it.
-            rows: Where rows of packets lie that have arrived before it.
-            count: Their number.
         """
-        beliefs, state, _ = self._of
         self._raw[...] = raw
-        found = self._sample(self._at, rows, count, then, now, beliefs.plan(command) + 2 * hold)
+        return self._of[0].plan(command) + 2 * hold
+
+    def feed(self, sample: Sample) -> None:
+        """Take in one sample that was :meth:`put`."""
+        self.tell(self._sample(self._at, *sample))
+
+    def tell(self, found: int) -> None:
+        """Learn what the library found of a sample."""
+        beliefs, state, _ = self._of
         beliefs.tell(found)
         self.sampled = True
         if found & 9:
@@ -142,6 +158,31 @@ class NativeSample:
     def estimate(self) -> Estimate:
         """Return the last estimate."""
         return self._filter.read(self._of[1])
+
+
+def feed_many(natives: Sequence[NativeSample], samples: Sequence[Sample], threads: int) -> None:
+    """Take in a sample of each of several robots, in one call of the library.
+
+    Args:
+        natives: The robots, one at least.
+        samples: One a robot, which were put where the library finds them.
+        threads: As of :func:`~surefoot.native.call_for_many`.
+    """
+    at = np.array([native._at for native in natives], dtype=np.uintp)
+    rows, packets, then, now, how = zip(*samples, strict=True)
+    found = np.zeros(len(samples), dtype=np.int32)
+    arguments = (
+        at,
+        np.array([row or 0 for row in rows], dtype=np.uintp),
+        np.array(packets, dtype=np.int32),
+        np.array(then),
+        np.array(now),
+        np.array(how, dtype=np.int32),
+        found,
+    )
+    call_for_many(natives[0].many, arguments, threads)
+    for native, told in zip(natives, found.tolist(), strict=True):
+        native.tell(told)
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:

@@ -12,8 +12,9 @@ SENSOR_STREAM = 0x5F00
 BELIEF_STREAM = 0x5F01
 """Number of the random stream that the errors of the robot's beliefs are drawn from."""
 
-DEVICES = ("cells", "ankles", "faults", "telemetry")
-"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
+DEVICES = ("cells", "ankles", "faults", "telemetry", "condition")
+"""Devices of a robot that draw, and how bad they are; each has a stream of its own within that one, by its
+place here."""
 
 
 def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:

@@ -8,11 +8,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
 from surefoot.robot.streams import SENSOR_STREAM
-from surefoot.sensors import Encoders, Fault, Imu, Link
+from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
 from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
@@ -44,6 +45,10 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     ``options={"surefoot": {"sensors": "fresh"}}`` draws
     fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
+    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` holds what
+    was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the place
+    of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a policy.
+
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
         config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` or a
@@ -56,10 +61,12 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         encoders: The joint encoders, likewise: ``"nao-encoders"`` or ``"onboard-encoders"``.
         link: The link over which encoders and IMU reach the host, likewise: ``"nao-wlan"``, 100 packets/s
             20 ms late, or ``"onboard-500hz"``, 2 ms late.
-        severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`.
+        severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`; or a tuple
+            (lowest, highest), of which fresh sensors draw one.
         faults: What breaks when, on the clock of the power-up: words such as ``"at t=12 s cell left/2 dies"``
             (:func:`~surefoot.sensors.parse_fault`), :class:`~surefoot.sensors.Fault` or mappings of its
-            fields.
+            fields. Or the probability of what happens to a channel in an episode, drawn at each reset:
+            ``{"dies": 0.02, "within 20 s drops 30 %": 0.05}`` (:mod:`surefoot.sensors.faults.chances`).
         fresh: Whether every reset draws fresh sensors.
         measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
@@ -86,8 +93,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         imu: str | Mapping[str, Any] | Imu | None = None,
         encoders: str | Mapping[str, Any] | Encoders | None = None,
         link: str | Mapping[str, Any] | Link | None = None,
-        severity: float = 1.0,
-        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
+        severity: Severity = 1.0,
+        faults: Faults = (),
         fresh: bool = False,
         measure_state: bool = True,
         feet: Sequence[str] | None = None,
@@ -128,6 +135,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.observation_space = self._view.space
         self.robot = RobotSensors(equipment, self._view.measures, self._view)
         self._clock: float | None = None
+        self._drawn: dict[str, NDArray[Any]] = {}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -147,7 +155,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         dt, choice = float(self.source.dt), asked.get("sensors")
         seen = self.robot.reset(self.source.truth, dt, seed, choice, observation)
         self._clock = None
-        return self._show(observation) if seen is None else seen, info
+        self._drawn = self.robot.true_condition() if self.robot.differs else {}
+        return self._show(observation) if seen is None else seen, self._with_drawn(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors; no sample arrives of a simulation that blew up."""
@@ -162,7 +171,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             robot.raw[:] = np.nan
         if seen is None:
             seen = self._show(observation)
-        return seen, reward, terminated, truncated, info
+        return seen, reward, terminated, truncated, self._with_drawn(info)
 
     @property
     def time(self) -> float:
@@ -188,6 +197,22 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def telemetry(self) -> Telemetry:
         """What the packets hold (``telemetry.layout``) and how often they are sent."""
         return self.robot.telemetry
+
+    def set_severity(self, severity: Severity) -> None:
+        """Let the next fresh sensors be of another severity, a number or (lowest, highest).
+
+        Raises:
+            ValueError: If a device cannot be so bad.
+        """
+        self.robot.conditions = self.robot.equipment.with_severity(self.robot.conditions, severity)
+
+    def set_faults(self, faults: Faults) -> None:
+        """Let other things break, or with other probabilities, from the next reset on.
+
+        Raises:
+            ValueError: If a fault or a probability is refused.
+        """
+        self.robot.conditions = self.robot.equipment.with_faults(self.robot.conditions, faults)
 
     def listen(self) -> None:
         """Send telemetry from the next reset on, even if no observation shows it."""
@@ -218,6 +243,13 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             ValueError: If the file is of another robot, or of other sensors.
         """
         load_hardware(path, [self.robot])
+
+    def _with_drawn(self, info: dict[str, Any]) -> dict[str, Any]:
+        """Put the condition that was drawn to the truth."""
+        if not self._drawn:
+            return info
+        told = info["surefoot"]
+        return {**info, "surefoot": {**told, "truth": {**told["truth"], **self._drawn}}}
 
     def _show(self, observation: Any) -> dict[str, Any]:
         return self._view.show(observation, self.robot.held, self.robot.newest)

@@ -372,4 +372,10 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     if (covariance) sf_copy(told->covariance, covariance, 4 * config->channels * config->channels);
     return found + 8 * fresh;
 }
+
+/* A sample of many robots, each argument and what is found with a number of each. */
+EXPORTED void surefoot_sample_many(const sf_sample_records *const *at, const double *const *rows, const int *count,
+                                   const double *time, const double *now, const int *how, int *found, int robots) {
+    for (int i = 0; i < robots; i++) found[i] = surefoot_sample(at[i], rows[i], count[i], time[i], now[i], how[i]);
+}
 #endif

@@ -28,7 +28,9 @@ NATIVE = Native(
             ctypes.c_int,
             (ADDRESS, ADDRESS, ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_int),
         ),
+        "surefoot_sample_many": (None, (*(ADDRESS,) * 7, ctypes.c_int)),
     },
+    ("surefoot_sample_many",),
 )
 
 

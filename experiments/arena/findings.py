@@ -73,7 +73,8 @@ def _method(runs: Frame, errors: Frame, method: str) -> str:
     text = f"{short_label(method)}: CoP {with_interval(errors[method], 1e3)} mm"
     if START in errors:
         text += f", {_change(errors, method)}"
-    text += f"; vGRF {with_interval(runs['vgrf'])} N; cells {with_interval(runs['cell'])} N; {_harm(runs)}"
+    text += f"; a foot's CoP {with_interval(runs['cop_foot'], 1e3)} mm; vGRF {with_interval(runs['vgrf'])} N"
+    text += f"; cells {with_interval(runs['cell'])} N; {_harm(runs)}"
     limits = runs["bound_cop"]
     if limits.notna().any():
         text += f"; {number(float((runs['cop'] / limits).mean()))} times the bound"
@@ -94,13 +95,13 @@ def _change(errors: Frame, method: str) -> str:
 
 
 def _harm(runs: Frame) -> str:
-    worse, cells = int(runs["worse"].sum()), int(runs["worse_cell"].sum())
+    worse, feet, cells = (int(runs[name].sum()) for name in ("worse", "worse_foot", "worse_cell"))
     if worse == 0:
         text = f"none of {len(runs)} runs ends with a worse CoP than it started with"
     else:
         verb = "ends" if worse == 1 else "end"
         text = f"{worse} of {len(runs)} runs {verb} with a worse CoP than the starting map's"
-    return text + (f" ({cells} with worse cells)" if cells else "")
+    return text + (f" ({feet} with worse feet, {cells} with worse cells)" if feet or cells else "")
 
 
 def _fault(runs: Frame, method: str) -> str:

@@ -7,8 +7,10 @@ Errors are root mean squares over the judged samples, as in :mod:`surefoot.exper
 * ``converged``: time in s from the beginning of the walk, from which on the CoP error of the last 2 s stays
   within twice what it is over the last 10 s of the walk.
 * ``spread``: standard deviation in m of that running error after the settling time.
+* ``cop_foot``: CoP error of each foot in its own sole's frame, over both feet.
 * ``end``, ``end_start``: CoP error over the last 10 s, of the method and of the map that it started from;
-  ``worse`` if the first is larger. ``worse_vgrf`` and ``worse_cell`` say the same of forces.
+  ``worse`` if the first is larger. ``worse_foot``, ``worse_vgrf`` and ``worse_cell`` say the same of the
+  feet's own CoP and of forces.
 * ``nees``, ``nees_end``, ``nees_cop``, ``nees_force``, ``nis``: how errors agree with the uncertainty
   claimed, each over its degrees of freedom, so that 1 is right. NaN for a method that claims none.
 * ``alarms``, ``hours``: how often a flag of a fault rose on a channel that had none, and in how much
@@ -31,7 +33,7 @@ from surefoot.experiments.arena.replay import Played
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.replay import starting_map
-from surefoot.experiments.walks.score import cop_world, rms, vertical_forces
+from surefoot.experiments.walks.score import cop_world, foot_errors, rms, vertical_forces
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
 FAULT_FLAGS = reduce(or_, _FLAGS)  # flags that accuse a channel
@@ -57,6 +59,9 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
     log, judged = stream.log, stream.judged
     cop, vgrf, cell = run_errors(stream, played.force)
     start_cop, start_vgrf, start_cell = run_errors(stream, stream.start)
+    foot, start_foot = (
+        foot_errors(force, stream.truth.force, log.layout) for force in (played.force, stream.start)
+    )
     final = log.time[judged][-1]
     last = judged & (log.time > final - min(END, (final - stream.began) / 3.0))
     end, end_start = rms(cop[last]), rms(start_cop[last])
@@ -66,12 +71,14 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "fell": stream.fell,
         "walked": float(log.time[-1] - stream.began),
         "cop": rms(cop[judged]),
+        "cop_foot": rms(foot[judged]),
         "vgrf": rms(vgrf[judged]),
         "cell": rms(cell[judged]),
         "finite": bool(np.isfinite(played.force).all()),
         "end": end,
         "end_start": end_start,
         "worse": _larger(end, end_start),
+        "worse_foot": _larger(rms(foot[last]), rms(start_foot[last])),
         "worse_vgrf": _larger(rms(vgrf[last]), rms(start_vgrf[last])),
         "worse_cell": _larger(rms(cell[last]), rms(start_cell[last])),
         "converged": _converged(log.time, running, end, stream.began),

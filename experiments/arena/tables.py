@@ -24,6 +24,7 @@ from surefoot.experiments.study.tables import (
 
 METRICS = (
     ("cop", 1e3, "CoP rmse (mm)", 2.0),
+    ("cop_foot", 1e3, "foot's CoP rmse (mm)", 2.0),
     ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
     ("cell", 1.0, "single cell rmse (N)", 0.4),
 )
@@ -72,6 +73,7 @@ def _found_after(runs: Frame) -> str:
 _SCORES: Mapping[str, Cell] = {
     "method": lambda runs: look_of(_method(runs)).label,
     "CoP (mm)": mean_of("cop", 1e3),
+    "foot's CoP (mm)": mean_of("cop_foot", 1e3),
     "vGRF (N)": mean_of("vgrf"),
     "cell (N)": mean_of("cell"),
     "scale (%)": mean_of("scale", 1e2),
@@ -82,6 +84,7 @@ _SCORES: Mapping[str, Cell] = {
     "NEES, CoP": lambda runs: number(float(runs["nees_cop"].mean())),
     "NIS": _nis,
     "ends worse": _of_methods(count_of("worse")),
+    "feet end worse": _of_methods(count_of("worse_foot")),
     "bound on CoP (mm)": mean_of("bound_cop", 1e3),
 }
 

@@ -6,6 +6,8 @@ All errors are root mean squares over the samples of one walk from a settling ti
   the *true* poses of the soles, so that the error is one of forces alone. Only samples count in which the
   true vertical force exceeds 5 N. Where the estimated force does not, its centre of pressure is held, as an
   observation holds it, and still counts.
+* **foot's CoP**: that of each foot in its own sole's frame, over both feet, where the true load of the foot
+  exceeds 5 N; held likewise. The total hides what one foot is wrong by in the other's favour.
 * **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
 * **cell**: the force of single cells, over all cells.
 
@@ -18,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
+from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, cop_of_wrench, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arrays import Floats
 
@@ -29,6 +31,7 @@ class Score(NamedTuple):
     cop: float  # in m
     cop_x: float  # its part along the world's x axis (forward) in m
     cop_y: float  # its part along y (left) in m
+    cop_foot: float  # of single feet in m
     vgrf: float  # of both feet together in N
     vgrf_foot: float  # of single feet in N
     cell: float  # in N
@@ -80,12 +83,22 @@ def score_forces(
         cop=float(np.hypot(cop_x, cop_y)),
         cop_x=float(cop_x),
         cop_y=float(cop_y),
+        cop_foot=rms(foot_errors(estimate, truth, layout)[counted]),
         vgrf=rms((vgrf_estimate - vgrf_truth).sum(axis=-1)[counted]),
         vgrf_foot=rms((vgrf_estimate - vgrf_truth)[counted]),
         cell=rms((estimate - truth)[counted]),
         samples=int(counted.sum()),
         held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
     )
+
+
+def foot_errors(estimate: Floats, truth: Floats, layout: FeetLayout) -> Floats:
+    """Return how far each foot's CoP is off in m, (N, 2), of forces in N, (N, K); NaN up to 5 N of load."""
+    found, expected = (cop_of_wrench(sole_wrenches(force, layout)) for force in (estimate, truth))
+    there = np.isfinite(found).all(axis=-1)
+    own = np.stack([held(found[:, i], there[:, i, None]) for i in range(found.shape[1])], axis=1)
+    off: Floats = np.linalg.norm(own - expected, axis=-1)
+    return off
 
 
 def vertical_forces(force: Floats, layout: FeetLayout, R_world_sole: Floats) -> Floats:

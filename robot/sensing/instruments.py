@@ -5,7 +5,7 @@ level foot at rest weighs below its ankle counts as part of that sensor's offset
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -233,9 +233,6 @@ class Instruments:
 
     Raises:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
-
-    Warns:
-        UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
     """
 
     def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing, dt: float) -> None:
@@ -244,9 +241,6 @@ class Instruments:
             raise ValueError(
                 f"Give load cells, six-axis sensors or one of each, got {[kind.__name__ for kind in kinds]}."
             )
-        for device in devices:
-            if not _bears(device, drawing):
-                warnings.warn(_too_small(device, drawing), stacklevel=4)
         found: list[CellsUnderFeet | SensorsInAnkles] = [
             CellsUnderFeet(device, drawing)
             if isinstance(device, LoadCells)
@@ -337,6 +331,17 @@ def usual_cells(drawing: RobotDrawing) -> LoadCells:
     """Choose the cells of ``hx711-load-cells`` for a robot, of its size if they were too small."""
     usual = replace(HX711_LOAD_CELLS, channels=4 * len(drawing.feet))
     return usual if _bears(usual, drawing) else sized(usual, drawing.weight)
+
+
+def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None:
+    """Warn, in the name of who made a wrapper, of instruments that are too small for a robot.
+
+    Warns:
+        UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
+    """
+    for device in devices:
+        if not _bears(device, drawing):
+            warnings.warn(_too_small(device, drawing), stacklevel=4)
 
 
 def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:

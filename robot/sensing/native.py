@@ -1,13 +1,13 @@
 """All sensors of one robot by the library: a step or an episode's start in one call, and what is seen."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import Record
+from surefoot.native import Record, call_for_many
 from surefoot.robot.sensing.instruments import Instruments, InstrumentsState
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.sensors.devices.native_device import NativeDevice
@@ -177,17 +177,28 @@ class NativeSensing:
             time: The host's at its end in s.
             observation: What the environment shows.
         """
-        if truth.rows.shape != self._shape or (self._telemetry and self.telemetry_state.coming < 0):
-            return None
-        return self._read(truth, time, 0, observation)
+        return self._read(truth, time, 0, observation) if self.takes(truth.rows.shape) else None
+
+    def takes(self, shape: tuple[int, ...]) -> bool:
+        """Return whether there is room for the next control step, of rows of truth of this shape."""
+        return shape == self._shape and not (self._telemetry and self.telemetry_state.coming < 0)
+
+    def read_from(self, truth: NDArray[np.float64]) -> int:
+        """Take truth from a row of many robots', shape (S, columns); return the address of its records."""
+        truth[...] = self._truth
+        self._truth, self._records["truth"] = truth, truth.ctypes.data
+        return self._at
+
+    def tell(self, told: int) -> None:
+        """Learn what the library says of a step: how many packets have arrived, and how many are coming."""
+        if self._telemetry is not None:
+            self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
         self._truth[...] = truth.rows
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        told = self._sense(self._at, time, begins)
-        if self._telemetry is not None:
-            self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
+        self.tell(self._sense(self._at, time, begins))
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
@@ -200,6 +211,46 @@ class NativeSensing:
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
         return () if self._telemetry is None else self._telemetry.packets(self._count)
+
+
+class ManySensing:
+    """Control steps of many robots in one call of the library.
+
+    Args:
+        robots: What reads each of them.
+
+    Attributes:
+        robots: The same.
+    """
+
+    def __init__(self, robots: Sequence[NativeSensing]) -> None:
+        library = installed()
+        assert library is not None
+        self.robots, self._sense = tuple(robots), library.functions.surefoot_sense_many
+        self._truth = np.zeros((len(robots), *robots[0]._shape))
+        places = map(NativeSensing.read_from, robots, self._truth)
+        self._at = np.array(list(places), dtype=np.uintp)
+
+    def __reduce__(self) -> Any:
+        # Addresses are of no use elsewhere: a copy of the sensors makes its own.
+        return type(None), ()
+
+    def step(
+        self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
+    ) -> None:
+        """Read a control step.
+
+        Args:
+            which: Numbers of the robots that are read.
+            truth: Of all robots, shape (N, S, columns).
+            time: The hosts' clocks at its end in s, of those that are read.
+            threads: As of :func:`~surefoot.native.call_for_many`.
+        """
+        self._truth[which] = truth[which]
+        told = np.zeros(len(which), dtype=np.int32)
+        call_for_many(self._sense, (self._at[which], time, told), threads)
+        for robot, packets in zip(which.tolist(), told.tolist(), strict=True):
+            self.robots[robot].tell(packets)
 
 
 def native_sensing(

@@ -3,7 +3,7 @@
 Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
@@ -14,17 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
-from surefoot.calibration.checks import as_number
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
+from surefoot.robot.sensing.condition import (
+    Condition,
+    Conditions,
+    Faults,
+    Severity,
+    channel_states,
+    faults_of,
+    severity_range,
+)
 from surefoot.robot.sensing.device import FootDevice, foot_device
-from surefoot.robot.sensing.instruments import Instruments, InstrumentsState, usual_cells
+from surefoot.robot.sensing.instruments import Instruments, InstrumentsState, check_capacity, usual_cells
 from surefoot.robot.sensing.native import NativeSensing, Seen, native_sensing
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.streams import SENSOR_STREAM, check_stream, device_streams, wants_fresh
-from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
-from surefoot.sensors.devices.native_device import native_here
+from surefoot.sensors import Encoders, Imu, Link, channel_faults, scaled
+from surefoot.sensors.corruption import Corruption
+from surefoot.sensors.devices.native_device import NativeDevice, native_here
 from surefoot.sensors.devices.native_faults import FAULTS, Broken
+from surefoot.sensors.faults.channels import FaultState
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Telemetry, timely_link
@@ -50,14 +60,33 @@ class HardwareState(NamedTuple):
 
     Attributes:
         instruments: What is under the feet.
-        faults: What is broken about it, or ``()``.
+        faults: What is broken about it, or ``()``; of faults by chance as well, which last for an episode.
         telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
             where nobody listens.
+        severity: Factor of its errors, or ``None`` where it is the same for all robots.
     """
 
     instruments: InstrumentsState
     faults: Any
     telemetry: Any
+    severity: float | None = None
+
+
+class Fitted(NamedTuple):
+    """What one robot has under its feet, in its condition.
+
+    Attributes:
+        condition: How bad it is.
+        instruments: What is under the feet.
+        broken: The faults of channels, or ``None``.
+        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` for what it
+            has no room for.
+    """
+
+    condition: Condition
+    instruments: Instruments
+    broken: Corruption[FaultState] | None
+    native: dict[str, NativeDevice | None]
 
 
 class Equipment:
@@ -74,8 +103,8 @@ class Equipment:
             an onboard computer on others.
         encoders: The joint encoders, likewise.
         link: The link over which encoders and IMU reach the host, likewise.
-        severity: Factor of all errors of the feet's sensors.
-        faults: What breaks when.
+        severity: Factor of all errors of the feet's sensors, or the lowest and the highest.
+        faults: What breaks when, or with what probability.
         fresh: Whether every reset draws fresh sensors.
         stream: Number of the random stream.
         seldom: Whether truth is read in one of several substeps of a control step.
@@ -85,10 +114,9 @@ class Equipment:
         instruments: What is under the feet.
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
-        broken: The faults of channels, or ``None``.
+        conditions: What a robot's condition is drawn from.
+        fitted: What a robot has under its feet before anything is drawn.
         computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
-        native: What is under the feet and what is broken about it as the library has it, by :data:`DEVICES`;
-            ``None`` for what it has no room for.
 
     Raises:
         TypeError: If faults are no sequence.
@@ -107,8 +135,8 @@ class Equipment:
         imu: str | Mapping[str, Any] | Imu | None = None,
         encoders: str | Mapping[str, Any] | Encoders | None = None,
         link: str | Mapping[str, Any] | Link | None = None,
-        severity: float = 1.0,
-        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
+        severity: Severity = 1.0,
+        faults: Faults = (),
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
         seldom: bool = False,
@@ -117,28 +145,61 @@ class Equipment:
         self.seldom = seldom
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
-        devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
-        if (severity := as_number("severity", severity)) != 1.0:
-            devices = [scaled(device, severity) for device in devices]
-        for device in devices:
-            check_wire(device, dt)
-        self.instruments = Instruments(tuple(devices), drawing, dt)
+        self._devices = [foot_device(part) for part in (cells_or_ankles, ankles) if part is not None]
+        self._dt = dt
+        sound = self.fit(Condition(severity_range(severity)[0], ())).instruments
+        self._cells = sound.layout.feet[0].channel_names
+        conditions = self.with_severity(Conditions(1.0, 1.0), severity)
+        self.conditions = self.with_faults(conditions, faults)
+        self.fitted = self.fit(self.conditions.usual)
+        self.instruments = self.fitted.instruments
+        check_capacity([part.config for part in self.instruments.parts], drawing)
         names = NAO_COMPUTER if NAO_JOINT in joint_names else ONBOARD_COMPUTER
         imu, encoders = names[0] if imu is None else imu, names[1] if encoders is None else encoders
         link = names[2] if link is None else link
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         self._link_by_name = isinstance(link, str)
-        self.computer = tuple(
-            given if isinstance(given, str) else "custom" for given in (imu, encoders, link)
-        )
-        if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
-            raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
-        self._faults = [self._fault(fault) for fault in faults]
-        self.broken = channel_faults(self._faults, self.instruments) if self._faults else None
-        self.native = {part.name: native_here(part.kind, part.config) for part in self.instruments.parts}
-        if self._faults:
-            self.native["faults"] = native_here(FAULTS, Broken(tuple(self._faults), self.instruments))
+        self.computer = tuple(part if isinstance(part, str) else "custom" for part in (imu, encoders, link))
         self.fresh, self._stream = fresh, stream
+
+    def with_severity(self, conditions: Conditions, severity: Any) -> Conditions:
+        """Return conditions of another severity, a number or (lowest, highest).
+
+        Raises:
+            ValueError: If a device cannot be so bad.
+        """
+        lowest, highest = severity_range(severity)
+        for end in (lowest, highest):
+            self.fit(Condition(end, ()))
+        return conditions._replace(lowest=lowest, highest=highest)
+
+    def with_faults(self, conditions: Conditions, faults: Any) -> Conditions:
+        """Return conditions in which other things break.
+
+        Raises:
+            ValueError: If a fault or a probability is refused.
+        """
+        given, chances = faults_of(faults, self.drawing.sides, self._cells)
+        self.fit(Condition(conditions.usual.severity, given))
+        return conditions._replace(faults=given, chances=chances)
+
+    def fit(self, condition: Condition) -> Fitted:
+        """Return what a robot in some condition has under its feet.
+
+        Raises:
+            ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
+        """
+        severity = condition.severity
+        devices = [part if severity == 1.0 else scaled(part, severity) for part in self._devices]
+        for device in devices:
+            check_wire(device, self._dt)
+        instruments = Instruments(tuple(devices), self.drawing, self._dt)
+        native = {part.name: native_here(part.kind, part.config) for part in instruments.parts}
+        if not condition.faults:
+            return Fitted(condition, instruments, None, native)
+        broken = channel_faults(condition.faults, instruments)
+        native["faults"] = native_here(FAULTS, Broken(condition.faults, instruments))
+        return Fitted(condition, instruments, broken, native)
 
     def streams(self, seed: int | None) -> dict[str, Stream]:
         """Return the random streams of one robot's devices; nobody knows them without a seed."""
@@ -162,13 +223,8 @@ class Equipment:
             "robot": _robot_note(self.drawing, self._joint_names),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
             "channels": " ".join(self.instruments.layout.channel_names),
-            "faults": "; ".join(map(repr, self._faults)) or "none",
+            "faults": "; ".join(map(repr, (*self.conditions.faults, *self.conditions.chances))) or "none",
         }
-
-    def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
-        if not isinstance(given, str):
-            return resolve(given, Fault)
-        return parse_fault(given, self.drawing.sides, self.instruments.layout.feet[0].channel_names)
 
 
 def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
@@ -188,6 +244,8 @@ class RobotSensors:
 
     Attributes:
         equipment: The same.
+        conditions: What its condition is drawn from: its severity with fresh sensors, faults by chance at
+            each reset. They may be changed, for the next one.
         listening: Whether telemetry is sent from the next reset on.
         time: The host's time since the reset in s.
         sensors_fresh: Whether the last reset drew fresh sensors.
@@ -197,6 +255,7 @@ class RobotSensors:
 
     def __init__(self, equipment: Equipment, listening: bool, view: RawView | None = None) -> None:
         self.equipment, self.listening, self._view = equipment, listening, view
+        self.conditions, self._fitted = equipment.conditions, equipment.fitted
         self.sensors_fresh, self.time = True, 0.0
         self.held = equipment.instruments.zero_code.astype(np.float32)
         self.newest: NDArray[np.float64] = np.zeros(0)
@@ -239,8 +298,7 @@ class RobotSensors:
             self.newest = np.zeros(self._telemetry.layout.size)
         self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
         self.time, draws = 0.0, self.sensors_fresh or self._telemetry_state is None
-        if self.sensors_fresh:
-            self._draw()
+        self._renew(self.sensors_fresh)
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
         at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
         sensing = self._by_library(truth)
@@ -279,6 +337,19 @@ class RobotSensors:
         self._note()
         return None
 
+    def reader(self, shape: tuple[int, ...]) -> NativeSensing | None:
+        """Return what reads the next control step by the library; ``None`` where :meth:`step` has to.
+
+        Args:
+            shape: Of its rows of truth.
+        """
+        sensing = self._sensing
+        return sensing if sensing is not None and sensing.takes(shape) else None
+
+    def follow(self, time: float) -> None:
+        """Take over a control step that ends at a time of the host's, which :meth:`reader` has read."""
+        self.time, self._packets = time, None
+
     @property
     def packets(self) -> Packets:
         """Telemetry that arrived during the last step, in order; only while somebody listens."""
@@ -306,18 +377,45 @@ class RobotSensors:
 
     def true_parameters(self) -> Parameters:
         """Return the map that undoes the feet's errors now, shape (K,) each: truth, to score against."""
-        return self.equipment.instruments.true_map(self._devices.instruments)
+        return self._fitted.instruments.true_map(self._devices.instruments)
+
+    @property
+    def condition(self) -> Condition:
+        """How bad its sensors are in this episode."""
+        return self._fitted.condition
+
+    @property
+    def differs(self) -> bool:
+        """Whether its condition is its own: drawn, or set since it was equipped."""
+        return self.conditions.by_chance or self.conditions != self.equipment.conditions
+
+    def true_condition(self) -> dict[str, NDArray[Any]]:
+        """Return what was drawn, as truth for a critic: ``severity``, and ``fault`` (K,) of each channel.
+
+        A channel's is 0, or 1 plus the place of its fault in :data:`~surefoot.sensors.faults.channels.KINDS`.
+        """
+        severity, faults = self.condition
+        states = channel_states(faults, self._fitted.instruments.channels)
+        return {"severity": np.array(severity), "fault": states}
 
     def hardware(self) -> HardwareState:
         """Return what the hardware is now, telemetry's part included, as the Python has it."""
+        found, conditions = self._devices, self.conditions
+        if conditions.chances:
+            found = found._replace(faults=())
+        if conditions.lowest < conditions.highest:
+            found = found._replace(severity=self.condition.severity)
         if self._telemetry_state is None:
-            return self._devices
-        return self._devices._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
+            return found
+        return found._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
 
     def exchange(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
         self._leave_library()
-        self._hardware = hardware
+        if hardware.severity is not None:
+            self._fitted = self.equipment.fit(self.condition._replace(severity=hardware.severity))
+        faults = self._devices.faults if self.conditions.chances else hardware.faults
+        self._hardware = hardware._replace(faults=faults, severity=None)
         if self._telemetry_state is not None:
             self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
 
@@ -339,8 +437,8 @@ class RobotSensors:
             hardware, telemetry = self._devices, self.telemetry
             self._sensing = native_sensing(
                 truth,
-                self.equipment.instruments,
-                self.equipment.native,
+                self._fitted.instruments,
+                self._fitted.native,
                 telemetry if self._sends else None,
                 self._telemetry_state,
                 telemetry.dt,
@@ -370,18 +468,30 @@ class RobotSensors:
             return vars(self)
         return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "_sensing": None}
 
-    def _draw(self) -> None:
-        """Draw fresh sensors; those of the telemetry are drawn as it begins."""
-        streams, instruments, broken = self._streams, self.equipment.instruments, self.equipment.broken
+    def _renew(self, fresh: bool) -> None:
+        """Draw what an episode begins with; sensors of the telemetry are drawn as that begins."""
+        before, streams, equipment = self._fitted, self._streams, self.equipment
+        condition = self.conditions.draw(
+            before.condition, fresh, before.instruments.channels, streams["condition"]
+        )
+        changed = condition != before.condition
+        if changed:
+            self._leave_library()
+            self._fitted = equipment.fit(condition)
+        instruments, broken = self._fitted.instruments, self._fitted.broken
+        if not (fresh or changed or self.conditions.chances):
+            return
         faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
-        self._hardware = HardwareState(instruments.init(streams), faults, None)
+        drawn = instruments.init(streams) if fresh else self._devices.instruments
+        self._hardware = HardwareState(drawn, faults, None)
         if self._sensing is not None:
             self._sensing.take(*self._hardware[:2])
-        self.held[:] = instruments.zero_code
+        if fresh:
+            self.held[:] = instruments.zero_code
 
     def _begin(self, truth: Any, at_rest: NDArray[np.float64], draws: bool) -> None:
         """Read every chip and the link under the first load, in Python."""
-        instruments, kept = self.equipment.instruments, None if draws else self.hardware().telemetry
+        instruments, kept = self._fitted.instruments, None if draws else self.hardware().telemetry
         with_load = instruments.with_load(truth, self._devices.instruments)
         self._hardware = self._devices._replace(instruments=with_load)
         for dt in instruments.first_steps(self.telemetry.dt):
@@ -393,13 +503,11 @@ class RobotSensors:
         self._note()
 
     def _read(self, truth: Any, dt: float) -> None:
-        hardware, equipment = self._devices, self.equipment
-        self._raw, state = equipment.instruments.read(truth, hardware.instruments, self._streams, dt)
+        hardware, fitted = self._devices, self._fitted
+        self._raw, state = fitted.instruments.read(truth, hardware.instruments, self._streams, dt)
         hardware = hardware._replace(instruments=state)
-        if equipment.broken is not None:
-            self._raw, faults = equipment.broken.apply(
-                self._raw, hardware.faults, self._streams["faults"], dt
-            )
+        if fitted.broken is not None:
+            self._raw, faults = fitted.broken.apply(self._raw, hardware.faults, self._streams["faults"], dt)
             hardware = hardware._replace(faults=faults)
         self._hardware = hardware
 

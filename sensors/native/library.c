@@ -292,3 +292,8 @@ EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins)
     show_raw(at);
     return told;
 }
+
+/* A control step of many robots, at[i] at time[i]; told[i] is what surefoot_sense returns of it. */
+EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const double *time, int *told, int count) {
+    for (int i = 0; i < count; i++) told[i] = surefoot_sense(at[i], time[i], 0);
+}

@@ -22,8 +22,10 @@ NATIVE = Native(
         "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_telemetry_init": (ctypes.c_int, (*(ADDRESS,) * 3, ctypes.c_int)),
         "surefoot_sense": (ctypes.c_int, (ADDRESS, ctypes.c_double, ctypes.c_int)),
+        "surefoot_sense_many": (None, (ADDRESS, ADDRESS, ADDRESS, ctypes.c_int)),
         "surefoot_telemetry_advance": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ctypes.c_double)),
     },
+    ("surefoot_sense_many",),
 )
 
 

@@ -7,6 +7,7 @@ knows which packages have one.
 from surefoot.native.build import Sources, compiler
 from surefoot.native.library import ADDRESS, Library, Native, places_at, required
 from surefoot.native.records import Record, c_header, leaves_of, rebuilt
+from surefoot.native.threads import call_for_many, cores
 
 __all__ = [
     "ADDRESS",
@@ -15,7 +16,9 @@ __all__ = [
     "Record",
     "Sources",
     "c_header",
+    "call_for_many",
     "compiler",
+    "cores",
     "leaves_of",
     "places_at",
     "rebuilt",

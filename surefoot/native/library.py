@@ -122,10 +122,16 @@ class Native:
     Args:
         sources: What it is compiled from.
         signatures: Result (``None`` for none) and arguments of each of its functions, as types of ctypes.
+        many: Functions of many robots, which run without the interpreter's lock.
     """
 
-    def __init__(self, sources: Sources, signatures: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
-        self.sources, self._signatures = sources, signatures
+    def __init__(
+        self,
+        sources: Sources,
+        signatures: Mapping[str, tuple[Any, tuple[Any, ...]]],
+        many: tuple[str, ...] = (),
+    ) -> None:
+        self.sources, self._signatures, self._many = sources, signatures, many
         self._found: tuple[Library | None] | None = None
 
     def load(self, path: Path, source: str | None = None) -> Library:
@@ -147,6 +153,9 @@ class Native:
             functions.surefoot_real_size.restype = ctypes.c_size_t
             if source is not None and functions.surefoot_source().decode() != source:
                 raise OSError("it was compiled from other sources than those at hand, or otherwise")
+            unlocked = ctypes.CDLL(str(path))
+            for name in self._many:
+                setattr(functions, name, getattr(unlocked, name))
             for name, (result, arguments) in self._signatures.items():
                 function = getattr(functions, name)
                 function.restype, function.argtypes = result, arguments

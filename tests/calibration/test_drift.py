@@ -21,7 +21,7 @@ SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
 UNKNOWNS = Unknowns(SETUP, CONFIG)
 DRIFT = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
 CHANNELS, STRIDE = LAYOUT.channels, 8
-ROBOTS = 200
+ROBOTS = 80
 
 
 BEGUN = moment_filter(SETUP).init(np.full(CHANNELS, np.nan))

@@ -19,8 +19,9 @@ def scores_of(scenario: str, cop: dict[str, list[float]], **changes: object) -> 
         for seed, value in enumerate(values)
     ]
     common = {
-        "fell": False, "vgrf": 0.3, "cell": 0.35, "finite": True, "scale": 0.01, "offset": 0.1,
-        "worse": False,
+        "fell": False, "cop_foot": 2e-3,
+        "vgrf": 0.3, "cell": 0.35, "finite": True, "scale": 0.01, "offset": 0.1,
+        "worse": False, "worse_foot": False,
         "worse_vgrf": False, "worse_cell": False, "converged": 4.0, "spread": 1e-4,
         "nees_end": np.nan, "nees_cop": np.nan, "nis": np.nan, "nis_rows": 0.0, "parameters": 16.0,
         "alarms": 0.0, "hours": 0.5, "found": np.nan, "isolated": np.nan, "named": np.nan, "after": np.nan,
@@ -51,6 +52,8 @@ def test_harm_is_said() -> None:
     said = scenario_findings(scores, PLAIN)
     assert "LARGER than by the starting map" in said[1]
     assert "2 of 3 runs end with a worse CoP" in said[1]
+    scores.loc[2, "worse_foot"] = scores.loc[3, "worse_foot"] = True
+    assert "(1 with worse feet, 0 with worse cells)" in scenario_findings(scores, PLAIN)[1]
     assert "2 of 3 runs end with a worse CoP" in summary_findings(scores)[1]
 
 

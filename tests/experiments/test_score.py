@@ -42,6 +42,7 @@ def test_weight_moved_from_foot_to_foot() -> None:
     assert result["cop_y"] == pytest.approx(0.1)
     assert result["cop_x"] == pytest.approx(0.0)
     assert result["cop"] == pytest.approx(0.1)
+    assert result["cop_foot"] == pytest.approx(0.0)
     assert result["vgrf"] == pytest.approx(0.0)
     assert result["vgrf_foot"] == pytest.approx(20.0)
     assert result["cell"] == pytest.approx(5.0)
@@ -54,6 +55,8 @@ def test_errors_of_both_axes_add_as_squares() -> None:
     assert result["cop_x"] == pytest.approx(0.4 / 44 / np.sqrt(2))
     assert result["cop_y"] == pytest.approx(0.6 / 44 / np.sqrt(2))
     assert result["cop"] == pytest.approx(np.hypot(0.4, 0.6) / 44 / np.sqrt(2))
+    # Of the left foot 24 N at (0.4, 0.2) / 24: one of four values of feet that are not 0.
+    assert result["cop_foot"] == pytest.approx(np.hypot(0.4, 0.2) / 24 / np.sqrt(4))
     assert result["vgrf"] == pytest.approx(4 / np.sqrt(2))
     assert result["vgrf_foot"] == pytest.approx(4 / np.sqrt(4))
     assert result["cell"] == pytest.approx(4 / np.sqrt(16))

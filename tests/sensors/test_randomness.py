@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from _native import library_of
 
-from surefoot.native import Library, compiler
+from surefoot.native import Library
 from surefoot.sensors.native import NATIVE
 from surefoot.sensors.randomness import AHEAD, Stream, philox, uniform
 
@@ -21,11 +22,7 @@ VECTORS = [
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    if compiler() is None:
-        pytest.skip("there is no C compiler")
-    path = tmp_path_factory.mktemp("native") / "double.so"
-    assert NATIVE.sources.compile(path) is None
-    return NATIVE.load(path, NATIVE.sources.fingerprint())
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture(params=["C", "Python"])

@@ -27,6 +27,10 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "tare": ({}, {"method": "tare"}),
     "by Python": ({}, {"method": "window", "window": 2.0}),
     "momentum": ({}, {"method": "momentum", "show": PARTS}),
+    "by chance": (
+        {"severity": (0.0, 2.0), "faults": {"dies": 0.1, "within 0.2 s sticks": 0.2}, "fresh": True},
+        {"show": ("wrench", "foot_flags")},
+    ),
 }
 
 
@@ -61,6 +65,11 @@ def _told(info: dict[str, Any]) -> dict[str, Any]:
     return {name: part for name, part in info["surefoot"].items() if name != "truth"}
 
 
+def _drawn(info: dict[str, Any]) -> dict[str, Any]:
+    truth = info["surefoot"]["truth"]
+    return {name: truth[name] for name in ("severity", "fault") if name in truth}
+
+
 @pytest.mark.parametrize(
     ("case", "mode"),
     [
@@ -87,6 +96,7 @@ def test_a_robot_of_many_is_the_robot_alone(case: str, mode: AutoresetMode) -> N
         for i, own in enumerate(each):
             _same(_of(seen, i), own[0])
             _same(_of(_told(infos), i), _told(own[-1]))
+            _same(_of(_drawn(infos), i), _drawn(own[-1]))
             _same(many.env.true_parameters()[1][i], alone[i].env.true_parameters()[1])
         action = rng.uniform(-0.3, 0.3, (ROBOTS, 11)).astype(np.float32)
         before = done

@@ -88,7 +88,7 @@ def test_robots_are_calibrators_side_by_side(method, lag, log):
     module, single = make(method, lag=lag, dtype=torch.float64), make(method, lag=lag)
     options = {"standing_start": False} if method in ("window", "quasi-static") else {}
     alone = [FootCalibrator(LAYOUT, method, mass=MASS, dt=DT, lag=lag, **options) for _ in range(N)]
-    for k in range(250):
+    for k in range(150):
         raw, reference = row(log, k)
         if k == 100:
             module.reset([1])

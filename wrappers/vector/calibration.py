@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import seen_below
+from surefoot.robot.native import feed_many
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
@@ -111,8 +112,12 @@ class BatchCalibration:
         # What was shown of a robot that has other records since then stands in `shown` alone.
         known = len(which) == count or all(native.sampled for native in natives)
         if len(natives) == count and known:
+            those = [natives[i] for i in which]
+            samples = [self.robots[i].put(natives[i], planned[i]) for i in which]
+            if which:
+                feed_many(those, samples, self._sensors.threads)
             for i in which:
-                self.robots[i].feed(natives[i], planned[i])
+                self.robots[i].note()
             self.shown, self.told = natives[0].told_by(natives)
         else:
             shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)

@@ -112,5 +112,6 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
         return self.sensors.show(observations), rewards, terminations, truncations, self._with_truth(infos)
 
     def _with_truth(self, infos: Infos) -> Infos:
-        known = infos.get("surefoot", {})
-        return {**infos, "surefoot": {**known, "truth": self.sensors.truth}}
+        known, below, sensors = infos.get("surefoot", {}), self.env, self.sensors
+        truth = below.mean_truth | sensors.drawn() if isinstance(below, VectorTruthRow) else sensors.truth
+        return {**infos, "surefoot": {**known, "truth": truth}}

@@ -1,6 +1,8 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
+from operator import is_not
 from os import PathLike
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
@@ -12,10 +14,13 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
+from surefoot.native import cores
+from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
-from surefoot.sensors import Encoders, Fault, Imu, Link
+from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
@@ -36,8 +41,8 @@ class SensorOptions(TypedDict, total=False):
     imu: str | Mapping[str, Any] | Imu | None
     encoders: str | Mapping[str, Any] | Encoders | None
     link: str | Mapping[str, Any] | Link | None
-    severity: float
-    faults: Sequence[str | Fault | Mapping[str, Any]]
+    severity: Severity
+    faults: Faults
     fresh: bool
     stream: int
 
@@ -83,6 +88,7 @@ class BatchSensors:
         view: What is seen of them.
         planned: What each robot plans; ``None`` for one that plans nothing.
         listeners: Who takes in what they read.
+        threads: How many threads sensors and calibrators may use, all cores by default.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -115,6 +121,9 @@ class BatchSensors:
         self.listeners: list[Listener] = []
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
+        self._drawn: dict[str, NDArray[Any]] = {}
+        self._together: ManySensing | None = None
+        self.threads = cores()
 
     def listen(self, listener: Listener) -> None:
         """Send telemetry from the next reset on, and tell of every step and reset."""
@@ -147,12 +156,16 @@ class BatchSensors:
             starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
             fell: Robots whose episode was terminated, shape (N,), or ``None``.
         """
-        begun, dt = [False] * len(rows) if starting is None else starting.tolist(), self._meaning.dt
-        for robot, truth, begins in zip(self.robots, self._look(rows), begun, strict=True):
-            if begins:
-                robot.reset(truth, dt)
+        substeps, dt = self._look(rows), self._meaning.dt
+        begins = np.zeros(len(rows), dtype=bool) if starting is None else np.asarray(starting)
+        for i in np.flatnonzero(~self._read_together(substeps, ~begins)).tolist():
+            truth = read_rows(substeps[i], self._key)
+            if begins[i]:
+                self.robots[i].reset(truth, dt)
             else:
-                robot.step(truth)
+                self.robots[i].step(truth)
+        if starting is not None:
+            self._note_conditions()
         for listener in self.listeners:
             listener.step(starting, fell)
 
@@ -171,10 +184,12 @@ class BatchSensors:
             seeds: What each was reset with.
             asked: As of :meth:`reset`.
         """
-        truths, asked = self._look(rows), asked or {}
+        substeps, asked = self._look(rows), asked or {}
         seeds = [None] * len(rows) if seeds is None else seeds
         for i in np.flatnonzero(mask).tolist():
-            self.robots[i].reset(truths[i], self._meaning.dt, seeds[i], asked.get("sensors"))
+            truth = read_rows(substeps[i], self._key)
+            self.robots[i].reset(truth, self._meaning.dt, seeds[i], asked.get("sensors"))
+        self._note_conditions()
         for listener in self.listeners:
             listener.begin(mask, seeds, asked.get("calibration"))
 
@@ -190,8 +205,52 @@ class BatchSensors:
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: (N, ...) arrays of :func:`~surefoot.envs.instrumentation.means.mean_truth`."""
-        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY)
+        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`drawn`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.drawn()
+
+    def drawn(self) -> dict[str, NDArray[Any]]:
+        """Return what was drawn of the robots' conditions, (N, ...); nothing where these do not differ."""
+        return {name: part.copy() for name, part in self._drawn.items()}
+
+    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
+        """Let the next fresh sensors of some robots be of another severity.
+
+        Args:
+            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
+                one a robot.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
+        """
+        named = self._named(robots)
+        own = isinstance(severity, list | np.ndarray)
+        values = list(severity) if own else [severity]
+        if own and len(values) != len(named):
+            raise ValueError(
+                f"'severity' must be one number, or one a robot: got {len(values)} for {len(named)} robots."
+            )
+        set_one = self.equipment.with_severity
+        found = [set_one(robot.conditions, value) for robot, value in zip(named, cycle(values), strict=False)]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
+
+    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
+        """Let other things break on some robots, or with other probabilities, from their next resets on.
+
+        Args:
+            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If a fault or a probability is refused.
+        """
+        named = self._named(robots)
+        found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
 
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
@@ -215,15 +274,53 @@ class BatchSensors:
         """
         load_hardware(path, self.robots)
 
-    def _look(self, rows: Floats) -> list[Any]:
-        """Keep what each robot plans, and return what happened to it."""
+    def _named(self, robots: Sequence[int] | None) -> list[RobotSensors]:
+        """Return robots by their numbers."""
+        count = len(self.robots)
+        numbers = range(count) if robots is None else np.asarray(robots, dtype=np.intp).ravel().tolist()
+        odd = [number for number in numbers if not 0 <= number < count]
+        if odd:
+            raise IndexError(f"There are robots 0 to {count - 1}, got {odd}.")
+        return [self.robots[number] for number in numbers]
+
+    def _note_conditions(self) -> None:
+        """Keep what was drawn of the robots' conditions, shape (N, ...); nothing where they do not differ."""
+        differ = any(robot.differs for robot in self.robots)
+        drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
+        self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
+
+    def _read_together(self, truth: Floats, steps: Mask) -> Mask:
+        """Let the library read a control step of all robots for whom it can, in one call.
+
+        Args:
+            truth: What the simulator read in each substep, shape (N, S, columns).
+            steps: Robots that have made a step, shape (N,).
+
+        Returns:
+            Robots that were read, shape (N,).
+        """
+        readers = [robot.reader(truth.shape[1:]) for robot in self.robots]
+        known = np.array([reader is not None for reader in readers])
+        if not known.all() or len(readers) < 2:
+            return np.zeros(len(readers), dtype=bool)
+        if self._together is None or any(map(is_not, self._together.robots, readers)):
+            self._together = ManySensing([reader for reader in readers if reader is not None])
+        which = np.flatnonzero(steps)
+        time = np.array([self.robots[i].time for i in which.tolist()]) + self.robots[0].telemetry.dt
+        self._together.step(which, truth, time, self.threads)
+        for i, now in zip(which.tolist(), time.tolist(), strict=True):
+            self.robots[i].follow(now)
+        return steps
+
+    def _look(self, rows: Floats) -> Floats:
+        """Keep what each robot plans, and return what the simulator read in each substep."""
         self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
             self.planned = [None] * len(rows)
         else:
             self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
-        return [read_rows(own, self._key) for own in self._substeps(rows)]
+        return self._substeps(rows)
 
     def _substeps(self, rows: Floats) -> Floats:
         """Return what the simulator read in each substep, shape (N, S, columns)."""
@@ -243,6 +340,14 @@ class SensorsFace:
     def true_parameters(self) -> Parameters:
         """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
         return self.sensors.true_parameters()
+
+    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
+        """Change the severity of robots, as :meth:`BatchSensors.set_severity` does."""
+        self.sensors.set_severity(severity, robots)
+
+    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
+        """Change what breaks on robots, as :meth:`BatchSensors.set_faults` does."""
+        self.sensors.set_faults(faults, robots)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""

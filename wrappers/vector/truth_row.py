@@ -173,6 +173,12 @@ class VectorTruthRow(AnyVectorWrapper):
         self.single_observation_space = self._row.observation_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
+    @property
+    def mean_truth(self) -> dict[str, NDArray[Any]]:
+        """What :func:`~surefoot.envs.instrumentation.means.mean_truth` says of the rows, made already."""
+        truth: dict[str, NDArray[Any]] = self._batch.mean_truth
+        return truth
+
     def get_attr(self, name: str) -> list[Any]:
         """Return an attribute of the :class:`TruthRow` that might be around each robot."""
         return [getattr(self._row, name)] * self.num_envs

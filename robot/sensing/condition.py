@@ -1,0 +1,133 @@
+"""How bad the sensors of one robot are: as stated, or drawn for each robot from its own stream."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.checks import as_number
+from surefoot.sensors import Fault, parse_fault
+from surefoot.sensors.corruption import Rng
+from surefoot.sensors.faults.chances import FaultChance, draw_faults, parse_chances
+from surefoot.sensors.faults.channels import KINDS
+from surefoot.sensors.presets import resolve
+from surefoot.sensors.randomness import uniform
+
+Severity = float | tuple[float, float]
+"""A factor of all errors, or the lowest and the highest."""
+
+Faults = Sequence[str | Fault | Mapping[str, Any]] | Mapping[str, float]
+"""What breaks when, or how likely what happens to a channel in an episode."""
+
+
+class Condition(NamedTuple):
+    """How bad the sensors of one robot are.
+
+    Attributes:
+        severity: Factor of all errors of the feet's sensors.
+        faults: What breaks when.
+    """
+
+    severity: float
+    faults: tuple[Fault, ...]
+
+
+class Conditions(NamedTuple):
+    """What a robot's condition is drawn from.
+
+    Attributes:
+        lowest: Lowest severity.
+        highest: Highest severity; all between are alike likely.
+        faults: What breaks when, on the clock of the power-up.
+        chances: What may happen in an episode, on the clock of the episode.
+    """
+
+    lowest: float
+    highest: float
+    faults: tuple[Fault, ...] = ()
+    chances: tuple[FaultChance, ...] = ()
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether anything is drawn."""
+        return bool(self.chances) or self.lowest < self.highest
+
+    @property
+    def usual(self) -> Condition:
+        """The condition of a robot of which nothing was drawn yet."""
+        return Condition(min(max(1.0, self.lowest), self.highest), self.faults)
+
+    def draw(self, before: Condition, fresh: bool, channels: int, rng: Rng) -> Condition:
+        """Draw the condition of an episode.
+
+        Args:
+            before: That of the episode before.
+            fresh: Whether the sensors are fresh: only then does the severity change.
+            channels: Number of channels, K.
+            rng: Where chance comes from.
+        """
+        severity, faults = before.severity, self.faults
+        if fresh:
+            severity = self.lowest
+            if self.lowest < self.highest:
+                severity = float(uniform(rng, self.lowest, self.highest, (1,))[0])
+        if self.chances:
+            faults = draw_faults(self.chances, channels, rng)
+        return Condition(severity, faults)
+
+
+def severity_range(severity: Any) -> tuple[float, float]:
+    """Return the lowest and the highest severity.
+
+    Raises:
+        TypeError: If it is neither a number nor a pair of them.
+        ValueError: If one is negative or not finite, or the pair is in the wrong order.
+    """
+    pair = severity if isinstance(severity, tuple | list | np.ndarray) else (severity, severity)
+    if len(pair) != 2:
+        raise ValueError(f"'severity' must be a number or (lowest, highest), got {severity!r}.")
+    low, high = (as_number("severity", end) for end in pair)
+    if not 0.0 <= low <= high < float("inf"):
+        if low == high:
+            raise ValueError(f"'severity' must be finite and not negative, got {low}.")
+        raise ValueError(
+            "'severity' must be a number or (lowest, highest), finite, not negative and in this order; "
+            f"got {severity!r}."
+        )
+    return low, high
+
+
+def faults_of(
+    faults: Any, feet: Sequence[str], cells: Sequence[str]
+) -> tuple[tuple[Fault, ...], tuple[FaultChance, ...]]:
+    """Return what breaks when, and what may happen by chance.
+
+    Args:
+        faults: As a user gives them.
+        feet: Names of the feet, in the order of the channels.
+        cells: Names of the channels of a foot.
+
+    Raises:
+        TypeError: If they are neither a sequence of faults nor a mapping of probabilities.
+        ValueError: If a fault or a probability is refused.
+    """
+    if isinstance(faults, Mapping) and "kind" not in faults:
+        return (), parse_chances(faults)
+    if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
+        raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
+    found = (
+        parse_fault(fault, feet, cells) if isinstance(fault, str) else resolve(fault, Fault)
+        for fault in faults
+    )
+    return tuple(found), ()
+
+
+def channel_states(faults: Sequence[Fault], channels: int) -> NDArray[np.int8]:
+    """Return what is wrong with channels, shape (K,): 0, or 1 plus the place of the fault in ``KINDS``."""
+    states = np.zeros(channels, dtype=np.int8)
+    for fault in faults:
+        for channel in (fault.channel, fault.other):
+            if channel is not None:
+                states[channel] = 1 + KINDS.index(fault.kind)
+    return states
