@@ -311,8 +311,9 @@ def same_estimate(expected, found, **tolerance):
             same(name, a, b, **tolerance)
 
 
-def play(stream, native, log, exchange=None, **tolerance):
-    """Play a log to both; at one sample each goes on with the other's state."""
+def play(stream, native, log, exchange=(), **tolerance):
+    """Play a log to both; at some samples each goes on with the other's state."""
+    exchange = {exchange} if isinstance(exchange, int) else set(exchange)
     expected, found = stream.init(log.force[0]), native.init()
     same_state(stream, native, expected, found, **tolerance)
     for k in range(len(log.force)):
@@ -327,9 +328,9 @@ def play(stream, native, log, exchange=None, **tolerance):
             expected = begin_episode(stream.init(log.force[0]), expected)
             native._functions.surefoot_begin(native.addresses["filter"], found.address)
         same_estimate(one, two, **tolerance)
-        if k % 48 == 47 or k == exchange or k in log.retracted | log.begun:
+        if k % 48 == 47 or k in exchange | log.retracted | log.begun:
             same_state(stream, native, expected, found, **tolerance)
-        if k == exchange:
+        if k in exchange:
             other = native.unpack(found)
             found, expected = native.pack(expected), other
             assert found is not None

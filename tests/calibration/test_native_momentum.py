@@ -1,0 +1,324 @@
+"""The momentum filter in C against the Python that specifies it, and its header for a robot's own controller."""
+
+import pickle
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import test_native as shared
+from _momentum import DT, Errors, move
+from _native import SANITIZED, compile_program, library_of
+from _synthetic import LAYOUT, MASS, NOMINAL
+from test_native import Log, play, robot, same_estimate, setup_of
+
+from surefoot.calibration import FootCalibrator, MomentumReference
+from surefoot.calibration.estimate import Flag
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.filter import MomentumFilter
+from surefoot.calibration.native import NATIVE, c_source
+from surefoot.native import compiler
+
+SAMPLES, AT = 800, 320
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+
+
+class MomentumLog:
+    """Some seconds of a robot on eight cells whose momentum is known, to be spoilt as a :class:`Log` is."""
+
+    def __init__(self, seed=1, lifted=None, walking=True):
+        self.rng = np.random.default_rng([62, seed])
+        own = move(seed, SAMPLES * DT, Errors.stated(), walking=walking, lifted=lifted)
+        self.force, self.times = NOMINAL.force(own.raw), np.full(SAMPLES, DT)
+        self.reference = MomentumReference(*(part.copy() for part in own.reference))
+        self.retracted, self.begun = set(), set()
+
+    def row(self, k):
+        return MomentumReference(*(part[k] for part in self.reference))
+
+
+def held(share=0.2):
+    """By a share of the weight, for two seconds."""
+    lifted = np.zeros(SAMPLES)
+    lifted[AT : AT + 160] = share
+    return MomentumLog(lifted=lifted)
+
+
+def stands():
+    return MomentumLog(walking=False)
+
+
+def walks():
+    return MomentumLog()
+
+
+def spoilt(how):
+    def made():
+        log = MomentumLog()
+        how(log)
+        return log
+
+    made.__name__ = how.__name__
+    return made
+
+
+def lost_for_a_while(log):
+    log.force[AT : AT + 120, 3] = np.nan
+
+
+def stuck(log):
+    log.force[AT:, 1] = log.force[AT, 1]
+
+
+def spikes(log):
+    hit = log.rng.random(log.force.shape) < 0.02
+    log.force += np.where(hit, log.rng.choice([-60.0, 60.0], log.force.shape), 0.0)
+
+
+def missing_and_impossible(log):
+    hit = log.rng.random(log.force.shape) < 0.01
+    log.force[hit] = log.rng.choice([np.nan, np.inf, -np.inf, 1e300, 1e5], int(hit.sum()))
+
+
+def seldom_read(log):
+    log.force[np.arange(SAMPLES) % 3 != 0] = np.nan
+
+
+def gaps(log):
+    for k, dt in ((100, 10.0), (101, 0.0), (200, -1.0), (300, np.nan), (400, np.inf), (500, 1e9), (600, 0.05)):
+        log.times[k] = dt
+
+
+def unlike_clocks(log):
+    log.times *= log.rng.uniform(0.3, 2.5, SAMPLES)
+
+
+def bad_references(log):
+    for field, at, value in (("com", 200, np.nan), ("R_level_sole", 300, np.inf), ("com_velocity", 400, 1e30)):
+        getattr(log.reference, field)[at : at + 3] = value
+    log.reference.com_velocity[500:510, 2] = -30.0
+    log.reference.position_sole[600:] += 5.0
+
+
+def lies(log):
+    for field in ("stance", "swing"):
+        part = getattr(log.reference, field)
+        part[...] ^= log.rng.random(part.shape) < 0.1
+
+
+def retracted(log):
+    log.retracted = {3, AT, AT + 2, 500}
+
+
+SPOILT = [
+    lost_for_a_while, stuck, spikes, missing_and_impossible, seldom_read, gaps, unlike_clocks, bad_references,
+    lies, retracted,
+]  # fmt: skip
+LOGS = [walks, held, stands, *(spoilt(how) for how in SPOILT)]
+
+
+@pytest.mark.parametrize(
+    "made", [log if log is held else pytest.param(log, marks=pytest.mark.slow) for log in LOGS],
+    ids=lambda made: made.__name__,
+)  # fmt: skip
+@pytest.mark.parametrize("lag", [0])
+def test_the_library_is_the_python(library, made, lag):
+    log = made()
+    state, _ = play(*robot(library, "cells", lag, "momentum"), log, exchange=500)
+    assert np.isfinite(state.covariance).all()
+    assert made is not held or state.belief.chance[1] < 0.5, "it was not let go"
+
+
+def test_a_robot_that_is_held_is_said_to_be(library):
+    _, native = robot(library, "cells", 0, "momentum")
+    log, state, flags = held(), native.init(), []
+    for k in range(SAMPLES):
+        flags.append(native.update(state, log.force[k], log.row(k), DT).flags[0] & Flag.HELD)
+    assert any(flags[AT + 40 : AT + 160]) and not any(flags[:AT])
+
+
+@pytest.mark.parametrize(
+    ("layout", "event"),
+    [
+        ("cells", shared.dropped_for_a_while),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                *(("cells", event) for event in (*shared.FAULTS, *shared.EVENTS)),
+                *(("ankles", event) for event in (shared.clean, shared.gaps, shared.lies)),
+                *(("both", event) for event in (shared.clean, shared.missing_and_impossible, shared.dead)),
+            )
+        ),
+    ],
+    ids=lambda value: value.__name__ if callable(value) else None,
+)
+def test_accelerations_are_added_up_alike(library, layout, event):
+    """The made-up ankles contradict what the filter knows of shear, so that what is rounding grows fast."""
+    log = Log(layout)
+    event(log)
+    log.force = log.force[: AT + 240]
+    far = {} if layout == "cells" else {"close": 1e-5, "spread": 10.0}
+    play(*robot(library, layout, 2, "momentum"), log, exchange=range(79, len(log.force), 80), **far)
+
+
+def test_every_constant_has_one_home(library):
+    """What C is given are the fields of the Python's records, each once, and C has no others."""
+    filter_ = MomentumFilter(setup_of("cells"), MomentumConfig())
+    names = [name for part in filter_.constants for name in part._fields]
+    assert len(names) == len(set(names))
+    assert set(names) == set(library.places["momentum_config"]) - {""}
+
+
+def test_options_reach_the_library(library):
+    log = MomentumLog(seed=4)
+    log.force = log.force[:200]
+    options = {"block": 0.15, "scale_std": 0.05, "offset_drift": 0.05, "velocity_noise": 0.02, "ripple": 0.5}
+    play(*robot(library, "cells", 1, "momentum", age=0.006, **options), log, exchange=100)
+
+
+@pytest.fixture
+def calibrators(library, monkeypatch):
+    """The same calibrator by the library and by Python."""
+    made = []
+    for found in (None, library):
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
+        made.append(FootCalibrator(LAYOUT, "momentum", mass=MASS, lag=0))
+    return made
+
+
+def test_states_are_kept_and_go_on_in_either(calibrators, tmp_path):
+    log = MomentumLog()
+    by_python, by_library = calibrators
+    for k in range(200):
+        for calibrator in calibrators:
+            calibrator.update(log.force[k], log.row(k))
+    by_library.save(tmp_path / "feet.npz")
+    by_python.load(tmp_path / "feet.npz")
+    copied = pickle.loads(pickle.dumps(by_library))
+    for k in range(200, 260):
+        if k == 230:
+            for calibrator in (*calibrators, copied):
+                calibrator.retract()
+        expected, *found = (one.update(log.force[k], log.row(k)) for one in (by_python, by_library, copied))
+        for estimate in found:
+            same_estimate(expected, estimate)
+
+
+def test_a_state_with_faults_of_another_filter_is_left_to_python(library):
+    stream, native = robot(library, "cells", 0, "momentum")
+    state = stream.init(np.zeros(8))
+    doubting = state._replace(faults=state.faults._replace(doubt=2.0))
+    assert native.pack(state) is not None
+    assert native.pack(doubting) is None
+
+
+def test_moment_has_no_use_for_momentum(library, monkeypatch):
+    said, log = [], MomentumLog()
+    for found in (library, None):
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
+        with pytest.raises(TypeError, match="must be a Reference, got MomentumReference") as caught:
+            FootCalibrator(LAYOUT, mass=MASS, lag=0).update(log.force[0], log.row(0))
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+
+
+PROGRAM = """
+#include <stdio.h>
+#include <stdlib.h>
+#include "robot.h"
+static unsigned long long bits = 88172645463325252ULL;
+static double uniform(void) {
+    bits ^= bits << 13, bits ^= bits >> 7, bits ^= bits << 17;
+    return (double)(bits >> 11) / 9007199254740992.0;
+}
+static void spoil(sf_real *values, int n, double share) {
+    static const double all[] = {NAN, HUGE_VAL, -HUGE_VAL, 3e38, -3e38, 0.0, 1e-30, 8.4e6, -5.0, 1e3, 60.0};
+    for (int i = 0; i < n; i++)
+        if (uniform() < share) values[i] = all[(int)(uniform() * 11.0)];
+}
+int main(int count, char **words) {
+    static sf_momentum_state state, kept;
+    static sf_momentum_work work;
+    static sf_estimate e;
+    long samples = count > 1 ? atol(words[1]) : 0;
+    int K = robot.channels, N = sf_states(&robot, &momentum);
+    if (!sf_momentum_fits(&robot, &momentum)) return 2;
+    sf_momentum_init(&robot, &momentum, &state, &work);
+    kept = state;
+    for (long k = 0; k < samples; k++) {
+        sf_reference r;
+        sf_real raw[SF_CHANNELS], dt = robot.dt;
+        double share = sf_clip((1 + 1.2 * sin((double)k * 0.05)) / 2, 0, 1);
+        memset(&r, 0, sizeof r);
+        r.com[1] = (share - 0.5) * 0.1, r.com[2] = 0.26;
+        r.com_acceleration[1] = 0.05 * cos((double)k * 0.05);
+        r.momentum = k / 5000 % 2 == 0;
+        for (int foot = 0; foot < robot.feet; foot++) {
+            double part = foot ? 1 - share : share;
+            r.position_sole[3 * foot + 1] = foot ? -0.05 : 0.05;
+            for (int i = 0; i < 3; i++) r.R_level_sole[9 * foot + 4 * i] = 1;
+            r.stance[foot] = part > 0, r.swing[foot] = part <= 0;
+            for (int i = 0; i < K; i++)
+                if (robot.foot_of_channel[i] == foot)
+                    raw[i] = part * robot.weight * (0.25 + 0.05 * (uniform() - 0.5));
+        }
+        if (k % 700 < 200) raw[k / 700 % K] = k / 700 % 2 ? NAN : 1;
+        if (k % 4000 < 3000) {
+            spoil(raw, K, 0.003);
+            spoil(r.com, 9, 0.001);
+            spoil(r.position_sole, 3 * robot.feet, 0.0005);
+            spoil(r.R_level_sole, 9 * robot.feet, 0.0005);
+            spoil(&dt, 1, 0.001);
+        }
+        sf_momentum_step(&robot, &momentum, &state, &work, raw, &r, dt, &e);
+        if (uniform() < 0.0005) sf_momentum_retract(&robot, &momentum, &state);
+        if (uniform() < 0.0005) kept = state;
+        if (uniform() < 0.0005) state = kept;
+        if (!sf_all_finite(state.belief.mean, 3 * N) || !sf_all_finite(state.belief.covariance, 3 * N * N) ||
+            !sf_all_finite(state.belief.chance, 3) || !sf_all_finite(state.noise, momentum.components) ||
+            !sf_all_finite(state.published.mean, sf_weighed(&robot)) || !sf_finite(state.tare.rate) ||
+            !sf_all_finite(state.covariance, 4 * K * K) || !sf_all_finite(e.force, K) ||
+            !sf_all_finite(e.force_std, K) || !sf_all_finite(e.undetermined, K) ||
+            !sf_all_finite(e.contact_probability, robot.feet) || sf_finite(e.cop[0]) != e.cop_valid) {
+            printf("not finite at sample %ld\\n", k);
+            return 1;
+        }
+    }
+    printf("%lu %lu", (unsigned long)sizeof state, (unsigned long)sizeof work);
+    return 0;
+}
+"""
+
+
+def program(library, folder, monkeypatch, layout, *flags):
+    """Compile a program that feeds garbage to the filter of one robot."""
+    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    (folder / "robot.h").write_text(c_source(setup_of(layout), "momentum"))
+    (folder / "main.c").write_text(PROGRAM)
+    compile_program(NATIVE, folder / "main.c", folder / "main", f"-I{folder}", *flags)
+    return folder / "main"
+
+
+def run(made, samples):
+    done = subprocess.run([made, str(samples)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, monkeypatch, layout):
+    run(program(library, tmp_path, monkeypatch, layout, *SANITIZED), 30_000)
+
+
+@pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
+def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout):
+    state, work = (f"{int(size):,} bytes" for size in run(program(library, tmp_path, monkeypatch, layout), 0))
+    page = Path(__file__).parents[2] / "docs" / "native.md"
+    assert not page.exists() or f"{state} | {work}" in page.read_text()
