@@ -174,7 +174,7 @@ class NativeFilter:
             and isinstance(dt, float)
         ):
             return False
-        if type(reference) is ReferenceRecord:
+        if isinstance(reference, ReferenceRecord):
             return self._feet == 2 and reference.real == self._real and reference.kind in self._given
         given = self._given.get(type(reference))
         return (

@@ -203,7 +203,7 @@ static const place places[] = {
 #ifndef SF_NO_LIBC
     WHOLE_OF(strapdown_config), WHOLE_OF(momentum_beliefs),
 
-    PLACE(strapdown_config, count, "int"), PLACE(strapdown_config, leg_time, "real"),
+    PLACE(strapdown_config, points, "int"), PLACE(strapdown_config, leg_time, "real"),
     PLACE(strapdown_config, tilt_rate, "real"), PLACE(strapdown_config, bias_time, "real"),
     PLACE(strapdown_config, touch, "real"), PLACE(strapdown_config, free_fall, "real"),
     PLACE(strapdown_config, corners, "real"),

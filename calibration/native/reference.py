@@ -62,8 +62,8 @@ class ReferenceRecord:
         for name, part in reference._asdict().items():
             self._record.now[name] = part
 
-    def reference(self) -> Reference | MomentumReference:
-        """Return a copy."""
+    def reference(self) -> Any:
+        """Return a copy, of its kind."""
         return self.kind(*self.mapping().values())
 
     def mapping(self, known: bool = True) -> dict[str, np.ndarray]:

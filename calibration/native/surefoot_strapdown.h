@@ -30,7 +30,7 @@ enum {
 
 /* StrapdownConstants: constants by their names in Python. */
 typedef struct {
-    int count; /* points of each sole that may touch */
+    int points; /* of each sole, that may touch */
     sf_real leg_time, tilt_rate, bias_time, touch, free_fall;
     sf_real corners[2 * SF_CORNERS * 3];
 } sf_strapdown_config;
@@ -44,7 +44,7 @@ typedef struct {
 } sf_momentum_beliefs;
 
 /* Whether constants that come from elsewhere lie within the arrays. */
-SF_API int sf_strapdown_fits(const sf_strapdown_config *k) { return k->count >= 1 && k->count <= SF_CORNERS; }
+SF_API int sf_strapdown_fits(const sf_strapdown_config *k) { return k->points >= 1 && k->points <= SF_CORNERS; }
 
 /* Strapdown: nothing is known. */
 SF_API void sf_strapdown_init(sf_momentum_beliefs *s) {
@@ -87,8 +87,8 @@ SF_API void sf_small_rotation(const sf_real *turn, sf_real factor, sf_real *R) {
    up: against gravity. */
 SF_API void sf_touching(const sf_strapdown_config *k, const sf_posture *posture, const sf_real *up, sf_real *mean) {
     sf_real height[2 * SF_CORNERS], arm[2 * SF_CORNERS * 3], low = 0, total = 0, sum[3] = {0, 0, 0};
-    for (int i = 0; i < 2 * k->count; i++) {
-        int foot = i / k->count;
+    for (int i = 0; i < 2 * k->points; i++) {
+        int foot = i / k->points;
         const sf_real *axes = posture->local + SF_ROW_AXES + 9 * foot, *corner = k->corners + 3 * i;
         const sf_real *site = posture->local + SF_ROW_SOLES + 3 * foot;
         sf_turn_back(arm + 3 * i, axes, corner);
@@ -96,8 +96,8 @@ SF_API void sf_touching(const sf_strapdown_config *k, const sf_posture *posture,
         for (int j = 0; j < 3; j++) height[i] += (site[j] + arm[3 * i + j]) * up[j];
         low = i ? sf_min(low, height[i]) : height[i];
     }
-    for (int i = 0; i < 2 * k->count; i++) {
-        const sf_real *twist = posture->speeds + 9 + 6 * (i / k->count);
+    for (int i = 0; i < 2 * k->points; i++) {
+        const sf_real *twist = posture->speeds + 9 + 6 * (i / k->points);
         sf_real weight = sf_exp(-(height[i] - low) / k->touch), turned[3];
         sf_cross(turned, twist, arm + 3 * i);
         for (int j = 0; j < 3; j++) sum[j] += weight * (twist[3 + j] + turned[j]);

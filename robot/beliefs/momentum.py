@@ -56,11 +56,11 @@ class StrapdownConstants(NamedTuple):
     """Constants by their names in C; module constants of the same names say what they are.
 
     Attributes:
-        count: Points of each sole that may touch, n.
+        points: Number of each sole's points that may touch, n.
         corners: These points in the sole frames in m, shape (2, n, 3).
     """
 
-    count: int
+    points: int
     corners: Floats
     leg_time: float = LEG_TIME
     tilt_rate: float = TILT_RATE

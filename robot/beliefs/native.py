@@ -39,7 +39,7 @@ class NativeBeliefs:
 
     Args:
         library: The library.
-        beliefs: The Python object.
+        believed: The Python object.
 
     Attributes:
         believed: What the last :meth:`sample` found; the next one overwrites it.
@@ -50,11 +50,11 @@ class NativeBeliefs:
         ValueError: If the library is not made for such a robot; docs/native.md has its limits.
     """
 
-    def __init__(self, library: Library, beliefs: Beliefs | MomentumBeliefs) -> None:
-        self.library, self._functions, self._spec = library, library.functions, beliefs
-        self.model = beliefs.model
-        momentum = beliefs if isinstance(beliefs, MomentumBeliefs) else None
-        beliefs = beliefs if momentum is None else momentum.beliefs
+    def __init__(self, library: Library, believed: Beliefs | MomentumBeliefs) -> None:
+        self.library, self._functions, self._spec = library, library.functions, believed
+        self.model = believed.model
+        momentum = believed if isinstance(believed, MomentumBeliefs) else None
+        beliefs = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed
         self._layout = beliefs.layout
         needed, window = planned_window(beliefs._lag)
         timing = {
@@ -97,8 +97,8 @@ class NativeBeliefs:
             self._state["moved"] = momentum.ring
             for name, attribute in _STRAPDOWN.items():
                 self._state[name] = getattr(momentum.strapdown, attribute)
-        self.believed.fill(self._spec.believed)
-        self.known, self.standing = self._spec.known, self._spec.standing
+        self.believed.fill(believed.believed)
+        self.known, self.standing = believed.known, believed.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
         self._legs_at = None if legs is None else legs.ctypes.data
@@ -289,7 +289,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     records = {"sf_model model": model, "sf_timing timing": timing}
     if native._legs is None:
         return c_header("surefoot_beliefs.h", sizes, records)
-    sizes["CORNERS"] = int(native._legs["count"])
+    sizes["CORNERS"] = int(native._legs["points"])
     return c_header("surefoot_strapdown.h", sizes, records | {"sf_strapdown_config legs": native._legs})
 
 

@@ -77,8 +77,8 @@ def test_copies_and_saved_robots_go_on(tmp_path):
     for _ in range(120):
         env.step(still)
     env.save(tmp_path / "robot.npz")
-    beliefs = pickle.loads(pickle.dumps(env.robot.beliefs.believed))
-    np.testing.assert_array_equal(beliefs.com, env.robot.reference.com)
+    beliefs = pickle.loads(pickle.dumps(env.robot.beliefs))
+    np.testing.assert_array_equal(beliefs.info()["com"], env.robot.reference.com)
     one, two = env, copy.deepcopy(env)
     for _ in range(60):
         first, second = one.step(still), two.step(still)

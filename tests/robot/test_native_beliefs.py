@@ -19,6 +19,7 @@ from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.native import Record, compiler
 from surefoot.robot.beliefs.errors import BeliefErrors
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, nothing
@@ -32,6 +33,7 @@ PACKETS, PERIOD, DT, LATE = 2000, 0.01, 0.0125, 0.03
 ERRORS = BeliefErrors(mass=0.01, com=0.005)
 CLOSE = 1e-9
 SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
+CORNERS = np.random.default_rng(8).normal(size=(2, 4, 3)) * (0.06, 0.03, 0.001)
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
@@ -155,8 +157,14 @@ def same_info(expected: dict, found: dict) -> None:
         same(part, found[name], name)
 
 
-def same_state(expected: Beliefs, native: NativeBeliefs) -> None:
+def same_state(expected: Beliefs | MomentumBeliefs, native: NativeBeliefs) -> None:
     found = native.unpack()
+    if isinstance(expected, MomentumBeliefs):
+        for part in ("R", "velocity", "place", "spin_bias", "vertical_bias", "count"):
+            same(getattr(expected.strapdown, part), getattr(found.strapdown, part), part)
+        same(expected.ring, found.ring, "moved")
+        assert (expected.run, expected.number) == (found.run, found.number)
+        expected, found = expected.beliefs, found.beliefs
     same(expected._ring[:, :12], found._ring[:, :12], "ring")
     for part in ("forward", "spin", "spin_bias", "count"):
         same(getattr(expected._odometry, f"_{part}"), getattr(found._odometry, f"_{part}"), part)
@@ -174,19 +182,22 @@ def same_state(expected: Beliefs, native: NativeBeliefs) -> None:
 
 def numbers(beliefs: Beliefs | NativeBeliefs, now: float) -> np.ndarray:
     """All that one sample told, in a row."""
-    believed = beliefs.believed if isinstance(beliefs, Beliefs) else beliefs.believed.reference()
+    believed = beliefs.believed.reference() if isinstance(beliefs, NativeBeliefs) else beliefs.believed
     soles = np.concatenate(beliefs.soles(now))
     standing = beliefs.known and beliefs.standing
     return np.concatenate([*(part.ravel() for part in believed), soles, [beliefs.known, standing]])
 
 
+@pytest.mark.parametrize("momentum", [False, True])
 @pytest.mark.parametrize(("averaged", "lag", "plans"), [(True, 5, True), (False, 9, False)])
 @pytest.mark.parametrize(
     "name", [name if name == "nao" else pytest.param(name, marks=pytest.mark.slow) for name in ROBOTS]
 )
-def test_the_library_is_the_python(library, name, averaged, lag, plans):
+def test_the_library_is_the_python(library, name, averaged, lag, plans, momentum):
     model = robot(name)
     expected = python(model, averaged, lag)
+    if momentum:
+        expected = MomentumBeliefs(expected, CORNERS)
     native = NativeBeliefs(library, expected)
     packets, plan = motion(len(model.joint_names)), commands()
     heard, told = 0, ([], [])
