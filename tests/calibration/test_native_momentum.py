@@ -1,4 +1,4 @@
-"""The momentum filter in C against the Python that specifies it, and its header for a robot's own controller."""
+"""The momentum filter in C against the Python that specifies it, and its header for a controller."""
 
 import pickle
 import subprocess
@@ -151,10 +151,10 @@ def test_the_library_is_the_python(library, made, lag):
 
 def test_a_robot_that_is_held_is_said_to_be(library):
     _, native = robot(library, "cells", 0, "momentum")
-    log, state, flags = held(), native.init(), []
-    for k in range(SAMPLES):
-        flags.append(native.update(state, log.force[k], log.row(k), DT).flags[0] & Flag.HELD)
-    assert any(flags[AT + 40 : AT + 160]) and not any(flags[:AT])
+    log, state = held(), native.init()
+    flags = [native.update(state, log.force[k], log.row(k), DT).flags[0] & Flag.HELD for k in range(SAMPLES)]
+    assert any(flags[AT + 40 : AT + 160])
+    assert not any(flags[:AT])
 
 
 @pytest.mark.parametrize(
