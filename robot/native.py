@@ -67,7 +67,7 @@ class NativeSample:
         self._dtype, self._memory = told, np.zeros(library.places["told"][""][2], np.uint8)
         # What comes after the last number is room that this robot has no use for.
         self._part = self._memory[: told.itemsize]
-        self._parts, self._believed = view.parts, ("known", *(beliefs.believed.dtype.names or ()))
+        self._parts, self._believed = view.parts, ("known", *beliefs.believed.kind._fields)
         self._fields = itemgetter(*(told.names or ()))
         records = library.filled(
             "sample_records",
@@ -219,7 +219,7 @@ def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: 
             _OF_ESTIMATE + DETERMINED * native.constants.contact,
         ),
         "shown": (shown_dtype(library, view), view.parts),
-        "belief": (beliefs.believed.dtype, beliefs.believed.dtype.names or ()),
+        "belief": (beliefs.believed.dtype, beliefs.believed.kind._fields),
     }
     # Names alone would not do: an estimate's are shown as well.
     fields = [

@@ -376,13 +376,14 @@ int main(void) {
 """
 
 
-def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
+@pytest.mark.parametrize(("method", "show"), [("moment", SHOWN), ("momentum", PARTS)])
+def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, method, show):
     """With the library and without, whole episodes are the same; a held reference is NaN."""
     said, estimates = [], []
     for found in (library, None):
         for module in ("calibration.foot_calibrator", "robot.beliefs.native"):
             monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
-        env = SelfCalibration(FootSensors(make_bare()), show=SHOWN)
+        env = SelfCalibration(FootSensors(make_bare()), method, show=show)
         env.reset(seed=4)
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
         action, rows = np.zeros(env.action_space.shape, np.float32), []
@@ -408,6 +409,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
             assert (part.shape, part.dtype) == (two[0][name].shape, two[0][name].dtype), name
             np.testing.assert_allclose(part, two[0][name], rtol=1e-6, atol=1e-6, err_msg=name)
         same_info(one[4]["surefoot"]["reference"], two[4]["surefoot"]["reference"])
+        assert list(one[4]["surefoot"]) == list(two[4]["surefoot"])
     assert said[0][-1][0]["cop_valid"].any()
     assert said[0][-1][0]["cop"] is not said[0][-2][0]["cop"]
 
