@@ -35,7 +35,7 @@
 #define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
 
 /* Shares of a mixture that change no digit of it. */
-#define SF_LITTLE 1e-15
+#define SF_LITTLE 1e-12
 /* By how much the share of a variance may exceed 1 by rounding. */
 #define SF_EQUAL 1e-12
 /* Square of the share of an eigenvalue by which its direction may be off. */
@@ -120,13 +120,15 @@ typedef struct {
     sf_real U[4 * SF_REST * SF_REST], W[4 * SF_REST * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
     sf_real z[4 * SF_REST], x[4 * SF_CHANNELS];
     sf_real weight[16], evidence; /* of each severity, and of all together */
+    int sound[4];                 /* whether U is of numbers */
 } sf_compared;
 
 typedef struct {
     sf_modes belief, mixed;
     sf_momentum_rows rows;
     sf_compared compared[SF_MODES];
-    sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED], size[16]; /* of priors, and their determinants */
+    sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED]; /* of priors */
+    sf_real ahead[16]; /* logarithms of how likely severities are, and of their priors' determinants */
     sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_WEIGHED * SF_WEIGHED], room[4 * SF_STATES];
     sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_WEIGHED];
     sf_real turned[4 * SF_REST * SF_CHANNELS], quads[4 * SF_REST * SF_REST];
@@ -698,7 +700,8 @@ SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_
         }
     }
     for (int i = 0; i < SF_SEVERITIES; i++)
-        for (int l = 0; l < SF_SEVERITIES; l++) w->size[SF_SEVERITIES * i + l] = of[0][i] + of[1][l];
+        for (int l = 0; l < SF_SEVERITIES; l++)
+            w->ahead[SF_SEVERITIES * i + l] = sf_log(m->likely[i] * m->likely[l]) - (sf_real)0.5 * (of[0][i] + of[1][l]);
 }
 
 /* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. They
@@ -728,6 +731,11 @@ SF_API void sf_add_quads(sf_real *__restrict to, sf_real sign, const sf_real *fa
 SF_API void sf_scale_quads(sf_real *to, const sf_real by[4], int n) {
     for (int i = 0; i < 4 * n; i += 4)
         for (int l = 0; l < 4; l++) to[i + l] *= by[l];
+}
+
+/* to += the sums of n quadruples. */
+SF_API void sf_add_lanes(sf_real *to, const sf_real *quads, int n) {
+    for (int i = 0; i < n; i++) to[i] += (quads[4 * i] + quads[4 * i + 1]) + (quads[4 * i + 2] + quads[4 * i + 3]);
 }
 
 /* Overwrite A with U, A = U' U; the logarithms of the determinants, NaN of those that are not positive definite. */
@@ -905,6 +913,7 @@ SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_
         }
     }
     sf_factor_quads(d->U, E, sizes);
+    for (int l = 0; l < 4; l++) d->sound[l] = sizes[l] == sizes[l];
     sf_solve_quads(d->U, E, d->W, K, 0);
     sf_solve_quads(d->U, E, d->z, 1, 0);
     sf_real base[4] = {0, 0, 0, 0};
@@ -925,8 +934,7 @@ SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_
         for (int l = 0; l < 4; l++) {
             sf_real square = base[l], *out = d->weight + 4 * i + l;
             for (int k = 0; k < K; k++) square += y[4 * k + l] * y[4 * k + l];
-            *out = (sf_real)0.5 * (square - sizes[l] - own[l] - w->size[4 * i + l]) +
-                   sf_log(m->likely[i] * m->likely[l]) - mine;
+            *out = (sf_real)0.5 * (square - sizes[l] - own[l]) + w->ahead[4 * i + l] - mine;
             if (*out > best) best = *out; /* not of NaN */
         }
     }
@@ -949,10 +957,16 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
     int K = c->channels, M = sf_weighed(c), E = M - K;
     sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_WEIGHED], lane[4] = {0, 0, 0, 0};
     sf_real *turned = w->turned, *inverse = w->quads;
+    for (int l = 0; l < 4; l++) { /* of no weight, and in no number's way */
+        if (d->sound[l]) continue;
+        for (int k = 0; k < E * E; k++) d->U[4 * k + l] = (sf_real)(k % (E + 1) == 0);
+        for (int k = 0; k < E * K; k++) d->W[4 * k + l] = 0;
+        for (int e = 0; e < E; e++) d->z[4 * e + l] = 0;
+    }
     sf_solve_quads(d->U, E, d->W, K, 1);
     sf_solve_quads(d->U, E, d->z, 1, 1);
     for (int e = 0; e < E; e++)
-        for (int k = 0; k < 4 * K; k++) turned[4 * ((k / 4) * E + e) + k % 4] = d->W[4 * e * K + k];
+        for (int k = 0; k < K; k++) sf_copy(turned + 4 * (k * E + e), d->W + 4 * (e * K + k), 4);
     memset(mean, 0, (size_t)M * sizeof(sf_real));
     memset(shared, 0, (size_t)(4 * K * K) * sizeof(sf_real));
     memset(found, 0, (size_t)(16 * M) * sizeof(sf_real));
@@ -973,7 +987,10 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
             lane[l] += of[l];
         }
         sf_invert_quads(own, K, inverse);
-        for (int k = 0; k < 4 * K * K; k++) shared[k] += of[k % 4] > 0 ? of[k % 4] * inverse[k] : 0;
+        for (int l = 0; l < 4; l++)
+            for (int k = 0; size[l] != size[l] && k < K * K; k++) inverse[4 * k + l] = 0;
+        for (int k = 0; k < 4 * K * K; k += 4)
+            for (int l = 0; l < 4; l++) shared[k + l] += of[l] * inverse[k + l];
     }
     memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
     for (int which = 0; which < 16; which++)
@@ -984,15 +1001,15 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
         sf_add_rows(covariance + j * M, 1, apart, 1, found, M, 16, j + 1);
     }
     sf_invert_quads(d->U, E, inverse);
-    for (int i = 0; i < K; i++)
-        for (int k = 0; k < 4 * (i + 1); k++) covariance[i * M + k / 4] += lane[k % 4] > 0 ? shared[4 * i * K + k] : 0;
+    for (int i = 0; i < K; i++) sf_add_lanes(covariance + i * M, shared + 4 * i * K, i + 1);
     for (int e = 0; e < E; e++) {
         sf_real *out = covariance + (K + e) * M;
         memset(answer, 0, (size_t)(4 * K) * sizeof(sf_real));
         sf_add_quads(answer, -1, d->W + 4 * e * K, 4, shared, 4 * K, K, K);
-        for (int k = 0; k < 4 * (e + 1); k++) answer[4 * K + k] = lane[k % 4] * inverse[4 * e * E + k];
+        sf_copy(answer + 4 * K, inverse + 4 * e * E, 4 * (e + 1));
+        sf_scale_quads(answer + 4 * K, lane, e + 1);
         sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * E, K, e + 1);
-        for (int k = 0; k < 4 * (K + e + 1); k++) out[k / 4] += lane[k % 4] > 0 ? answer[k] : 0;
+        sf_add_lanes(out, answer, K + e + 1);
     }
 }
 

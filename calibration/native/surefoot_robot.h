@@ -184,9 +184,13 @@ SF_API void sf_copy(sf_real *to, const sf_real *from, int n) {
 }
 
 SF_API int sf_all_finite(const sf_real *values, int n) {
-    int finite = 1;
-    for (int i = 0; i < n; i++) finite &= sf_finite(values[i]);
-    return finite;
+    /* What is not finite leaves NaN; in four parts, as of sf_dot. */
+    sf_real off[4] = {0, 0, 0, 0};
+    int i = 0;
+    for (; i + 4 <= n; i += 4)
+        for (int l = 0; l < 4; l++) off[l] += values[i + l] - values[i + l];
+    for (; i < n; i++) off[0] += values[i] - values[i];
+    return off[0] == 0 && off[1] == 0 && off[2] == 0 && off[3] == 0;
 }
 
 /* Sums in four parts: one after the other would wait for every addition. */
