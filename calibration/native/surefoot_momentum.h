@@ -35,7 +35,7 @@
 #define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
 
 /* Shares of a mixture that change no digit of it. */
-#define SF_LITTLE 1e-12
+#define SF_LITTLE 1e-15
 /* By how much the share of a variance may exceed 1 by rounding. */
 #define SF_EQUAL 1e-12
 /* Square of the share of an eigenvalue by which its direction may be off. */
