@@ -59,14 +59,17 @@ def walk(
 def weights(
     weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
     out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
+    accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2; docs/weights.md)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
+    _check_reason(accept)
     with one_line_errors():
-        table, path = fit_weighings(weighings, weighings.with_suffix(".map.json") if out is None else out)
-    show([table], {"map": path}, as_json=as_json)
+        path = weighings.with_suffix(".map.json") if out is None else out
+        result = fit_weighings(weighings, path, accept or "")
+    show([result.table], {"map": result.path}, notices=result.notices, as_json=as_json)
 
 
 @app.command()

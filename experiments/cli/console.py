@@ -10,8 +10,6 @@ import typer
 from rich.console import Console
 from typer import Option
 
-from surefoot.calibration.results import CalibrationRefused
-
 console = Console()
 if not console.is_terminal:
     console = Console(width=160)
@@ -54,10 +52,10 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
         kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
         typer.echo(f"Stopped.{kept}", err=True)
         raise typer.Exit(130) from None
-    except CalibrationRefused as error:
-        fail(str(error), REFUSED)
     except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
+        from surefoot.calibration.results import CalibrationRefused
+
+        fail(str(error), REFUSED if isinstance(error, CalibrationRefused) else 2)
     except OSError as error:
         fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
 

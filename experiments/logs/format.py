@@ -130,7 +130,9 @@ def read_log(
     bare = description.motion is None and not _has_references(table)
     alone = feet_alone and bare
     names = counts if alone or description.motion is not None else names_of(layout)
-    values = check_columns(table, [*names, *(truth_names_of(layout) if has_truth else [])], _ALONE if bare else "")
+    values = check_columns(
+        table, [*names, *(truth_names_of(layout) if has_truth else [])], _ALONE if bare else ""
+    )
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
     if alone:

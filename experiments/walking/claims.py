@@ -32,7 +32,7 @@ WINDOW, WINDOWS = 20.0, 3  # longest stretch in s that one map must fit, as maps
 HELD = 0.25  # longest time in s over which a line is drawn between two readings of a channel
 TAIL = 4.0  # degrees of freedom of Student's t
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
-CROSSED = np.log(1e-6)  # of the probability that legs are crossed most of the time
+ABSURD = np.log(1e-6)  # of the probability that legs are crossed, or that a cell pulls where it is pushed
 FEWEST = 8  # rows below which nothing is said
 ITERATIONS = 12
 
@@ -132,7 +132,7 @@ def fit_claims(claims: Claims, without: int | None = None) -> Fit:
         return Fit(0.0, np.zeros(3), Parameters(ones, 0.0 * ones), 0)
     middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in parts), strict=True)]
     evidence, rows = sum(part.evidence for part in parts), sum(part.rows for part in parts)
-    evidence += CROSSED * _crossed(claims.reference)
+    evidence += ABSURD * _crossed(claims.reference)
     return Fit(evidence, middle[0], Parameters(*middle[1:]), rows)
 
 
@@ -171,7 +171,11 @@ def _rows(claims: Claims, without: int | None = None) -> _Rows:
     blocks = len(claims.raw) // size
     columns, asked = _ground(claims)
     force = claims.force
-    whole = np.isfinite(force).all(axis=1) & np.isfinite(asked).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
+    whole = (
+        np.isfinite(force).all(axis=1)
+        & np.isfinite(asked).all(axis=1)
+        & np.isfinite(columns).all(axis=(1, 2))
+    )
     share = whole[: blocks * size].reshape(blocks, size).astype(float)
     kept = share.sum(axis=1) > 0.0
     share = share[kept] / share[kept].sum(axis=1, keepdims=True)
@@ -213,7 +217,10 @@ def _ground(claims: Claims) -> tuple[Floats, Floats]:
     f = np.einsum("nfij,fjk->nfik", R, wrench_map[:, :3])
     arm = position - np.column_stack([reference.com[:, :2], ground])[:, None]
     t = np.einsum("nfij,fjk->nfik", R, wrench_map[:, 3:]) + np.cross(arm[..., None], f, axis=2)
-    (x, y, z), spin = reference.com_acceleration.T / GRAVITY, reference.angular_momentum_rate.T / claims.weight
+    (x, y, z), spin = (
+        reference.com_acceleration.T / GRAVITY,
+        reference.angular_momentum_rate.T / claims.weight,
+    )
     height = reference.com[:, 2] - ground
     asked = np.column_stack([z + 1.0, spin[0] - height * y, spin[1] + height * x, x, y])
     seen = 5 if (wrench_map != 0.0).any(axis=2).all() else 3
@@ -274,4 +281,5 @@ def _fit_with(rows: _Rows, claims: Claims, width: float) -> Fit:
     likelihood = usual - np.log(s[rows.kind]) - (TAIL + 1.0) / 2.0 * np.log1p(z**2 / TAIL)
     evidence = share * likelihood.sum() - 0.5 * u @ u - 0.5 * np.linalg.slogdet(information)[1]
     theta = start + std * u
+    evidence += ABSURD * float((theta[:K] < 0.0).sum())
     return Fit(float(evidence), s * (number > 0), Parameters(theta[:K], theta[K : 2 * K]), rows.blocks)

@@ -133,7 +133,11 @@ def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
 
 
 def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
-    for factor, text in ((2.0, "64 in place of 128"), (4.0, "32 in place of 128"), (0.5, "128 in place of 64")):
+    for factor, text in (
+        (2.0, "64 in place of 128"),
+        (4.0, "32 in place of 128"),
+        (0.5, "128 in place of 64"),
+    ):
         yield Hypothesis(
             "gain",
             f"all forces are {1 / factor:g} times as large as they should be: the amplifiers' gain is {text}",

@@ -149,9 +149,13 @@ def _decide(
         cure = f"{cure[0].upper()}{cure[1:]}."
         return [Finding(best.hypothesis.kind, reason, cure, gain, limit, contradicts=True)]
     if other.fit.evidence - plain.evidence > 2.0 * limit and other.fit.worst <= SOUND:
-        reason = f"One trouble explains best why the log does not fit itself ({seen}): {other.hypothesis.cause}."
+        reason = (
+            f"One trouble explains best why the log does not fit itself ({seen}): {other.hypothesis.cause}."
+        )
         cure = other.hypothesis.cure
-        return [Finding("channel", reason, f"{cure[0].upper()}{cure[1:]}.", plain.worst, SOUND, refuses=False)]
+        return [
+            Finding("channel", reason, f"{cure[0].upper()}{cure[1:]}.", plain.worst, SOUND, refuses=False)
+        ]
     if plain.worst > SOUND:
         parts = [fit for one in thirds(claims) if (fit := fit_claims(one)).rows]
         refuses = plain.worst > GROSS and all(fit.worst > SOUND for fit in parts)
@@ -167,7 +171,9 @@ def _decide(
 def _percent(probability: float) -> str:
     if probability > SHOWN:
         return f"more than {100 * SHOWN:.1f} %"
-    return f"{100 * probability:.2g} %" if probability > 1.0 - SHOWN else f"less than {100 * (1 - SHOWN):.1f} %"
+    return (
+        f"{100 * probability:.2g} %" if probability > 1.0 - SHOWN else f"less than {100 * (1 - SHOWN):.1f} %"
+    )
 
 
 def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:
