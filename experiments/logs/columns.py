@@ -19,6 +19,7 @@ _VECTORS = {
     "gyroscope": "rad_s",
 }
 PHASES = ("stance", "swing")
+"""Contacts that a robot is sure of; a foot in between is neither."""
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}
 
 
@@ -42,6 +43,7 @@ def _vector_names(quantity: str) -> list[str]:
 
 
 def phase_names(layout: FeetLayout, phase: str) -> list[str]:
+    """Return the names of the columns of ``stance`` or ``swing``."""
     return [f"reference_{slug(foot.name)}_{phase}" for foot in layout.feet]
 
 

@@ -129,10 +129,9 @@ def read_log(
     counts = ["time_s", *raw_names_of(layout)]
     bare = description.motion is None and not _has_references(table)
     alone = feet_alone and bare
-    names = counts if alone or description.motion is not None else names_of(layout)
-    values = check_columns(
-        table, [*names, *(truth_names_of(layout) if has_truth else [])], _ALONE if bare else ""
-    )
+    names = [*counts] if alone or description.motion is not None else names_of(layout)
+    names += truth_names_of(layout) if has_truth else []
+    values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
     if alone:
@@ -154,7 +153,7 @@ def read_log(
     )
 
 
-_ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
+ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
 
 
 def _has_references(table: LogTable) -> bool:

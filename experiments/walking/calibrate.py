@@ -64,10 +64,10 @@ def calibrate_log(
     """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
 
     Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``;
-    ``ros2`` adds a file of parameters for a ROS 2 node; ``accept`` is the reason to go on past what is refused,
-    which all files say. ``start`` is the name of a map, or a JSON file that holds one.
-    Raises LogError if there is no such map or the feet's total cannot be in newtons, CalibrationRefused if the
-    log contradicts itself, ValueError if there is no such method or nothing to score.
+    ``ros2`` adds a file of parameters for a ROS 2 node; ``accept`` is the reason to go on past what is
+    refused, which all files say. ``start`` is the name of a map, or a JSON file that holds one.
+    Raises LogError if there is no such map or the feet's total cannot be in newtons, CalibrationRefused if
+    the log contradicts itself, ValueError if there is no such method or nothing to score.
     """
     method, about = method_name(method), log.about
     plain = plain_name(method)  # for files: some systems have no ':' in names

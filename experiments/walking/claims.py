@@ -6,14 +6,15 @@ Euler ask for (CoP paper, Eqs. 6, 7), and nothing on a foot in the air. The fit 
 
 Rows are means over :data:`BLOCK` s. Their residuals count as drawn from Student's t distribution, whose scale
 is found for each kind of row and is never below what a sound log has; errors of a robot's beliefs last for
-:data:`LASTING` s, so that a row counts for less than one. With the prior of the map, log evidence in Laplace's
-approximation is
+:data:`LASTING` s, so that a row counts for less than one. With the prior of the map, log evidence in
+Laplace's approximation is
 
     ln Z = sum_k w ln t(r_k / s) - 1/2 theta' P theta - 1/2 ln det(P + H' W H) + 1/2 ln det P,
 
 and two readings of the same log, as it is and with the feet exchanged, say, compare by it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -34,7 +35,7 @@ TAIL = 4.0  # degrees of freedom of Student's t
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 ABSURD = np.log(1e-6)  # of the probability that legs are crossed, or that a cell pulls where it is pushed
 FEWEST = 8  # rows below which nothing is said
-ITERATIONS = 12
+ITERATIONS, SETTLED = 12, 1e-2  # of the fit; change of a scale of residuals at which it ends
 
 FORCE, COP, AIR = 0.016, 2.5e-3, 0.005
 """Least scale of residuals: vertical force in weights, centre of pressure in m (both as the moment filter
@@ -121,17 +122,23 @@ class _Rows(NamedTuple):
     blocks: int
 
 
-def fit_claims(claims: Claims, without: int | None = None) -> Fit:
+def fit_claims(claims: Claims, without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:
     """Fit claims in up to :data:`WINDOWS` windows, each by a map of its own, and add up the evidence.
 
-    ``without`` is a channel that is left out: what it bears is open at every moment.
+    ``without`` is a channel that is left out: what it bears is open at every moment. Of the ``widths`` of the
+    map's prior the likeliest counts.
     """
-    parts = [part for one in _windows(claims) if (part := _fit(_rows(one, without), one)) is not None]
+    parts = []
+    for one in map(_condense, _windows(claims)):
+        written = _rows(one, without)
+        if written.blocks >= FEWEST:
+            fits = [_fit_with(written, one, width) for width in widths]
+            parts.append(max(fits, key=lambda fit: fit.evidence))
     if not parts:
         ones = np.ones(claims.raw.shape[1])
         return Fit(0.0, np.zeros(3), Parameters(ones, 0.0 * ones), 0)
     middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in parts), strict=True)]
-    evidence, rows = sum(part.evidence for part in parts), sum(part.rows for part in parts)
+    evidence, rows = float(sum(part.evidence for part in parts)), sum(part.rows for part in parts)
     evidence += ABSURD * _crossed(claims.reference)
     return Fit(evidence, middle[0], Parameters(*middle[1:]), rows)
 
@@ -165,31 +172,36 @@ def _cut(claims: Claims, where: slice) -> Claims:
     return replace(claims, raw=claims.raw[where], reference=reference)
 
 
-def _rows(claims: Claims, without: int | None = None) -> _Rows:
-    """Write the rows of one window; unknowns are a and b of K channels, the centre of mass and the mass."""
+def _condense(claims: Claims) -> Claims:
+    """Return means over blocks of samples that hold everything; a foot swings in all of a block or not."""
     size = max(1, round(BLOCK / claims.dt))
     blocks = len(claims.raw) // size
-    columns, asked = _ground(claims)
-    force = claims.force
-    whole = (
-        np.isfinite(force).all(axis=1)
-        & np.isfinite(asked).all(axis=1)
-        & np.isfinite(columns).all(axis=(1, 2))
+    end, reference = blocks * size, claims.reference
+    named = ("com", "com_acceleration", "angular_momentum_rate", "position_sole", "R_level_sole")
+    parts = [claims.raw, *(np.asarray(getattr(reference, name)) for name in named)]
+    flat = np.concatenate([part[:end].reshape(end, -1) for part in parts], axis=1)
+    whole = np.isfinite(flat).all(axis=1).astype(float).reshape(blocks, size)
+    kept = whole.sum(axis=1) > 0.0
+    share = whole[kept] / whole[kept].sum(axis=1, keepdims=True)
+    means = np.einsum("bs,bsc->bc", share, np.nan_to_num(flat).reshape(blocks, size, -1)[kept])
+    edges = np.cumsum([part[0].size for part in parts])[:-1]
+    raw, *found = (
+        values.reshape(-1, *part.shape[1:])
+        for values, part in zip(np.split(means, edges, axis=1), parts, strict=True)
     )
-    share = whole[: blocks * size].reshape(blocks, size).astype(float)
-    kept = share.sum(axis=1) > 0.0
-    share = share[kept] / share[kept].sum(axis=1, keepdims=True)
+    swing = np.asarray(reference.swing)[:end].reshape(blocks, size, -1)[kept].all(axis=1)
+    beliefs = reference._replace(**dict(zip(named, found, strict=True)), swing=swing, stance=~swing)
+    return replace(claims, raw=raw, reference=beliefs)
 
-    def mean(values: Floats) -> Floats:
-        parts = np.nan_to_num(values[: blocks * size]).reshape(blocks, size, *values.shape[1:])[kept]
-        found: Floats = np.einsum("bs,bs...->b...", share, parts)
-        return found
 
-    swing = mean(np.asarray(claims.reference.swing, dtype=float)) == 1.0
+def _rows(claims: Claims, without: int | None = None) -> _Rows:
+    """Write the rows of blocks; unknowns are a and b of K channels, the centre of mass and the mass."""
+    columns, asked = _ground(claims)
+    force, swing = claims.force, claims.reference.swing
     # Where all feet are in the air nobody knows what else bears the robot.
     stands = ~swing.all(axis=1)
-    y = mean(asked)[stands]
-    by_scale, by_offset = mean(columns * force[:, None, :])[stands], mean(columns)[stands]
+    y, by_offset = asked[stands], columns[stands]
+    by_scale = by_offset * force[stands][:, None, :]
     own = np.zeros((len(y), y.shape[1], 3))  # of the centre of mass (2) and the mass
     own[:, 1, 1], own[:, 2, 0], own[:, :, 2] = -y[:, 0], y[:, 0], -y
     H = np.concatenate([by_scale / claims.weight, by_offset, own], axis=2)
@@ -199,10 +211,10 @@ def _rows(claims: Claims, without: int | None = None) -> _Rows:
         # Two directions of three (or more) that the channel does not act along.
         Q = np.linalg.svd((by_offset[:, :, without] / floor[:, 0])[:, :, None])[0][:, :, 1:]
         H, y, kind = np.einsum("nij,nik->njk", Q, H), np.einsum("nij,ni->nj", Q, y), kind[1:]
-    air, y_air = _hanging(claims, swing, mean(force), without)
+    air, y_air = _hanging(claims, swing, force, without)
     H = np.concatenate([H.reshape(-1, H.shape[2]), air])
     kinds = np.concatenate([np.tile(kind, len(y)), np.full(len(air), 2)])
-    return _Rows(H, np.concatenate([y.ravel(), y_air]), kinds, int(kept.sum()))
+    return _Rows(H, np.concatenate([y.ravel(), y_air]), kinds, len(force))
 
 
 def _ground(claims: Claims) -> tuple[Floats, Floats]:
@@ -247,13 +259,6 @@ def _hanging(
     return H, (mean[channel] - force[block, channel]) / unit[channel]
 
 
-def _fit(rows: _Rows, claims: Claims) -> Fit | None:
-    """Fit one window by the likelier of the priors; ``None`` if there are too few rows."""
-    if rows.blocks < FEWEST:
-        return None
-    return max((_fit_with(rows, claims, width) for width in WIDTHS), key=lambda fit: fit.evidence)
-
-
 def _fit_with(rows: _Rows, claims: Claims, width: float) -> Fit:
     K = claims.raw.shape[1]
     offset = width * OFFSET * np.where(_torques(claims.wrench_map), claims.length, 1.0)
@@ -274,12 +279,14 @@ def _fit_with(rows: _Rows, claims: Claims, width: float) -> Fit:
         u = np.linalg.solve(information, WH.T @ y)
         r = H @ u - y
         power = np.bincount(rows.kind, weight * r**2, minlength=3) / np.maximum(number, 1)
-        s = np.maximum(1.0, np.sqrt(power))
+        before, s = s, np.maximum(1.0, np.sqrt(power))
+        if np.abs(s / before - 1.0).max() < SETTLED:
+            break
     # A row that is as noisy as assumed counts 0 on average: predictions that come true are worth something.
     usual = (TAIL + 1.0) / 2.0 * (digamma((TAIL + 1.0) / 2.0) - digamma(TAIL / 2.0))
     z = r / s[rows.kind]
     likelihood = usual - np.log(s[rows.kind]) - (TAIL + 1.0) / 2.0 * np.log1p(z**2 / TAIL)
-    evidence = share * likelihood.sum() - 0.5 * u @ u - 0.5 * np.linalg.slogdet(information)[1]
+    evidence = float(share * likelihood.sum() - 0.5 * u @ u - 0.5 * np.linalg.slogdet(information)[1])
     theta = start + std * u
     evidence += ABSURD * float((theta[:K] < 0.0).sum())
-    return Fit(float(evidence), s * (number > 0), Parameters(theta[:K], theta[K : 2 * K]), rows.blocks)
+    return Fit(evidence, s * (number > 0), Parameters(theta[:K], theta[K : 2 * K]), rows.blocks)

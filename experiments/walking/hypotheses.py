@@ -20,6 +20,7 @@ DELAY = "feet late or early"
 LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
 LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
 POUND = 0.45359237  # in kg
+ANYWHERE = 0.1  # std in m of a centre of mass of which nothing is known but the robot
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
     yield from _signs(layout)
     yield from _sizes(layout)
     yield from _times()
-    yield from _beliefs(len(layout.feet))
+    yield from _beliefs()
 
 
 def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
@@ -155,7 +156,7 @@ def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
             each[where] = factor
             yield Hypothesis(
                 "gain of one foot",
-                f"the forces of the {foot.name} foot alone are {1 / factor:g} times as large as they should be",
+                f"the forces of the {foot.name} foot are {1 / factor:g} times as large as they should be",
                 f"multiply its scale_N_per_count by {factor:g} and give the offsets that belong to it",
                 partial(_multiply, factor=each),
             )
@@ -198,98 +199,74 @@ def _times() -> Iterator[Hypothesis]:
         )
 
 
-def _beliefs(feet: int) -> Iterator[Hypothesis]:
-    def of(kind: str, cause: str, cure: str, change: Callable[[Reference], Reference]) -> Hypothesis:
-        return Hypothesis(kind, cause, cure, partial(_believe, change=change))
-
-    up = np.array([0.0, 0.0, GRAVITY])
-    columns = "reference_com_acceleration"
-    acceleration: dict[tuple[str, str, str], Callable[[Floats], Floats]] = {
-        ("acceleration negated", f"columns '{columns}_...' have the other sign", "turn it round"): lambda a: -a,
-        ("acceleration with gravity", f"columns '{columns}_...' have gravity in them",
-         f"subtract {GRAVITY} m/s^2 from z"): lambda a: a - up,
-        ("acceleration with gravity", f"gravity was subtracted twice from columns '{columns}_...'",
-         f"add {GRAVITY} m/s^2 to z"): lambda a: a + up,
-        ("acceleration in g", f"columns '{columns}_...' are in g",
-         f"multiply them by {GRAVITY}"): lambda a: GRAVITY * a,
-        ("acceleration in g", f"columns '{columns}_...' are in g and have gravity in them",
-         f"subtract 1 from z and multiply by {GRAVITY}"): lambda a: GRAVITY * a - up,
-        ("acceleration in other units", f"columns '{columns}_...' are in cm/s^2",
-         "divide them by 100"): lambda a: 0.01 * a,
-        ("acceleration in other units", f"columns '{columns}_...' are in mm/s^2",
-         "divide them by 1000"): lambda a: 0.001 * a,
-    }  # fmt: skip
-    for (kind, cause, cure), change in acceleration.items():
-        yield of(kind, cause, cure, partial(_change, fields=("com_acceleration",), change=change))
-    # An IMU that is turned turns the specific force, gravity with it.
-    for signs in ((-1, -1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, -1), (1, 1, -1), (-1, 1, 1), (1, -1, 1)):
-        axes = ", ".join(axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0)
-        turned = {(-1, -1, 1): "z", (1, -1, -1): "x", (-1, 1, -1): "y"}.get(signs)
-        cause = (
-            f"the IMU is turned by 180 degrees about {turned}"
-            if turned
-            else f"the accelerometer's {axes} {'has' if len(axes) == 1 else 'have'} the other sign"
-        )
-        s = np.array(signs, dtype=float)
-        yield of(
-            "IMU turned" if turned else "accelerometer negated",
-            cause,
-            "give the IMU's axes as it is mounted",
-            partial(_change, fields=("com_acceleration",), change=lambda a, s=s: s * (a + up) - up),
-        )
-    for name, R in (
-        ("by 90 degrees", np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])),
-        ("by -90 degrees", np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])),
-        ("by 180 degrees", np.diag([-1.0, -1, 1])),
-    ):
-        yield of(
-            "IMU turned", f"the IMU is turned {name} about z", "give the IMU's axes as it is mounted",
-            partial(_change, fields=("com_acceleration",), change=lambda a, R=R: a @ R.T),
-        ) if "90" in name else of(
+def _beliefs() -> Iterator[Hypothesis]:
+    """Yield mistakes of references, each as a linear map of vectors: gravity g is added before or after."""
+    one, no, g = np.eye(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY])
+    named = "columns 'reference_com_acceleration_...'"
+    accelerations = (
+        # kind, cause, cure, and a' = A (a + before) - after
+        ("acceleration negated", f"{named} have the other sign", "turn it round", -one, no, no),
+        ("acceleration with gravity", f"{named} have gravity in them", f"subtract {GRAVITY} from z",
+         one, no, g),
+        ("acceleration with gravity", f"gravity was subtracted twice from {named}", f"add {GRAVITY} to z",
+         one, g, no),
+        ("acceleration in g", f"{named} are in g", f"multiply them by {GRAVITY}", GRAVITY * one, no, no),
+        ("acceleration in g", f"{named} are in g and have gravity in them",
+         f"subtract 1 from z and multiply by {GRAVITY}", GRAVITY * one, no, g),
+        ("acceleration in other units", f"{named} are in cm/s^2", "divide them by 100", one / 100, no, no),
+        ("acceleration in other units", f"{named} are in mm/s^2", "divide them by 1000", one / 1000,
+         no, no),
+    )  # fmt: skip
+    mounted = "give the IMU's axes as it is mounted"
+    # An IMU that is turned turns the specific force, and gravity with it.
+    turns = [("IMU turned", f"the IMU is turned by 180 degrees about {axis}", mounted, np.diag(signs), g, g)
+             for axis, signs in (("x", (1, -1, -1)), ("y", (-1, 1, -1)), ("z", (-1, -1, 1)))]  # fmt: skip
+    turns += [("IMU turned", f"the IMU is turned by {90 * side} degrees about z", mounted, R, g, g)
+              for side, R in ((1, _QUARTER), (-1, _QUARTER.T))]  # fmt: skip
+    turns += [("accelerometer negated", f"the accelerometer's {axes} of the other sign", mounted,
+               np.diag(signs), g, g)
+              for axes, signs in (("x is", (-1, 1, 1)), ("y is", (1, -1, 1)), ("z is", (1, 1, -1)),
+                                  ("x, y and z are", (-1, -1, -1)))]  # fmt: skip
+    for kind, cause, cure, A, before, after in (*accelerations, *turns):
+        change = partial(_accelerate, A=np.asarray(A, dtype=float), before=before, after=after)
+        yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
+    for angle, R in ((90, _QUARTER), (-90, _QUARTER.T), (180, np.diag([-1.0, -1.0, 1.0]))):
+        yield Hypothesis(
             "references turned",
-            f"centre of mass and acceleration are turned {name} against the soles",
+            f"centre of mass and acceleration are turned by {angle} degrees against the soles",
             "give all references in one level frame",
-            partial(_turn, R=R),
-        )  # fmt: skip
-        if "90" in name:
-            yield of(
-                "references turned",
-                f"centre of mass and acceleration are turned {name} against the soles",
-                "give all references in one level frame",
-                partial(_turn, R=R),
-            )
-    for fields, what in (
-        (("com", "com_acceleration"), "centre of mass and acceleration"),
-        (("com",), "the centre of mass"),
-        (("com_acceleration",), "the centre of mass's acceleration"),
-    ):
-        yield of(
-            "axes exchanged",
-            f"x and y of {what} are exchanged",
-            "exchange the columns",
-            partial(_change, fields=fields, change=lambda a: a[:, [1, 0, 2]]),
+            partial(_believe, change=partial(_turn, R=R)),
         )
-    for axis, sign in (("x", (-1, 1, 1)), ("y", (1, -1, 1))):
-        s = np.array(sign, dtype=float)
-        yield of(
-            "centre of mass mirrored",
-            f"{axis} of the centre of mass has the other sign",
-            "turn it round",
-            partial(_change, fields=("com",), change=lambda a, s=s: s * a),
-        )
-    for factor, unit in ((0.001, "millimetres"), (0.01, "centimetres")):
-        yield of(
-            "centre of mass in other units",
-            f"columns 'reference_com_...' are in {unit}",
-            f"multiply them by {factor:g}",
-            partial(_change, fields=("com",), change=lambda a, f=factor: f * a),
-        )
+    exchanged, axes = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), "exchange the columns of x and y"
+    yield Hypothesis(
+        "axes exchanged", "x and y of centre of mass and acceleration are exchanged", axes,
+        partial(_believe, change=partial(_turn, R=exchanged, spin=False)),
+    )  # fmt: skip
+    change = partial(_accelerate, A=exchanged, before=no, after=no)
+    yield Hypothesis("axes exchanged", "x and y of the acceleration are exchanged", axes,
+                     partial(_believe, change=change))  # fmt: skip
+    places = (
+        ("axes exchanged", "x and y of the centre of mass are exchanged", axes, exchanged),
+        ("centre of mass mirrored", "x of the centre of mass has the other sign", "turn it round",
+         np.diag([-1.0, 1, 1])),
+        ("centre of mass mirrored", "y of the centre of mass has the other sign", "turn it round",
+         np.diag([1.0, -1, 1])),
+        ("centre of mass in other units", "columns 'reference_com_...' are in millimetres",
+         "divide them by 1000", one / 1000),
+        ("centre of mass in other units", "columns 'reference_com_...' are in centimetres",
+         "divide them by 100", one / 100),
+    )  # fmt: skip
+    for kind, cause, cure, A in places:
+        yield Hypothesis(kind, cause, cure, partial(_believe, change=partial(_place_com, A=A)))
     yield Hypothesis(
         "centre of mass off",
         "the centre of mass is not where the references say",
         "see in which frame it is, and from which origin",
-        lambda claims: replace(claims, com_std=0.1),
+        partial(replace, com_std=ANYWHERE),
     )
+
+
+_QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
 def _order(claims: Claims, order: Any) -> Claims:
@@ -332,20 +309,21 @@ def _believe(claims: Claims, change: Callable[[Reference], Reference]) -> Claims
     return replace(claims, reference=change(claims.reference))
 
 
-def _change(reference: Reference, fields: tuple[str, ...], change: Callable[[Floats], Floats]) -> Reference:
-    """Change vectors that are counted from below the middle of the soles."""
+def _accelerate(reference: Reference, A: Floats, before: Floats, after: Floats) -> Reference:
+    acceleration = (reference.com_acceleration + before) @ A.T - after
+    return reference._replace(com_acceleration=acceleration)
+
+
+def _place_com(reference: Reference, A: Floats) -> Reference:
+    """Change the centre of mass, counted from the ground below the middle of the soles."""
     middle = np.zeros_like(reference.com)
     middle[:, :2] = reference.position_sole[:, :, :2].mean(axis=1)
-    found = {}
-    for field in fields:
-        value = getattr(reference, field)
-        found[field] = middle + change(value - middle) if field == "com" else change(value)
-    return reference._replace(**found)
+    return reference._replace(com=middle + (reference.com - middle) @ A.T)
 
 
-def _turn(reference: Reference, R: Floats) -> Reference:
-    turned = _change(reference, ("com", "com_acceleration"), lambda a: a @ R.T)
-    return turned._replace(angular_momentum_rate=reference.angular_momentum_rate @ R.T)
+def _turn(reference: Reference, R: Floats, spin: bool = True) -> Reference:
+    turned = _place_com(reference, R)._replace(com_acceleration=reference.com_acceleration @ R.T)
+    return turned._replace(angular_momentum_rate=reference.angular_momentum_rate @ R.T) if spin else turned
 
 
 def _exchange_contacts(reference: Reference) -> Reference:

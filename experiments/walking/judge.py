@@ -17,13 +17,26 @@ from surefoot.calibration import Parameters
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.walking.claims import AIR, COP, FORCE, Claims, Fit, claims_of, fit_claims, thirds
+from surefoot.experiments.walking.claims import (
+    AIR,
+    COP,
+    FORCE,
+    WIDTHS,
+    Claims,
+    Fit,
+    claims_of,
+    fit_claims,
+    thirds,
+)
 from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
 
 ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
+HINT = 1e3  # odds from which it is a notice
 SOUND, GROSS = 2.0, 6.0
 """Scales of residuals in those of a sound log: up to the first a log fits; from the second on it contradicts
 itself whatever the cause (15 mm, a tenth of the weight)."""
+TRIED = 200  # hypotheses, roughly
+CLOSER = 8  # hypotheses of the likeliest kind, and of others, that are looked at more closely
 LENGTH = 0.2  # of a foot in m where nothing says it
 SHOWN = 0.999  # the surest that a sentence says
 FOOT, PLATE = 0.5, 2.0  # m from the sole's origin beyond which no cell of a foot, or of a plate, is
@@ -97,7 +110,12 @@ def _length(log: Log) -> float:
 
 
 def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explanation]:
-    """Fit the log by each hypothesis, and return them by falling likelihood."""
+    """Fit the log by each hypothesis, and return the likeliest by falling likelihood."""
+    # One prior is enough to see which are worth a closer look.
+    rough = [fit_claims(one.undo(claims), widths=WIDTHS[-1:]).evidence for one in tried]
+    tried = [tried[i] for i in np.argsort(rough)[::-1]]
+    others = [one for one in tried if one.kind != tried[0].kind]
+    tried = [*[one for one in tried if one.kind == tried[0].kind][:CLOSER], *others[:CLOSER]]
     fits = [fit_claims(one.undo(claims)) for one in tried]
     evidence = np.array([plain.evidence, *(fit.evidence for fit in fits)])
     likely = np.exp(evidence - evidence.max())
@@ -132,30 +150,31 @@ def _quiet(claims: Claims) -> Iterator[Claims]:
 def _decide(
     claims: Claims, plain: Fit, explanations: list[Explanation], broken: list[Explanation]
 ) -> list[Finding]:
+    """Return what to say of a log: the mistake that mends it, a trouble of one channel, or nothing."""
     best, other = explanations[0], broken[0]
-    gain = best.fit.evidence - max(plain.evidence, other.fit.evidence)
-    limit = float(np.log(ODDS * len(explanations)))
+    limit, hint = (float(np.log(odds * TRIED)) for odds in (ODDS, HINT))
+    gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))
     seen = _figures(plain)
-    if gain > limit and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
+    if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
+        mistake, clear = best.hypothesis, min(gain, lead) > limit
         # Delays that are near each other are one cause.
-        near = [one for one in explanations[1:] if one.hypothesis.kind == best.hypothesis.kind == DELAY]
+        near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
         second = next(one for one in explanations[1:] if one not in near)
+        rest = f"the next, {_percent(second.probability)}: {second.hypothesis.cause}"
+        sure = f"probability {_percent(sum(one.probability for one in (best, *near)))}"
+        if not clear:
+            sure = "which the log does not settle"
+            rest = f"or {other.hypothesis.cause}" if lead < hint else rest
         reason = (
             f"Readings, layout, mass and motion contradict each other ({seen}). The likeliest cause: "
-            f"{best.hypothesis.cause} (probability {_percent(best.probability + sum(o.probability for o in near))}; "
-            f"the next, {_percent(second.probability)}: {second.hypothesis.cause})."
+            f"{mistake.cause} ({sure}; {rest})."
         )
-        cure = best.hypothesis.cure
-        cure = f"{cure[0].upper()}{cure[1:]}."
-        return [Finding(best.hypothesis.kind, reason, cure, gain, limit, contradicts=True)]
+        cure = _sentence(mistake.cure)
+        return [Finding(mistake.kind, reason, cure, gain, limit, refuses=clear, contradicts=True)]
     if other.fit.evidence - plain.evidence > 2.0 * limit and other.fit.worst <= SOUND:
-        reason = (
-            f"One trouble explains best why the log does not fit itself ({seen}): {other.hypothesis.cause}."
-        )
-        cure = other.hypothesis.cure
-        return [
-            Finding("channel", reason, f"{cure[0].upper()}{cure[1:]}.", plain.worst, SOUND, refuses=False)
-        ]
+        reason = f"The log does not fit itself as well as it might ({seen}): {other.hypothesis.cause}."
+        cure = _sentence(other.hypothesis.cure)
+        return [Finding(other.hypothesis.kind, reason, cure, plain.worst, SOUND, refuses=False)]
     if plain.worst > SOUND:
         parts = [fit for one in thirds(claims) if (fit := fit_claims(one)).rows]
         refuses = plain.worst > GROSS and all(fit.worst > SOUND for fit in parts)
@@ -168,12 +187,16 @@ def _decide(
     return []
 
 
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
 def _percent(probability: float) -> str:
     if probability > SHOWN:
-        return f"more than {100 * SHOWN:.1f} %"
-    return (
-        f"{100 * probability:.2g} %" if probability > 1.0 - SHOWN else f"less than {100 * (1 - SHOWN):.1f} %"
-    )
+        return f"more than {100.0 * SHOWN:.1f} %"
+    if probability < 1.0 - SHOWN:
+        return f"less than {100.0 * (1.0 - SHOWN):.1f} %"
+    return f"{100.0 * probability:.3g} %"
 
 
 def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:

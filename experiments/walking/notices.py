@@ -121,23 +121,25 @@ def result_notices(
         why = "The log may be too short, or no foot surely stands or swings: see the flags."
         if unread > SPARSE:
             why = (
-                f"{100 * unread:.0f} % of the readings are missing, and a method learns from rows in which all "
-                "channels were read; if the converters are slower than the rows, write rows at their rate."
+                f"{100 * unread:.0f} % of the readings are missing, and a method learns from rows in which "
+                "all channels were read; if the converters are slower than the rows, write rows at their "
+                "rate."
             )
         elif refused > SPARSE:
             why = f"{100 * refused:.0f} % of the samples ask for what no sensor does."
         found.append(f"nothing was learnt: the {method} map is the one at the start. {why}")
     elif unread > SPARSE:
         found.append(
-            f"{100 * unread:.0f} % of the readings are missing; the last ones are held in between, and less is "
-            "learnt. If the converters are slower than the rows, write rows at their rate."
+            f"{100 * unread:.0f} % of the readings are missing; the last ones are held in between, and less "
+            "is learnt. If the converters are slower than the rows, write rows at their rate."
         )
     ratio = np.asarray(estimate.scale[-1]) / np.asarray(initial.scale)
-    for name in (raw_names_of(log.layout)[i] for i in np.flatnonzero(ratio < 0.0)):
-        found.append(
-            f"the scale of column '{name}' changed its sign, which no cell's drift does: see whether cells or "
-            "feet are exchanged before you use this map."
-        )
+    found += [
+        f"the scale of column '{name}' changed its sign, which no cell's drift does: see whether cells or "
+        "feet are exchanged before you use this map."
+        for name, change in zip(raw_names_of(log.layout), ratio, strict=True)
+        if change < 0.0
+    ]
     common = float(np.median(ratio))
     if common > COMMON or 0.0 < common < 1.0 / COMMON:
         found.append(

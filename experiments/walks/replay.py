@@ -58,8 +58,8 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
 def with_map(log: Log, path: Path) -> Log:
     """Return a log whose calibrated map is that of a JSON file, as ``surefoot calibrate`` writes one.
 
-    Channels go by their names as they stand in columns (``left_front_left``) or in the layout. Raises LogError
-    if the file holds no map, or not one for every channel.
+    Channels go by their names as they stand in columns (``left_front_left``) or in the layout. Raises
+    LogError if the file holds no map, or not one for every channel.
     """
     given = parse_json(read_text(path, LogError), f"{path.name}: the map", LogError)
     try:
@@ -68,15 +68,15 @@ def with_map(log: Log, path: Path) -> Log:
         maps = dict(zip(names, zip(*values, strict=True), strict=True))
     except (KeyError, TypeError, ValueError) as error:
         raise LogError(
-            f"{path.name}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count and "
-            "offset_N, one of each a channel, as `surefoot calibrate weights` writes them."
+            f"{path.name}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count "
+            "and offset_N, one of each a channel, as `surefoot calibrate weights` writes them."
         ) from None
     wanted = channel_slugs(log.layout)
     missing = [name for name in wanted if name not in maps]
     if missing:
         raise LogError(
-            f"{path.name}: holds no map for the channel {missing[0]!r}; it has {names}. Name the columns of the "
-            f"weighings 'raw_{missing[0]}_count' and so on."
+            f"{path.name}: holds no map for the channel {missing[0]!r}; it has {names}. Name the columns "
+            f"of the weighings 'raw_{missing[0]}_count' and so on."
         )
     scale, offset = np.array([maps[name] for name in wanted]).T
     return replace(log, calibrated=Parameters(scale, offset))

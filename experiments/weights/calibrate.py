@@ -45,10 +45,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         raise CalibrationRefused(f"{path.name}: {first.reason}", f"{first.cure}{more}")
     fit = fit_channels(np.where(out_of_line, np.nan, weighings.code), weighings.load, names)
     std = _deviations(fit, weighings.code)
-    notices = tuple(
-        [*(f"{path.name}: accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed),
-         *(f"{path.name}: {text}" for text in decision.warnings)]
-    )  # fmt: skip
+    accepted = (f"accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
+    notices = tuple(f"{path.name}: {text}" for text in (*accepted, *decision.warnings))
     facts: dict[str, Any] = {
         "channels": names,
         "scale_N_per_count": fit.value.scale.tolist(),

@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.findings import Finding
@@ -25,9 +26,7 @@ NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 TAIL = 3.0  # degrees of freedom of Student's t
 ROUNDING = 1.0 / np.sqrt(12.0)  # std of a count that was rounded
 FOLLOWS = 5.0  # standard deviations that a slope must be from zero for a cell to follow its load
-BENT = (
-    0.002  # share of the range of loads from which a curve is worth a word; cheap cells are linear to 0.05 %
-)
+BENT = 0.002  # share of the range of loads from which a curve is told; cheap cells are linear to 0.05 %
 HEAVIEST = 3000.0  # N, three times what any load cell of a foot is made for
 RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are made for half of it at most
 RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
@@ -142,11 +141,11 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
             1.0,
         )
     values = np.unique(known[known != 0.0]) / table.unit
+    listed = ", ".join(f"{one:g}" for one in values[:4])
     if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):
         yield Finding(
             "round newtons",
-            f"Column 'load_N' holds round numbers ({', '.join(f'{one:g}' for one in values[:4])}), as weights in "
-            "kilograms are.",
+            f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are.",
             "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then.",
             refuses=False,
         )
@@ -158,8 +157,7 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
     ):
         yield Finding(
             "newtons",
-            f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({', '.join(f'{one:g}' for one in values[:4])}), as "
-            "weights in newtons are.",
+            f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are.",
             "Name the column 'load_N', or give kilograms.",
         )
 
@@ -225,17 +223,20 @@ def _repeat(table: Weighings, i: int, line: Line) -> float:
     if not spread:
         return 1.0
     inner = max(float(np.median(np.abs(np.concatenate(spread)))) / NORMAL, ROUNDING)
-    return line.scale / inner
+    return float(line.scale / inner)
 
 
 def _outliers(table: Weighings, i: int, line: Line) -> NDArray[np.bool_]:
     code = table.code[:, i]
     middle = float(np.nanmedian(np.abs(line.residual))) / NORMAL
-    far: NDArray[np.bool_] = np.abs(line.residual) > FAR * max(line.scale, middle)
+    # As far as one reading in a million is, where so many readings have found the line and its noise.
+    noise = max(line.scale, middle)
+    reach = noise * float(student.ppf(1.0 - 0.5 / ODDS, max(np.isfinite(line.residual).sum() - 2, 1)))
+    far: NDArray[np.bool_] = np.abs(line.residual) > reach
     # A curve bends away from its line under one load; a reading that lies off differs from its like as well.
     for row in np.flatnonzero(far):
         like = (table.load == table.load[row]) & np.isfinite(code)
-        if like.sum() > 2 and abs(code[row] - np.median(code[like])) < FAR * line.scale:
+        if like.sum() > 2 and abs(code[row] - np.median(code[like])) < reach:
             far[row] = False
     return far
 
@@ -248,8 +249,9 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
     if not line.follows:
         yield Finding(
             "dead cell",
-            f"Column '{name}' does not follow the load: from {table.label(x.min())} to {table.label(x.max())} its "
-            f"counts change by {abs(line.slope) * span:.3g}, and they scatter by {line.scale:.3g}.",
+            f"Column '{name}' does not follow the load: from {table.label(x.min())} to "
+            f"{table.label(x.max())} its counts change by {abs(line.slope) * span:.3g}, and "
+            f"they scatter by {line.scale:.3g}.",
             "Check its wiring and that the weights rest on it, or leave the column out.",
             abs(line.slope) / line.slope_std,
             FOLLOWS,
@@ -259,8 +261,8 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
         rows = np.flatnonzero(out)
         listed = ", ".join(f"{row + 2}" for row in rows[:6]) + (" and more" if len(rows) > 6 else "")
         reason = (
-            f"Column '{name}': {len(rows)} of {int(np.isfinite(code).sum())} readings lie off the line of the "
-            f"others by up to {_off(line, code[out], load[out]):.3g} N (line {listed} of the file, "
+            f"Column '{name}': {len(rows)} of {int(np.isfinite(code).sum())} readings lie off the line of "
+            f"the others by up to {_off(line, code[out], load[out]):.3g} N (line {listed} of the file, "
             f"such as {code[rows[0]]:.10g})."
         )
         if len(rows) > MOST * np.isfinite(code).sum():
@@ -271,8 +273,8 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
     if bend > max(FOLLOWS * doubt, BENT * span):
         yield Finding(
             "curve",
-            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it, and they "
-            f"scatter by {abs(line.scale / line.slope):.2g} N.",
+            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it, and "
+            f"they scatter by {abs(line.scale / line.slope):.2g} N.",
             "Forces between the weights are that uncertain; weigh near the loads that matter.",
             bend,
             BENT * span,
@@ -281,8 +283,8 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
     elif (scatter := abs(line.scale / line.slope)) > FOLLOWS * BENT * span:
         yield Finding(
             "scatter",
-            f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, or "
-            "weights that do not rest on it alone.",
+            f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
+            "or weights that do not rest on it alone.",
             "Weigh each load three times or more, up and down.",
             scatter,
             FOLLOWS * BENT * span,
@@ -299,12 +301,9 @@ def _bend(table: Weighings, i: int, line: Line, kept: NDArray[np.bool_]) -> tupl
     """Return the largest mean residual of a load in N, that load, and its standard deviation."""
     code, load = table.code[kept, i], table.load[kept]
     slope, level = np.polyfit(load, code, 1)
-    means = [
-        (abs(np.mean(code[load == one]) - slope * one - level) / abs(slope), one) for one in np.unique(load)
-    ]
-    inner = [
-        code[load == one] - np.mean(code[load == one]) for one in np.unique(load) if (load == one).sum() > 1
-    ]
+    groups = {float(one): code[load == one] for one in np.unique(load)}
+    means = [(abs(part.mean() - slope * one - level) / abs(slope), one) for one, part in groups.items()]
+    inner = [part - part.mean() for part in groups.values() if len(part) > 1]
     free = sum(len(part) - 1 for part in inner)
     noise = np.sqrt(sum((part**2).sum() for part in inner) / free) if free else line.scale
     bend, at = max(means)
