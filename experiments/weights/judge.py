@@ -20,7 +20,6 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.checks import RAILS
 
 ODDS = 1e6  # from which on a mistake is named
-FAR = 6.0  # scales of the residuals from which a reading is left out: one in 500 million of normal noise
 MOST = 0.25  # share of a cell's readings that may be left out
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 TAIL = 3.0  # degrees of freedom of Student's t
