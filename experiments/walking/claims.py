@@ -268,7 +268,7 @@ def _fit_with(rows: _Rows, claims: Claims, width: float) -> Fit:
     H, y = rows.H * std, rows.y - rows.H @ start
     number = np.bincount(rows.kind, minlength=3)
     share = min(1.0, BLOCK / LASTING)
-    r = -y
+    u, information, r = np.zeros(len(std)), np.eye(len(std)), -y
     s = np.array([np.median(np.abs(r[rows.kind == k])) if number[k] else 0.0 for k in range(3)])
     s = np.maximum(1.0, s / NORMAL)
     for _ in range(ITERATIONS):

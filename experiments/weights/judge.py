@@ -95,6 +95,7 @@ def _fit(load: Floats, code: Floats) -> Line | None:
     basis = np.column_stack([x / np.abs(loads).max(), np.ones_like(x)])
     r = y - slope * x - level
     scale = max(float(np.median(np.abs(r))) / NORMAL, ROUNDING)
+    theta = np.array([slope * np.abs(loads).max(), level])
     for _ in range(30):
         weight = (TAIL + 1.0) / (TAIL + (r / scale) ** 2)
         root = np.sqrt(weight)[:, None]
