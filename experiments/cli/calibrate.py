@@ -9,6 +9,10 @@ from typer import Argument, Option
 from surefoot.experiments.cli.console import Json, Paths, fail, one_line_errors, show
 
 Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
+Accept = Annotated[
+    str | None,
+    Option(help="Why to go on past what is refused: every file says it.", metavar="REASON"),
+]
 Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits the bag, and end.")]
 
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
@@ -20,7 +24,9 @@ def walk(
     method: Annotated[
         str, Option(help="moment, window, quasi-static, tare, none, or module:name")
     ] = "moment",
-    start: Annotated[str | None, Option(help="Start from the nominal or the calibrated map.")] = None,
+    start: Annotated[
+        str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
+    ] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
     zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
@@ -28,6 +34,7 @@ def walk(
     topics: Topics = None,
     guess: Guess = False,
     ros2: Annotated[bool, Option("--ros2", help="Write the map as parameters of a ROS 2 node, too.")] = False,
+    accept: Accept = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
@@ -35,13 +42,16 @@ def walk(
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.walking.calibrate import calibrate_log
 
+    _check_reason(accept)
     if guess:
         _guess(log, walk=True)
     with one_line_errors():
         with working("reading the log"):
-            read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP, topics=topics)
+            gap = float("inf") if split_gaps else MAX_GAP
+            read = read_log(log, gap, topics, feet_alone=method in ("tare", "none"))
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
-        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, ros2=ros2, **where)
+        where |= {"accept": accept or "", "ros2": ros2}
+        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
     show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 
@@ -49,14 +59,17 @@ def walk(
 def weights(
     weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
     out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
+    accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2; docs/weights.md)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
+    _check_reason(accept)
     with one_line_errors():
-        table, path = fit_weighings(weighings, weighings.with_suffix(".map.json") if out is None else out)
-    show([table], {"map": path}, as_json=as_json)
+        path = weighings.with_suffix(".map.json") if out is None else out
+        result = fit_weighings(weighings, path, accept or "")
+    show([result.table], {"map": result.path}, notices=result.notices, as_json=as_json)
 
 
 @app.command()
@@ -73,10 +86,7 @@ def ft(
     keep_matrix: Annotated[
         bool, Option("--keep-matrix", help="Leave the maker's matrix; find bias, mass and its place.")
     ] = False,
-    accept: Annotated[
-        str | None,
-        Option(help="Why to go on past what the fit refuses: every file says it.", metavar="REASON"),
-    ] = None,
+    accept: Accept = None,
     topics: Topics = None,
     guess: Guess = False,
     as_json: Json = False,
@@ -85,8 +95,7 @@ def ft(
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
     from surefoot.experiments.force_torque.config import config_beside, read_config
 
-    if accept is not None and not accept.strip():
-        fail("--accept needs the reason why a refusal may be passed; every file that is made says it.")
+    _check_reason(accept)
     if bool(logs) == sample:
         fail("give the log of a sensor, or --sample for the one that ships with surefoot.")
     paths = [SAMPLE] if sample else list(logs or ())
@@ -128,6 +137,11 @@ def motion(
         planned = plan_motion(robot, budget, goal=goal, enough=least, limits=Limits(torque, margin))
         planned.prelude.write(path)
     show(planned.tables, {"motion": path}, as_json=as_json)
+
+
+def _check_reason(accept: str | None) -> None:
+    if accept is not None and not accept.strip():
+        fail("--accept needs the reason why a refusal may be passed; every file that is made says it.")
 
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:

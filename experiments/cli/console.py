@@ -18,6 +18,9 @@ CONTROLLERS = (
     "shipped, shipped-randomised, stabiliser, zero, a policy file .npz, or module:function, which is "
     "imported and run"
 )
+REFUSED = 3
+"""Exit code where data do not determine, or contradict, what was asked; 2 is for what cannot be read."""
+
 Names = list[str] | None
 Numbers = list[float] | None
 Paths = list[Path] | None
@@ -34,10 +37,10 @@ Json = Annotated[
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
 
 
-def fail(message: str) -> NoReturn:
-    """End with one line that says what is wrong and what to do, and exit code 2."""
+def fail(message: str, code: int = 2) -> NoReturn:
+    """End with one line that says what is wrong and what to do, and an exit code."""
     typer.echo(f"surefoot: {message}", err=True)
-    raise typer.Exit(2)
+    raise typer.Exit(code)
 
 
 @contextmanager
@@ -50,7 +53,9 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
         typer.echo(f"Stopped.{kept}", err=True)
         raise typer.Exit(130) from None
     except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
+        from surefoot.calibration.results import CalibrationRefused
+
+        fail(str(error), REFUSED if isinstance(error, CalibrationRefused) else 2)
     except OSError as error:
         fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
 

@@ -14,9 +14,12 @@ FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that 
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 
-def check_columns(table: LogTable, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Return columns as floats; LogError if one is missing or wrong; raw readings may be NaN: no sample."""
-    table.require(names, LISTED)
+def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, NDArray[np.float64]]:
+    """Return columns as floats; LogError if one is missing or wrong; raw readings may be NaN: no sample.
+
+    ``cure`` is said besides of missing columns.
+    """
+    table.require(names, f"{LISTED} {cure}".rstrip())
     values = {name: table.numbers(name, flags=True) for name in names}
     for name, column in values.items():
         at, is_raw = f"{table.file}: column '{name}'", name.startswith("raw_")
@@ -53,9 +56,12 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
     step = np.diff(time)
     median = float(np.median(step))
     if abs(median / dt - 1.0) > 0.1:
+        units = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+        near = [f"it looks like {name}: divide by {u:g}, and " for u, name in units.items()
+                if abs(median / dt / u - 1.0) < 0.1]  # fmt: skip
         raise LogError(
             f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
-            "give time in seconds and the step that belongs to it."
+            f"{''.join(near)}give time in seconds and the step that belongs to it."
         )
     if (step > max_gap).any():
         row = int(np.argmax(step > max_gap)) + 1

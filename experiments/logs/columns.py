@@ -18,17 +18,19 @@ _VECTORS = {
     "accelerometer": "m_s2",
     "gyroscope": "rad_s",
 }
-_PHASES = ("stance", "swing")
+PHASES = ("stance", "swing")
+"""Contacts that a robot is sure of; a foot in between is neither."""
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}
 
 
-def _slug(name: str) -> str:
+def slug(name: str) -> str:
+    """Return a name as it stands in column names."""
     return name.replace("/", "_").replace("-", "_").replace(" ", "_")
 
 
 def channel_slugs(layout: FeetLayout) -> list[str]:
     """Return the channels' names as they stand in column names."""
-    return [_slug(name) for name in layout.channel_names]
+    return [slug(name) for name in layout.channel_names]
 
 
 def raw_names_of(layout: FeetLayout) -> list[str]:
@@ -40,8 +42,9 @@ def _vector_names(quantity: str) -> list[str]:
     return [f"reference_{quantity}_{axis}_{_VECTORS[quantity]}" for axis in "xyz"]
 
 
-def _phase_names(layout: FeetLayout, phase: str) -> list[str]:
-    return [f"reference_{_slug(foot.name)}_{phase}" for foot in layout.feet]
+def phase_names(layout: FeetLayout, phase: str) -> list[str]:
+    """Return the names of the columns of ``stance`` or ``swing``."""
+    return [f"reference_{slug(foot.name)}_{phase}" for foot in layout.feet]
 
 
 def _truth_names(layout: FeetLayout, quantity: str) -> list[str]:
@@ -51,7 +54,7 @@ def _truth_names(layout: FeetLayout, quantity: str) -> list[str]:
 def _pose_names(layout: FeetLayout, stem: str) -> list[str]:
     """Return the columns of the soles' poses: of each foot three of its place, four of its quaternion."""
     parts = [*(f"{axis}_m" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
-    return [f"{stem}_{_slug(foot.name)}_sole_{part}" for foot in layout.feet for part in parts]
+    return [f"{stem}_{slug(foot.name)}_sole_{part}" for foot in layout.feet for part in parts]
 
 
 def names_of(layout: FeetLayout) -> list[str]:
@@ -60,7 +63,7 @@ def names_of(layout: FeetLayout) -> list[str]:
     for quantity in _VECTORS:
         names += _vector_names(quantity)
     names += _pose_names(layout, "reference")
-    return names + [name for phase in _PHASES for name in _phase_names(layout, phase)]
+    return names + [name for phase in PHASES for name in phase_names(layout, phase)]
 
 
 def truth_names_of(layout: FeetLayout) -> list[str]:
@@ -82,8 +85,8 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
     for quantity in _VECTORS:
         add(_vector_names(quantity), getattr(reference, quantity))
     add(_pose_names(layout, "reference"), _flat_poses(reference.position_sole, reference.R_level_sole))
-    for phase in _PHASES:
-        add(_phase_names(layout, phase), np.asarray(getattr(reference, phase)).astype(np.int8))
+    for phase in PHASES:
+        add(phase_names(layout, phase), np.asarray(getattr(reference, phase)).astype(np.int8))
     if truth is not None:
         for quantity in _TRUTH:
             add(_truth_names(layout, quantity), getattr(truth, quantity))
@@ -114,7 +117,7 @@ def reference_of(values: dict[str, Floats], layout: FeetLayout) -> Reference:
     """Return the reference that columns hold."""
     position, R = _poses(values, "reference", layout)
     vectors = {quantity: stack(values, _vector_names(quantity)) for quantity in _VECTORS}
-    phases = {phase: stack(values, _phase_names(layout, phase)) > 0.5 for phase in _PHASES}
+    phases = {phase: stack(values, phase_names(layout, phase)) > 0.5 for phase in PHASES}
     return Reference(position_sole=position, R_level_sole=R, **vectors, **phases)
 
 

@@ -5,7 +5,7 @@ What the log holds comes first, then what was commanded, then a guess from the s
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.logs.checks import check_columns
@@ -25,6 +25,13 @@ PAUSE = 0.1  # s before and after which a foot in the air must move: it turns ro
 CARRIED = 0.5  # share of the weight that the ground must carry for any foot to be sure to stand
 
 GUESSED = "guessed from the height and speed of the soles"
+FELT = "guessed from the feet's own load"
+
+SWINGS, LOADED = 0.5, 0.3
+"""Range of a foot's load in weights from which it is thought to step at all, and the share of its range above
+which it surely bears load."""
+
+FLAT = 0.01  # std of a foot's load in weights up to which it may hang in the air
 
 Bools = NDArray[np.bool_]
 
@@ -71,6 +78,25 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
     together = (np.abs(height) < TOGETHER) & ~(speed > MOVING)[:, None]
     stance = (swing[:, ::-1] | together) & sure
     return _sure(stance, dt), _sure(swing, dt, SURE_ALOFT)
+
+
+def feel_contacts(load: NDArray[np.float64], weight: float, dt: float) -> tuple[Bools, Bools]:
+    """Guess stance and swing, (N, F) each, from the feet's vertical force in N by the starting map, (N, F).
+
+    The map's offsets may be wrong: a foot swings where its load is flat at the low end of its range. A foot
+    whose range is less than half the weight never leaves the ground; it is neither.
+    """
+    low, high = np.nanpercentile(load, (2.0, 98.0), axis=0)
+    span = high - low
+    steps = span > SWINGS * weight
+    load = np.where(np.isfinite(load), load, np.nan)
+    near = 2 * round(SURE / dt) + 1
+    mean, square = (uniform_filter1d(np.nan_to_num(load) ** p, near, axis=0, mode="nearest") for p in (1, 2))
+    flat = np.sqrt(np.maximum(square - mean**2, 0.0)) < FLAT * weight
+    low = np.nanmin(np.where(flat & np.isfinite(load), mean, np.inf), axis=0)
+    swing = flat & (np.abs(mean - low) < 2.0 * FLAT * weight) & steps & np.isfinite(load)
+    stance = (load > low + LOADED * span) & steps
+    return _sure(stance, dt, SURE_ALOFT), _sure(swing, dt, SURE_ALOFT)
 
 
 def _sure(held: Bools, dt: float, margin: float = SURE) -> Bools:

@@ -17,22 +17,25 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
+    PHASES,
     columns_of,
     names_of,
+    phase_names,
     raw_names_of,
     reference_of,
     stack,
     truth_names_of,
     truth_of,
 )
-from surefoot.experiments.logs.contacts import contacts
+from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts
 from surefoot.experiments.logs.description import Description, describe
 from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
@@ -96,12 +99,19 @@ def write_log(log: Log, path: str | Path) -> Path:
     return path
 
 
-def read_log(path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | None = None) -> Log:
+def read_log(
+    path: str | Path,
+    max_gap: float = MAX_GAP,
+    topics: str | Path | None = None,
+    *,
+    feet_alone: bool = False,
+) -> Log:
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
     A ROS bag is read as well, with its ``.json`` and the mapping file ``topics``, by default
     ``.topics.toml`` beside it. Two rows may be ``max_gap`` s apart; with infinity gaps are left for a
-    calibrator to flag, which then keeps what it learnt and starts its filters again. Raises LogError, which
+    calibrator to flag, which then keeps what it learnt and starts its filters again. With ``feet_alone`` a
+    log may lack all references: insoles, plates and boards know nothing of a robot. Raises LogError, which
     names file, column and cure, if the file is not there or no log, a column is missing or holds what it must
     not, or time leaps.
     """
@@ -116,11 +126,17 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | No
     facts = description.facts()
     layout = description.layout
     has_truth = any(name.startswith("truth_") for name in table.names)
-    names = names_of(layout) if description.motion is None else ["time_s", *raw_names_of(layout)]
-    values = check_columns(table, [*names, *(truth_names_of(layout) if has_truth else [])])
+    counts = ["time_s", *raw_names_of(layout)]
+    bare = description.motion is None and not _has_references(table)
+    alone = feet_alone and bare
+    names = [*counts] if alone or description.motion is not None else names_of(layout)
+    names += truth_names_of(layout) if has_truth else []
+    values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
-    if description.motion is None:
+    if alone:
+        reference, facts = _reference_of_feet(table, stack(values, counts[1:]), facts)
+    elif description.motion is None:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
     else:
@@ -135,6 +151,51 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | No
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )
+
+
+ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
+
+
+def _has_references(table: LogTable) -> bool:
+    """Whether a table holds beliefs of a robot, besides contacts."""
+    return any(name.startswith("reference_") and not name.endswith(_CONTACTS) for name in table.names)
+
+
+_CONTACTS = tuple(f"_{phase}" for phase in PHASES)
+
+
+def _reference_of_feet(
+    table: LogTable, raw: Floats, facts: dict[str, Any]
+) -> tuple[Reference, dict[str, Any]]:
+    """Return a reference that knows contacts alone, and the log's facts: feet lie level, and nobody moves.
+
+    Contacts that the log does not hold are guessed from the load.
+    """
+    layout, n = facts["layout"], len(raw)
+    feet = len(layout.feet)
+    names = [name for phase in PHASES for name in phase_names(layout, phase)]
+    if any(name in table for name in names):
+        flags = check_columns(table, names)
+        down = stack(flags, names) > 0.5
+        stance, swing, source = down[:, :feet], down[:, feet:], "as the log says"
+    else:
+        load = sole_wrenches(facts["nominal"].force(raw), layout)[..., 2]
+        stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
+        facts, source = facts | {"lag": 0}, FELT
+    up = np.tile((0.0, 0.0, GRAVITY), (n, 1))
+    zero = np.zeros((n, 3))
+    reference = Reference(
+        com=zero,
+        com_acceleration=zero,
+        angular_momentum_rate=zero,
+        position_sole=np.zeros((n, feet, 3)),
+        R_level_sole=np.tile(np.eye(3), (n, feet, 1, 1)),
+        stance=stance,
+        swing=swing,
+        accelerometer=up,
+        gyroscope=zero,
+    )
+    return reference, facts | {"about": facts["about"] | {"feet_alone": True, "contacts": source}}
 
 
 def _made_reference(

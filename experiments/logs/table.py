@@ -75,7 +75,8 @@ class LogTable:
         if pa.types.is_null(kind):
             return np.full(len(self), np.nan)
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-            column = column.cast(pa.float64())
+            # Times in nanoseconds since 1970 are larger than floats hold exactly; 0.3 microseconds do.
+            column = column.cast(pa.float64(), safe=False)
             if column.null_count or not column.num_chunks:
                 return np.asarray(column.to_numpy(), dtype=np.float64)
             # to_numpy() imports pandas, which takes longer than to read a log.

@@ -13,17 +13,19 @@ import yaml
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration import Estimate, Parameters
+from surefoot.calibration import CalibrationRefused, Estimate, Parameters
+from surefoot.calibration.in_situ.findings import decide
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
-from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.walking.judge import judge_log
+from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
-from surefoot.experiments.walks.replay import replay_log, starting_map
+from surefoot.experiments.walks.replay import replay_log, starting_map, with_map
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
 
@@ -57,27 +59,31 @@ def calibrate_log(
     settle: float = 0.0,
     zero_phase: bool = False,
     ros2: bool = False,
+    accept: str = "",
 ) -> CalibratedLog:
     """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
 
     Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``;
-    ``ros2`` adds a file of parameters for a ROS 2 node.
-    Raises LogError if there is no such map or the feet's total cannot be in newtons, ValueError if there is
-    no such method or nothing to score.
+    ``ros2`` adds a file of parameters for a ROS 2 node; ``accept`` is the reason to go on past what is
+    refused, which all files say. ``start`` is the name of a map, or a JSON file that holds one.
+    Raises LogError if there is no such map or the feet's total cannot be in newtons, CalibrationRefused if
+    the log contradicts itself, ValueError if there is no such method or nothing to score.
     """
     method, about = method_name(method), log.about
     plain = plain_name(method)  # for files: some systems have no ':' in names
     start = str(about.get("start", "nominal")) if start is None else start
+    if start.endswith(".json"):
+        log, start = with_map(log, Path(start)), "calibrated"
     initial = starting_map(log, start)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
         )
-    check_weight(log, start, initial, file)
-    notices = log_notices(log, file)
     options = {"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}
+    notices = (*_judge(log, start, initial, file, accept), *log_notices(log, file))
     watch = partial(each, "calibrating")
     estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options)
+    notices += result_notices(log, method, initial, estimate, file)
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
     tables = (parameter_table(facts), *shown_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
@@ -88,6 +94,26 @@ def calibrate_log(
         write_walking_page(page, facts)
     node = _write_ros2(facts, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
     return CalibratedLog(walk, parameters, page, tables, notices, node)
+
+
+def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:
+    """Return notices of what does not fit in a log, or raise what refuses it."""
+    if log.about.get("feet_alone"):
+        check_weight(log, start, initial, file)
+        return ()
+    with working("judging the log"):
+        findings = judge_log(log, initial).findings
+    decision = decide(findings, accept)
+    if decision.refused:
+        first, *others = decision.refused
+        more = "".join(f" Also: {other.reason}" for other in others)
+        more += " If you know better: --accept REASON goes on, and every file says so."
+        raise CalibrationRefused(f"{file}: {first.reason}", f"{first.cure}{more}")
+    check_weight(log, start, initial, file)
+    passed = tuple(f"{file}: accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
+    if accept and not passed:
+        passed = ("Nothing was refused, so that no reason was needed to go on.",)
+    return (*passed, *(f"{file}: {text}" for text in decision.warnings))
 
 
 def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
@@ -104,11 +130,14 @@ def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
                     columns[form.format(name, "Nm" if torque else "N")] = values[:, i]
 
     add({"force_{0}_{1}": estimate.force, "force_{0}_std_{1}": estimate.force_std})
-    for i, axis in enumerate("xy"):
+    # Feet alone do not know where they stand.
+    for i, axis in enumerate("" if facts.feet_alone else "xy"):
         columns[f"cop_level_{axis}_m"] = estimate.cop[:, i]
         if estimate.cop_covariance is not None:
             columns[f"cop_level_{axis}_std_m"] = np.sqrt(estimate.cop_covariance[:, i, i])
-    columns["cop_level_valid"] = estimate.cop_valid
+    if not facts.feet_alone:
+        columns["cop_level_valid"] = estimate.cop_valid
+    columns["vgrf_N"] = estimate.vgrf.sum(axis=1)
     for f, foot in enumerate(log.layout.feet):
         columns[f"vgrf_{foot.name}_N"] = estimate.vgrf[:, f]
         for i, axis in enumerate("xy"):

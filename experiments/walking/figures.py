@@ -27,7 +27,8 @@ def force_of_feet(path: Path, facts: Facts) -> Path:
     with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(feet))) as figure:
         grid = grid_of(figure, 1 + len(feet), 1, sharex=True)
         panels = grid[:, 0]
-        _line(panels[0], asked.time, asked.vgrf, _ASKED)
+        if not facts.feet_alone:
+            _line(panels[0], asked.time, asked.vgrf, _ASKED)
         for force, look in _sides(facts):
             vertical = sole_wrenches(force, log.layout)[..., 2]
             for axes, part in zip(panels, (vertical.sum(axis=-1), *vertical.T), strict=True):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration import GRAVITY, Estimate, Flag, Parameters
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
@@ -12,6 +12,9 @@ from surefoot.experiments.walking.agreement import asked_of
 MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
 STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
 ALIKE = 0.03  # relative difference between the mass in the description and the drawing's that needs no word
+
+SPARSE = 0.5  # share of readings that are missing, or refused, from which it is worth a word
+COMMON = 1.5  # median change of scales above which it is no error of single cells
 
 _UNITS = {
     1000.0: "millinewtons or a mass in tonnes",
@@ -96,7 +99,8 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
                 f"{len(log)} rows), so that its offsets cannot be separated from its scales; let it swing, "
                 "or lift it for a second."
             )
-    spread = _spread(log)
+    alone = bool(log.about.get("feet_alone", False))
+    spread = np.inf if alone else _spread(log)
     if not swing.any() and spread < STILL:
         found.append(
             f"the robot never moves: the centre of pressure that its motion asks for stays within "
@@ -104,6 +108,45 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
             "cannot; walk, or shift the weight over each corner."
         )
     return (*log.about.get("notices", ()), *(f"{file}: {text}" for text in found))
+
+
+def result_notices(
+    log: Log, method: str, initial: Parameters, estimate: Estimate, file: str
+) -> tuple[str, ...]:
+    """Return what is odd about a result: nothing was learnt, scales of another sign, a common factor."""
+    found, unread = [], float(1.0 - np.isfinite(log.raw).mean())
+    refused = ((np.asarray(estimate.flags) & Flag.REJECTED) != 0).any(axis=1).mean()
+    still = all(np.ptp(part, axis=0).max() == 0.0 for part in (estimate.scale, estimate.offset))
+    if still and method != "none":
+        why = "The log may be too short, or no foot surely stands or swings: see the flags."
+        if unread > SPARSE:
+            why = (
+                f"{100 * unread:.0f} % of the readings are missing, and a method learns from rows in which "
+                "all channels were read; if the converters are slower than the rows, write rows at their "
+                "rate."
+            )
+        elif refused > SPARSE:
+            why = f"{100 * refused:.0f} % of the samples ask for what no sensor does."
+        found.append(f"nothing was learnt: the {method} map is the one at the start. {why}")
+    elif unread > SPARSE:
+        found.append(
+            f"{100 * unread:.0f} % of the readings are missing; the last ones are held in between, and less "
+            "is learnt. If the converters are slower than the rows, write rows at their rate."
+        )
+    ratio = np.asarray(estimate.scale[-1]) / np.asarray(initial.scale)
+    found += [
+        f"the scale of column '{name}' changed its sign, which no cell's drift does: see whether cells or "
+        "feet are exchanged before you use this map."
+        for name, change in zip(raw_names_of(log.layout), ratio, strict=True)
+        if change < 0.0
+    ]
+    common = float(np.median(ratio))
+    if common > COMMON or 0.0 < common < 1.0 / COMMON:
+        found.append(
+            f"scales changed by a common factor of {common:.2f}: see whether mass_kg is in kilograms and the "
+            "amplifiers' gain is the one of the starting map."
+        )
+    return tuple(f"{file}: {text}" for text in found)
 
 
 def _spread(log: Log) -> float:

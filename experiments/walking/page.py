@@ -27,9 +27,10 @@ def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
     def figure(number: int, path: Path, more: str = "") -> ReportFigure:
         return ReportFigure(path, f"Figure {number}", _caption(f"{number}") + more)
 
-    cop = figure(1, figures.cop_against_motion(folder / "cop.svg", facts))
-    table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
-    yield Section("agreement", title, (_say("agreement"),), tables=(table,), figures=(cop,))
+    if not facts.feet_alone:
+        cop = figure(1, figures.cop_against_motion(folder / "cop.svg", facts))
+        table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
+        yield Section("agreement", title, (_say("agreement"),), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
         yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
     feet = figure(2, figures.force_of_feet(folder / "feet.svg", facts))

@@ -39,6 +39,11 @@ class Facts:
     file: str = ""  # name of the log
     notices: tuple[str, ...] = ()  # what the log lacks
 
+    @property
+    def feet_alone(self) -> bool:
+        """Whether the log has no references, and so no motion to agree with."""
+        return bool(self.log.about.get("feet_alone", False))
+
     @cached_property
     def before(self) -> Floats:
         """Forces by the starting map in N, shape (N, K).
@@ -68,7 +73,8 @@ class Facts:
 def shown_tables(facts: Facts) -> tuple[Table, ...]:
     """Return the tables besides the map that a terminal shows."""
     score = () if facts.log.truth is None else (score_table(facts),)
-    return (agreement_table(facts), *score, flag_table(facts))
+    moved = () if facts.feet_alone else (agreement_table(facts),)
+    return (*moved, *score, flag_table(facts))
 
 
 def log_table(facts: Facts) -> Table:

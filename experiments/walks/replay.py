@@ -1,6 +1,8 @@
 """Replay logs through the online methods, each as the robot would have."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,8 +10,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Estimate, Parameters, replay
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.columns import channel_slugs, slug
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
+from surefoot.files import parse_json, read_text
 
 
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
@@ -49,6 +53,33 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
     if found is None:
         raise LogError("The log's description has no 'calibrated' map; start from 'nominal', or add the map.")
     return found
+
+
+def with_map(log: Log, path: Path) -> Log:
+    """Return a log whose calibrated map is that of a JSON file, as ``surefoot calibrate`` writes one.
+
+    Channels go by their names as they stand in columns (``left_front_left``) or in the layout. Raises
+    LogError if the file holds no map, or not one for every channel.
+    """
+    given = parse_json(read_text(path, LogError), f"{path.name}: the map", LogError)
+    try:
+        names = [slug(str(name)) for name in given["channels"]]
+        values = [[float(x) for x in given[key]] for key in ("scale_N_per_count", "offset_N")]
+        maps = dict(zip(names, zip(*values, strict=True), strict=True))
+    except (KeyError, TypeError, ValueError) as error:
+        raise LogError(
+            f"{path.name}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count "
+            "and offset_N, one of each a channel, as `surefoot calibrate weights` writes them."
+        ) from None
+    wanted = channel_slugs(log.layout)
+    missing = [name for name in wanted if name not in maps]
+    if missing:
+        raise LogError(
+            f"{path.name}: holds no map for the channel {missing[0]!r}; it has {names}. Name the columns "
+            f"of the weighings 'raw_{missing[0]}_count' and so on."
+        )
+    scale, offset = np.array([maps[name] for name in wanted]).T
+    return replace(log, calibrated=Parameters(scale, offset))
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:

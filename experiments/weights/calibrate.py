@@ -1,23 +1,75 @@
 """Fit the cells of a real robot to known weights, from a table of weighings."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, fit_channels
+from surefoot.calibration import GRAVITY, CalibrationRefused, fit_channels
+from surefoot.calibration.in_situ.findings import decide
+from surefoot.calibration.weights.channels import ChannelFit
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
+from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
 
 
-def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
+@dataclass(frozen=True)
+class CalibratedCells:
+    """What came of weighings: the map's path, what to show, and what is odd about the table."""
+
+    path: Path
+    table: Table
+    notices: tuple[str, ...]
+
+
+def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2).
 
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
-    and readings as ``raw_<cell>_count``, empty where not weighed. Returns what to show, and the map's path;
-    raises LogError or ValueError at what is refused.
+    and readings as ``raw_<cell>_count``, empty where not weighed. Readings that lie far off are left out.
+    ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at what cannot be
+    read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
+    weighings = _read(path)
+    names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
+    findings, out_of_line = judge_weighings(weighings)
+    decision = decide(findings, accept)
+    if decision.refused:
+        first, *others = decision.refused
+        more = "".join(f" Also: {other.reason}" for other in others)
+        more += " If you know better: --accept REASON goes on, and the map says so."
+        raise CalibrationRefused(f"{path.name}: {first.reason}", f"{first.cure}{more}")
+    fit = fit_channels(np.where(out_of_line, np.nan, weighings.code), weighings.load, names)
+    std = _deviations(fit, weighings.code)
+    accepted = (f"accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
+    notices = tuple(f"{path.name}: {text}" for text in (*accepted, *decision.warnings))
+    facts: dict[str, Any] = {
+        "channels": names,
+        "scale_N_per_count": fit.value.scale.tolist(),
+        "offset_N": fit.value.offset.tolist(),
+        "scale_std_N_per_count": [float(one) if np.isfinite(one) else None for one in std[:, 0]],
+        "offset_std_N": [float(one) if np.isfinite(one) else None for one in std[:, 1]],
+        "notices": list(notices),
+    }
+    write_text(out, json.dumps(facts, indent=1))
+    columns: dict[str, Cell] = {
+        "cell": lambda i: names[i],
+        "weighings": lambda i: str(fit.stats[i].samples),
+        "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
+            1e6 * fit.value.scale[i], 1e6 * std[i, 0]
+        ),
+        "offset (N)": lambda i: f"{fit.value.offset[i]:.5f}",
+        "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
+    }
+    table = laid_out("weighings", "F = scale · count + offset", columns, range(len(names)))
+    return CalibratedCells(out, table, notices)
+
+
+def _read(path: Path) -> Weighings:
     table = read_table(path, "give a CSV of weighings, one a row.")
     units = {"load_kg": GRAVITY, "load_N": 1.0}
     given = [name for name in units if name in table]
@@ -31,22 +83,17 @@ def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
             "'raw_left_front_left_count'."
         )
-    names = [name.removeprefix("raw_").removesuffix("_count") for name in cells]
-    load = table.numbers(given[0]) * units[given[0]]
-    fit = fit_channels(table.stacked(cells), load, names)
-    facts = {
-        "channels": names,
-        "scale_N_per_count": fit.value.scale.tolist(),
-        "offset_N": fit.value.offset.tolist(),
-    }
-    write_text(out, json.dumps(facts, indent=1))
-    columns: dict[str, Cell] = {
-        "cell": lambda i: names[i],
-        "weighings": lambda i: str(fit.stats[i].samples),
-        "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
-            1e6 * fit.value.scale[i], 1e6 * np.sqrt(fit.covariance[i, 0, 0])
-        ),
-        "offset (N)": lambda i: f"{fit.value.offset[i]:.5f}",
-        "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
-    }
-    return laid_out("weighings", "F = scale · count + offset", columns, range(len(names))), out
+    unit = units[given[0]]
+    return Weighings(table.numbers(given[0]) * unit, table.stacked(cells), tuple(cells), given[0], unit)
+
+
+def _deviations(fit: ChannelFit, code: Floats) -> Floats:
+    """Standard deviations of scales and offsets, (K, 2): no reading is surer than its rounding."""
+    found = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+    for i, scale in enumerate(fit.value.scale):
+        kept = code[np.isfinite(code[:, i]), i]
+        least = ROUNDING * abs(scale)
+        x = kept - kept.mean()
+        floor = least / np.sqrt(max(float(x @ x), 1e-300))
+        found[i] = np.maximum(found[i], (floor, np.hypot(least / np.sqrt(len(kept)), floor * kept.mean())))
+    return found

@@ -258,7 +258,7 @@ def test_bad_weighings_are_refused(tmp_path: Path, case: str) -> None:
 def test_one_weight_is_no_line(tmp_path: Path) -> None:
     pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "scales.csv", index=False)
     result = RUNNER.invoke(app, ["calibrate", "weights", str(tmp_path / "scales.csv")])
-    assert result.exit_code == 2
+    assert result.exit_code == 3
     assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
 
 

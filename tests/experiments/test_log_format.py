@@ -93,7 +93,7 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         lambda t: t[["time_s"]],
         "missing column raw_left_front_left_count, raw_left_front_right_count, "
         "raw_left_rear_left_count, raw_left_rear_right_count and 37 more; docs/log-format.md lists every "
-        "column and its unit.",
+        "column and its unit. Feet alone, without references, can be calibrated by --method tare or none.",
     ),
     "text": (
         _set(4, "reference_com_x_m", "1,5"),
@@ -134,8 +134,13 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
     ),
     "milliseconds": (
         lambda t: t.assign(time_s=1e3 * t["time_s"]),
-        "column 'time_s' steps by 12.5 where the description says dt_s = 0.0125; give time in seconds "
-        "and the step that belongs to it.",
+        "column 'time_s' steps by 12.5 where the description says dt_s = 0.0125; it looks like "
+        "milliseconds: divide by 1000, and give time in seconds and the step that belongs to it.",
+    ),
+    "nanoseconds since 1970": (
+        lambda t: t.assign(time_s=1_700_000_000_000_000_000 + (1e9 * t["time_s"]).astype("int64")),
+        "column 'time_s' steps by 1.25e+07 where the description says dt_s = 0.0125; it looks like "
+        "nanoseconds: divide by 1e+09, and give time in seconds and the step that belongs to it.",
     ),
     "one row": (lambda t: t.head(1), "1 rows are no walk; a log needs at least two."),
 }

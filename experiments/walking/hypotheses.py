@@ -1,0 +1,342 @@
+"""What may be wrong with a log from its first row to its last: each hypothesis undoes one mistake.
+
+A hypothesis changes a log's claims to those that the log would make without the mistake. Which of them mends
+a log is for :func:`~surefoot.experiments.walking.claims.fit_claims` to say.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, permutations
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.walking.claims import Claims
+
+DELAY = "feet late or early"
+LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
+LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
+POUND = 0.45359237  # in kg
+ANYWHERE = 0.1  # std in m of a centre of mass of which nothing is known but the robot
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One mistake.
+
+    Attributes:
+        kind: What it is of, for tables and tests.
+        cause: What is wrong, as a clause.
+        cure: What to do about it, as a clause.
+        undo: Changes claims to those without the mistake.
+    """
+
+    kind: str
+    cause: str
+    cure: str
+    undo: Callable[[Claims], Claims]
+
+
+def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
+    """Yield every mistake that is tried on a log with this layout."""
+    yield from _wiring(layout)
+    yield from _signs(layout)
+    yield from _sizes(layout)
+    yield from _times()
+    yield from _beliefs()
+
+
+def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
+    names = [name.replace("/", " ") for name in layout.channel_names]
+    sizes = [foot.channels for foot in layout.feet]
+    K, where = layout.channels, layout.slices
+    plain = np.arange(K)
+    if len(sizes) == 2:
+        first, second = (foot.name for foot in layout.feet)
+        if sizes[0] == sizes[1]:
+            yield Hypothesis(
+                "feet exchanged",
+                f"the readings of the {first} and of the {second} foot are exchanged",
+                "exchange their plugs or their columns",
+                partial(_order, order=np.roll(plain, sizes[0])),
+            )
+        yield Hypothesis(
+            "contacts exchanged",
+            f"the contacts of the {first} and of the {second} foot are exchanged",
+            f"exchange the columns reference_{first}_stance, _swing and reference_{second}_stance, _swing",
+            partial(_believe, change=_exchange_contacts),
+        )
+        yield Hypothesis(
+            "references mirrored",
+            "the references are mirrored: y points to the right in them",
+            "give level axes of which y points to the left (x ahead, z up)",
+            partial(_believe, change=_mirror),
+        )
+    yield Hypothesis(
+        "stance and swing exchanged",
+        "stance and swing are exchanged: feet that are surely in the air bear the weight",
+        "exchange the columns '..._stance' and '..._swing'",
+        partial(_believe, change=lambda r: r._replace(stance=r.swing, swing=r.stance)),
+    )
+    for i, j in combinations(range(K), 2):
+        order = plain.copy()
+        order[[i, j]] = j, i
+        yield Hypothesis(
+            "cells exchanged",
+            f"the channels '{names[i]}' and '{names[j]}' are exchanged",
+            "exchange their plugs or their columns",
+            partial(_order, order=order),
+        )
+    # More than two cells of a foot in another order: in one foot, or in both in the same way.
+    for feet in [(0,), (1,), (0, 1)][: 1 if len(sizes) == 1 else 3]:
+        k = sizes[feet[0]]
+        if k > 4 or k < 3 or any(sizes[foot] != k for foot in feet):
+            continue
+        for one in permutations(range(k)):
+            moved = sum(i != j for i, j in enumerate(one))
+            if moved == 0 or (moved == 2 and len(feet) == 1):
+                continue
+            order = plain.copy()
+            for foot in feet:
+                order[where[foot]] = where[foot].start + np.array(one)
+            of = "both feet" if len(feet) == 2 else f"the {layout.feet[feet[0]].name} foot"
+            there = [layout.feet[feet[0]].channel_names[i] for i in one]
+            yield Hypothesis(
+                "cells in another order",
+                f"the cells of {of} are in another order: the columns hold {', '.join(there)}",
+                "name the columns, or order the cells of the layout, as they are plugged",
+                partial(_order, order=order),
+            )
+
+
+def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
+    K = layout.channels
+    groups: list[tuple[str, Sequence[int]]] = [
+        (f"the channel '{name.replace('/', ' ')}'", [i]) for i, name in enumerate(layout.channel_names)
+    ]
+    for foot, where in zip(layout.feet, layout.slices, strict=True):
+        groups.append((f"all channels of the {foot.name} foot", range(where.start, where.stop)))
+    torque = [i for i, name in enumerate(layout.channel_names) if name.endswith(("/tx", "/ty", "/tz"))]
+    if torque:
+        groups.append(("the torques of all sensors", torque))
+    for what, channels in groups:
+        factor = np.ones(K)
+        factor[list(channels)] = -1.0
+        yield Hypothesis(
+            "sign of channels",
+            f"{what} has the other sign" if len(channels) == 1 else f"{what} have the other sign",
+            "turn the signs of scale_N_per_count and offset_N round",
+            partial(_multiply, factor=factor),
+        )
+
+
+def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
+    for factor, text in (
+        (2.0, "64 in place of 128"),
+        (4.0, "32 in place of 128"),
+        (0.5, "128 in place of 64"),
+    ):
+        yield Hypothesis(
+            "gain",
+            f"all forces are {1 / factor:g} times as large as they should be: the amplifiers' gain is {text}",
+            f"multiply scale_N_per_count by {factor:g} and give the offsets that belong to it",
+            partial(_multiply, factor=np.full(layout.channels, factor)),
+        )
+    for factor, text, cure in (
+        (POUND, "mass_kg is in pounds", f"multiply it by {POUND:.4g}"),
+        (1.0 / POUND, "mass_kg is too small by the factor of pounds in a kilogram, 2.205", "weigh the robot"),
+    ):
+        yield Hypothesis("mass", text, cure, partial(_weigh, factor=factor))
+    for foot, where in zip(layout.feet, layout.slices, strict=True) if len(layout.feet) == 2 else ():
+        for factor in (2.0, 0.5):
+            each = np.ones(layout.channels)
+            each[where] = factor
+            yield Hypothesis(
+                "gain of one foot",
+                f"the forces of the {foot.name} foot are {1 / factor:g} times as large as they should be",
+                f"multiply its scale_N_per_count by {factor:g} and give the offsets that belong to it",
+                partial(_multiply, factor=each),
+            )
+    lengths = {0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches"}
+    for factor, unit in lengths.items():
+        yield Hypothesis(
+            "layout in other units",
+            f"position_cell_sole_m is in {unit}",
+            f"multiply it by {factor:g}",
+            partial(_place, factor=factor),
+        )
+    yield Hypothesis(
+        "layout in other units", "position_cell_sole_m is half as large as the foot",
+        "measure the cells' places", partial(_place, factor=2.0),
+    )  # fmt: skip
+    yield Hypothesis(
+        "layout in other units", "position_cell_sole_m is twice as large as the foot",
+        "measure the cells' places", partial(_place, factor=0.5),
+    )  # fmt: skip
+    for axis, text in ((0, "x points back"), (1, "y points to the right")):
+        sign = np.ones(2)
+        sign[axis] = -1.0
+        yield Hypothesis(
+            "layout mirrored",
+            f"the layout is mirrored: {text} in position_cell_sole_m",
+            "give places in the sole frame (x ahead, y to the left)",
+            partial(_reflect, axis=axis),
+        )
+
+
+def _times() -> Iterator[Hypothesis]:
+    steps = np.arange(LEAST, LATEST + STEP / 2, STEP)
+    for delay in (*-steps[::-1], *steps):
+        side = "late" if delay > 0.0 else "early"
+        yield Hypothesis(
+            DELAY,
+            f"the readings of the feet are about {abs(delay):.3g} s {side} against the references",
+            "give both on one clock, and lag_samples or motion.delay_s",
+            partial(_shift, delay=float(delay)),
+        )
+
+
+def _beliefs() -> Iterator[Hypothesis]:
+    """Yield mistakes of references, each as a linear map of vectors: gravity g is added before or after."""
+    one, no, g = np.eye(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY])
+    named = "columns 'reference_com_acceleration_...'"
+    accelerations = (
+        # kind, cause, cure, and a' = A (a + before) - after
+        ("acceleration negated", f"{named} have the other sign", "turn it round", -one, no, no),
+        ("acceleration with gravity", f"{named} have gravity in them", f"subtract {GRAVITY} from z",
+         one, no, g),
+        ("acceleration with gravity", f"gravity was subtracted twice from {named}", f"add {GRAVITY} to z",
+         one, g, no),
+        ("acceleration in g", f"{named} are in g", f"multiply them by {GRAVITY}", GRAVITY * one, no, no),
+        ("acceleration in g", f"{named} are in g and have gravity in them",
+         f"subtract 1 from z and multiply by {GRAVITY}", GRAVITY * one, no, g),
+        ("acceleration in other units", f"{named} are in cm/s^2", "divide them by 100", one / 100, no, no),
+        ("acceleration in other units", f"{named} are in mm/s^2", "divide them by 1000", one / 1000,
+         no, no),
+    )  # fmt: skip
+    mounted = "give the IMU's axes as it is mounted"
+    # An IMU that is turned turns the specific force, and gravity with it.
+    turns = [("IMU turned", f"the IMU is turned by 180 degrees about {axis}", mounted, np.diag(signs), g, g)
+             for axis, signs in (("x", (1, -1, -1)), ("y", (-1, 1, -1)), ("z", (-1, -1, 1)))]  # fmt: skip
+    turns += [("IMU turned", f"the IMU is turned by {90 * side} degrees about z", mounted, R, g, g)
+              for side, R in ((1, _QUARTER), (-1, _QUARTER.T))]  # fmt: skip
+    turns += [("accelerometer negated", f"the accelerometer's {axes} of the other sign", mounted,
+               np.diag(signs), g, g)
+              for axes, signs in (("x is", (-1, 1, 1)), ("y is", (1, -1, 1)), ("z is", (1, 1, -1)),
+                                  ("x, y and z are", (-1, -1, -1)))]  # fmt: skip
+    for kind, cause, cure, A, before, after in (*accelerations, *turns):
+        change = partial(_accelerate, A=np.asarray(A, dtype=float), before=before, after=after)
+        yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
+    for angle, R in ((90, _QUARTER), (-90, _QUARTER.T), (180, np.diag([-1.0, -1.0, 1.0]))):
+        yield Hypothesis(
+            "references turned",
+            f"centre of mass and acceleration are turned by {angle} degrees against the soles",
+            "give all references in one level frame",
+            partial(_believe, change=partial(_turn, R=R)),
+        )
+    exchanged, axes = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), "exchange the columns of x and y"
+    yield Hypothesis(
+        "axes exchanged", "x and y of centre of mass and acceleration are exchanged", axes,
+        partial(_believe, change=partial(_turn, R=exchanged, spin=False)),
+    )  # fmt: skip
+    change = partial(_accelerate, A=exchanged, before=no, after=no)
+    yield Hypothesis("axes exchanged", "x and y of the acceleration are exchanged", axes,
+                     partial(_believe, change=change))  # fmt: skip
+    places = (
+        ("axes exchanged", "x and y of the centre of mass are exchanged", axes, exchanged),
+        ("centre of mass mirrored", "x of the centre of mass has the other sign", "turn it round",
+         np.diag([-1.0, 1, 1])),
+        ("centre of mass mirrored", "y of the centre of mass has the other sign", "turn it round",
+         np.diag([1.0, -1, 1])),
+        ("centre of mass in other units", "columns 'reference_com_...' are in millimetres",
+         "divide them by 1000", one / 1000),
+        ("centre of mass in other units", "columns 'reference_com_...' are in centimetres",
+         "divide them by 100", one / 100),
+    )  # fmt: skip
+    for kind, cause, cure, A in places:
+        yield Hypothesis(kind, cause, cure, partial(_believe, change=partial(_place_com, A=A)))
+    yield Hypothesis(
+        "centre of mass off",
+        "the centre of mass is not where the references say",
+        "see in which frame it is, and from which origin",
+        partial(replace, com_std=ANYWHERE),
+    )
+
+
+_QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def _order(claims: Claims, order: Any) -> Claims:
+    return replace(claims, raw=claims.raw[:, order])
+
+
+def _multiply(claims: Claims, factor: Floats) -> Claims:
+    initial = Parameters(*(factor * part for part in claims.initial))
+    return replace(claims, initial=initial, air=claims.air * np.abs(factor))
+
+
+def _weigh(claims: Claims, factor: float) -> Claims:
+    return replace(claims, weight=factor * claims.weight)
+
+
+def _place(claims: Claims, factor: float) -> Claims:
+    scaled = claims.wrench_map.copy()
+    scaled[:, 3:] *= factor
+    return replace(claims, wrench_map=scaled)
+
+
+def _reflect(claims: Claims, axis: int) -> Claims:
+    """Reflect places along x (0) or y (1): it turns the sign of the moment about the other axis."""
+    reflected = claims.wrench_map.copy()
+    reflected[:, 4 - axis] *= -1.0
+    return replace(claims, wrench_map=reflected)
+
+
+def _shift(claims: Claims, delay: float) -> Claims:
+    k = round(delay / claims.dt)
+    raw = np.full_like(claims.raw, np.nan)
+    if k > 0:
+        raw[:-k] = claims.raw[k:]
+    elif k < 0:
+        raw[-k:] = claims.raw[:k]
+    return replace(claims, raw=raw)
+
+
+def _believe(claims: Claims, change: Callable[[Reference], Reference]) -> Claims:
+    return replace(claims, reference=change(claims.reference))
+
+
+def _accelerate(reference: Reference, A: Floats, before: Floats, after: Floats) -> Reference:
+    acceleration = (reference.com_acceleration + before) @ A.T - after
+    return reference._replace(com_acceleration=acceleration)
+
+
+def _place_com(reference: Reference, A: Floats) -> Reference:
+    """Change the centre of mass, counted from the ground below the middle of the soles."""
+    middle = np.zeros_like(reference.com)
+    middle[:, :2] = reference.position_sole[:, :, :2].mean(axis=1)
+    return reference._replace(com=middle + (reference.com - middle) @ A.T)
+
+
+def _turn(reference: Reference, R: Floats, spin: bool = True) -> Reference:
+    turned = _place_com(reference, R)._replace(com_acceleration=reference.com_acceleration @ R.T)
+    return turned._replace(angular_momentum_rate=reference.angular_momentum_rate @ R.T) if spin else turned
+
+
+def _exchange_contacts(reference: Reference) -> Reference:
+    return reference._replace(stance=reference.stance[:, ::-1], swing=reference.swing[:, ::-1])
+
+
+def _mirror(reference: Reference) -> Reference:
+    S = np.diag([1.0, -1.0, 1.0])
+    spin = reference.angular_momentum_rate * (-1.0, 1.0, -1.0)
+    return reference._replace(
+        com=reference.com @ S,
+        com_acceleration=reference.com_acceleration @ S,
+        angular_momentum_rate=spin,
+        position_sole=reference.position_sole @ S,
+        R_level_sole=S @ reference.R_level_sole @ S,
+    )

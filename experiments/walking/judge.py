@@ -1,0 +1,216 @@
+"""Judge a log before anything is learnt from it: does it fit itself, and if not, which mistake would mend it.
+
+The log as it is competes with every mistake of :mod:`~surefoot.experiments.walking.hypotheses`, and with
+troubles that a calibrator is there for: one channel that is broken, accelerations that are all noise. A
+mistake is named if it beats all of these by odds of :data:`ODDS` to one, in each third of the log, and leaves
+residuals as small as sound logs have.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from surefoot.calibration import Parameters
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.experiments.logs.columns import raw_names_of
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.walking.claims import (
+    AIR,
+    COP,
+    FORCE,
+    WIDTHS,
+    Claims,
+    Fit,
+    claims_of,
+    fit_claims,
+    thirds,
+)
+from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
+
+ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
+HINT = 1e3  # odds from which it is a notice
+SOUND, GROSS = 2.0, 6.0
+"""Scales of residuals in those of a sound log: up to the first a log fits; from the second on it contradicts
+itself whatever the cause (15 mm, a tenth of the weight)."""
+TRIED = 200  # hypotheses, roughly
+CLOSER = 8  # hypotheses of the likeliest kind, and of others, that are looked at more closely
+LENGTH = 0.2  # of a foot in m where nothing says it
+SHOWN = 0.999  # the surest that a sentence says
+FOOT, PLATE = 0.5, 2.0  # m from the sole's origin beyond which no cell of a foot, or of a plate, is
+
+
+class Explanation(NamedTuple):
+    """A hypothesis, how well the log fits by it, and how likely it is among all that were tried."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    probability: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of it: findings, by falling likelihood the explanations, and the fit as the log is."""
+
+    findings: tuple[Finding, ...]
+    explanations: tuple[Explanation, ...]
+    as_it_is: Fit
+
+
+def judge_log(log: Log, initial: Parameters) -> Verdict:
+    """Say whether counts, layout, mass, motion and contacts of a log belong together.
+
+    Args:
+        log: The log.
+        initial: The map that a calibrator starts from.
+    """
+    far = _check_layout(log)
+    # Matrices are small: threads would cost more than they bring.
+    with threadpool_limits(limits=1, user_api="blas"):
+        claims = claims_of(log, initial, _length(log))
+        plain = fit_claims(claims)
+        if plain.rows == 0:
+            return Verdict(tuple(far), (), plain)
+        explanations = _explain(claims, plain, list(hypotheses(log.layout)))
+        broken = _broken(claims, plain, raw_names_of(log.layout))
+        found = _decide(claims, plain, explanations, broken)
+    if far and found and found[0].contradicts:
+        far = []
+    return Verdict((*far, *found), tuple(explanations), plain)
+
+
+def _check_layout(log: Log) -> list[Finding]:
+    """Find cells that are too far from their foot to be in metres."""
+    limit = FOOT if len(log.layout.feet) == 2 else PLATE
+    for foot in log.layout.feet:
+        if foot.position_cell_sole is None:
+            continue
+        farthest = float(np.linalg.norm(foot.position_cell_sole[:, :2], axis=1).max())
+        if farthest > limit:
+            return [
+                Finding(
+                    "layout",
+                    f"A cell of the {foot.name} foot lies {farthest:.4g} m from the sole's origin, and none "
+                    f"is farther than {limit:g} m.",
+                    "Give position_cell_sole_m in metres, from the point below the ankle.",
+                    farthest,
+                    limit,
+                )
+            ]
+    return []
+
+
+def _length(log: Log) -> float:
+    """Return the length of a foot in m."""
+    places = [foot.position_cell_sole for foot in log.layout.feet]
+    known = [float(np.ptp(one[:, :2], axis=0).max()) for one in places if one is not None]
+    return float(log.about.get("foot_length_m", max(known, default=LENGTH)))
+
+
+def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explanation]:
+    """Fit the log by each hypothesis, and return the likeliest by falling likelihood."""
+    # One prior is enough to see which are worth a closer look.
+    rough = [fit_claims(one.undo(claims), widths=WIDTHS[-1:]).evidence for one in tried]
+    tried = [tried[i] for i in np.argsort(rough)[::-1]]
+    others = [one for one in tried if one.kind != tried[0].kind]
+    tried = [*[one for one in tried if one.kind == tried[0].kind][:CLOSER], *others[:CLOSER]]
+    fits = [fit_claims(one.undo(claims)) for one in tried]
+    evidence = np.array([plain.evidence, *(fit.evidence for fit in fits)])
+    likely = np.exp(evidence - evidence.max())
+    likely /= likely.sum()
+    found = [Explanation(*one) for one in zip(tried, fits, likely[1:].tolist(), strict=True)]
+    return sorted(found, key=lambda one: -one.fit.evidence)
+
+
+def _broken(claims: Claims, plain: Fit, columns: list[str]) -> list[Explanation]:
+    """Fit the log without one channel, and without its accelerations: what calibrators are there for."""
+    found = []
+    for i, column in enumerate(columns):
+        cure = "see whether it follows the load; the method watches for it and does without it"
+        channel = Hypothesis("broken", f"column '{column}' does not go with the others", cure, lambda c: c)
+        found.append(Explanation(channel, fit_claims(claims, without=i), 0.0))
+    for quiet in _quiet(claims):
+        noise = Hypothesis(
+            "noise", "the accelerations are noise", "see that they are not delayed", lambda c: c
+        )
+        found.append(Explanation(noise, fit_claims(quiet), 0.0))
+    return sorted(found, key=lambda one: -one.fit.evidence)
+
+
+def _quiet(claims: Claims) -> Iterator[Claims]:
+    """Yield the claims of a robot that moves slowly, without accelerations along some axes."""
+    acceleration = claims.reference.com_acceleration
+    for kept in ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)):
+        reference = claims.reference._replace(com_acceleration=acceleration * kept)
+        yield replace(claims, reference=reference)
+
+
+def _decide(
+    claims: Claims, plain: Fit, explanations: list[Explanation], broken: list[Explanation]
+) -> list[Finding]:
+    """Return what to say of a log: the mistake that mends it, a trouble of one channel, or nothing."""
+    best, other = explanations[0], broken[0]
+    limit, hint = (float(np.log(odds * TRIED)) for odds in (ODDS, HINT))
+    gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))
+    seen = _figures(plain)
+    if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
+        mistake, clear = best.hypothesis, min(gain, lead) > limit
+        # Delays that are near each other are one cause.
+        near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
+        second = next(one for one in explanations[1:] if one not in near)
+        rest = f"the next, {_percent(second.probability)}: {second.hypothesis.cause}"
+        sure = f"probability {_percent(sum(one.probability for one in (best, *near)))}"
+        if not clear:
+            sure = "which the log does not settle"
+            rest = f"or {other.hypothesis.cause}" if lead < hint else rest
+        reason = (
+            f"Readings, layout, mass and motion contradict each other ({seen}). The likeliest cause: "
+            f"{mistake.cause} ({sure}; {rest})."
+        )
+        cure = _sentence(mistake.cure)
+        return [Finding(mistake.kind, reason, cure, gain, limit, refuses=clear, contradicts=True)]
+    if other.fit.evidence - plain.evidence > 2.0 * limit and other.fit.worst <= SOUND:
+        reason = f"The log does not fit itself as well as it might ({seen}): {other.hypothesis.cause}."
+        cure = _sentence(other.hypothesis.cure)
+        return [Finding(other.hypothesis.kind, reason, cure, plain.worst, SOUND, refuses=False)]
+    if plain.worst > SOUND:
+        parts = [fit for one in thirds(claims) if (fit := fit_claims(one)).rows]
+        refuses = plain.worst > GROSS and all(fit.worst > SOUND for fit in parts)
+        reason = (
+            f"Readings, layout, mass and motion contradict each other ({seen}), and no single mistake that "
+            f"was tried mends it; closest is: {best.hypothesis.cause}."
+        )
+        cure = "Check which column is which, units, signs, clocks and the description, one by one."
+        return [Finding("contradiction", reason, cure, plain.worst, GROSS, refuses=refuses)]
+    return []
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
+def _percent(probability: float) -> str:
+    if probability > SHOWN:
+        return f"more than {100.0 * SHOWN:.1f} %"
+    if probability < 1.0 - SHOWN:
+        return f"less than {100.0 * (1.0 - SHOWN):.1f} %"
+    return f"{100.0 * probability:.3g} %"
+
+
+def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis is likelier than the log as it is in each third of it that says anything."""
+    mended = zip(thirds(claims), thirds(hypothesis.undo(claims)), strict=True)
+    fits = [(fit_claims(one), fit_claims(other)) for one, other in mended]
+    return all(other.evidence > one.evidence for one, other in fits if one.rows and other.rows)
+
+
+def _figures(plain: Fit) -> str:
+    """Say how far the log is from fitting itself."""
+    force, cop, air = plain.scales
+    parts = [f"by the best map {1e3 * cop * COP:.2g} mm and {100 * force * FORCE:.2g} % of the weight"]
+    if air > 0.0:
+        parts.append(f"{100 * air * AIR:.2g} % on a channel in the air")
+    low, high = plain.map.scale.min(), plain.map.scale.max()
+    return f"{', '.join(parts)}; its scales are {low:.2f} to {high:.2f} times those of the start"

@@ -1,0 +1,311 @@
+r"""Judge a table of weighings: readings that lie off, labels that are exchanged, cells that do not react.
+
+A cell's counts are linear in the load, code = g F + z, with noise of Student's t distribution, so that single
+readings that lie far off do not turn the line. The table as it is competes with tables in which two loads'
+labels are exchanged, or one label is another load: its likelihood gains n ln(s / s') where the scale of the
+residuals falls from s to s', over all cells.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from surefoot.calibration import GRAVITY
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.force_torque.checks import RAILS
+
+ODDS = 1e6  # from which on a mistake is named
+MOST = 0.25  # share of a cell's readings that may be left out
+NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
+TAIL = 3.0  # degrees of freedom of Student's t
+ROUNDING = 1.0 / np.sqrt(12.0)  # std of a count that was rounded
+FOLLOWS = 5.0  # standard deviations that a slope must be from zero for a cell to follow its load
+BENT = 0.002  # share of the range of loads from which a curve is told; cheap cells are linear to 0.05 %
+HEAVIEST = 3000.0  # N, three times what any load cell of a foot is made for
+RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are made for half of it at most
+RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
+ROUND = 0.5  # loads that are all multiples of it, in newtons, look like kilograms
+
+
+@dataclass(frozen=True)
+class Weighings:
+    """A table: loads in N, (n,); counts, (n, K); and how loads stand in the file."""
+
+    load: Floats
+    code: Floats
+    cells: tuple[str, ...]  # their columns
+    column: str  # of the loads
+    unit: float  # N of one in that column
+
+    def label(self, load: float) -> str:
+        """Say a load as the file does."""
+        return f"{load / self.unit:.4g}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """Counts of one cell, code = slope load + level, with the scale of residuals in counts."""
+
+    slope: float
+    level: float
+    scale: float
+    residual: Floats  # in counts, NaN where not weighed
+    slope_std: float
+
+    @property
+    def follows(self) -> bool:
+        """Whether the cell reacts to its load at all."""
+        return abs(self.slope) > FOLLOWS * self.slope_std
+
+
+def judge_weighings(table: Weighings) -> tuple[list[Finding], NDArray[np.bool_]]:
+    """Return findings, and which readings are to be left out, shape (n, K)."""
+    rails = np.isin(table.code, RAILS)
+    table, given = replace(table, code=np.where(rails, np.nan, table.code)), table
+    lines: list[Line | None] = [_fit(table.load, code) for code in table.code.T]
+    found: list[Finding] = [*_check_units(table, lines)]
+    out = rails.copy()
+    if (label := _check_labels(table, lines)) is not None:
+        return [label, *found], out
+    for i, (name, line) in enumerate(zip(table.cells, lines, strict=True)):
+        if line is None:
+            continue
+        out[:, i] |= _outliers(table, i, line)
+        found += _check_cell(given, name, i, line, out[:, i])
+    return found, out
+
+
+def _fit(load: Floats, code: Floats) -> Line | None:
+    """Fit a line to one cell's counts; ``None`` if it saw fewer than three readings or two loads."""
+    kept = np.isfinite(code) & np.isfinite(load)
+    x, y = load[kept], code[kept]
+    if len(x) < 3 or np.ptp(x) <= 0.0:
+        return None
+    # Theil and Sen: the median of slopes between medians of loads starts where outliers do not reach.
+    loads = np.unique(x)
+    middle = np.array([np.median(y[x == one]) for one in loads])
+    slopes = [(b - a) / (q - p) for (p, a), (q, b) in combinations(zip(loads, middle, strict=True), 2)]
+    slope = float(np.median(slopes))
+    level = float(np.median(y - slope * x))
+    basis = np.column_stack([x / np.abs(loads).max(), np.ones_like(x)])
+    r = y - slope * x - level
+    scale = max(float(np.median(np.abs(r))) / NORMAL, ROUNDING)
+    theta = np.array([slope * np.abs(loads).max(), level])
+    for _ in range(30):
+        weight = (TAIL + 1.0) / (TAIL + (r / scale) ** 2)
+        root = np.sqrt(weight)[:, None]
+        theta = np.linalg.lstsq(root * basis, root[:, 0] * y, rcond=None)[0]
+        r = y - basis @ theta
+        scale = max(float(np.sqrt(np.mean(weight * r**2))), ROUNDING)
+    residual = np.full(len(code), np.nan)
+    residual[kept] = r
+    spread = scale / np.sqrt(np.sum((x - x.mean()) ** 2))
+    return Line(float(theta[0] / np.abs(loads).max()), float(theta[1]), scale, residual, float(spread))
+
+
+def _likelihood(lines: list[Line | None]) -> float:
+    """Logarithm of the likelihood of all cells, but for a constant."""
+    total = 0.0
+    for line in lines:
+        if line is not None:
+            z = line.residual[np.isfinite(line.residual)] / line.scale
+            total -= len(z) * np.log(line.scale) + (TAIL + 1.0) / 2.0 * np.log1p(z**2 / TAIL).sum()
+    return total
+
+
+def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Finding]:
+    """Find loads that no cell of a foot bears, and newtons that look like kilograms."""
+    known = table.load[np.isfinite(table.load)]
+    heaviest = float(np.abs(known).max(initial=0.0))
+    spans = [
+        RANGE_COUNTS / abs(line.slope)
+        for line, code in zip(lines, table.code.T, strict=True)
+        if line is not None and line.follows and np.nanmax(np.abs(code)) > 2**16
+    ]
+    span = float(np.median(spans)) if spans else 0.0
+    if heaviest > HEAVIEST or span > RANGE:
+        seen = f"up to {heaviest:.4g} N" + (
+            f", and a converter that spans {span:.3g} N" if span > RANGE else ""
+        )
+        near = "grams look so" if table.column == "load_kg" else "millinewtons look so"
+        yield Finding(
+            "units",
+            f"Column '{table.column}' means loads of {seen}, and no cell of a foot is made for that: {near}.",
+            "Give kilograms in 'load_kg', or newtons in 'load_N'.",
+            max(heaviest / HEAVIEST, span / RANGE),
+            1.0,
+        )
+    values = np.unique(known[known != 0.0]) / table.unit
+    listed = ", ".join(f"{one:g}" for one in values[:4])
+    if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):
+        yield Finding(
+            "round newtons",
+            f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are.",
+            "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then.",
+            refuses=False,
+        )
+    tenths = values * 10.0 / GRAVITY
+    if (
+        table.column == "load_kg"
+        and len(values) > 1
+        and np.allclose(tenths, np.rint(tenths), atol=2e-3, rtol=0.0)
+    ):
+        yield Finding(
+            "newtons",
+            f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are.",
+            "Name the column 'load_N', or give kilograms.",
+        )
+
+
+def _check_labels(table: Weighings, lines: list[Line | None]) -> Finding | None:
+    """Find two labels that are exchanged, or one that is another load: it puts all cells on their lines."""
+    loads = np.unique(table.load[np.isfinite(table.load)])
+    if len(loads) < 4:
+        return None
+    tries: list[tuple[str, str, Floats]] = []
+    for a, b in combinations(loads, 2):
+        changed = np.where(table.load == a, b, np.where(table.load == b, a, table.load))
+        one, other = table.label(a), table.label(b)
+        tries.append((f"the labels {one} and {other} are exchanged", "exchange them", changed))
+    for a in loads:
+        if (np.isfinite(table.code) & (table.load == a)[:, None]).sum() < 2:
+            continue  # one reading that lies off is an outlier
+        others = [_fit(np.where(table.load == a, np.nan, table.load), code) for code in table.code.T]
+        means = [
+            (np.median(code[table.load == a]) - line.level) / line.slope
+            for code, line in zip(table.code.T, others, strict=True)
+            if line is not None and line.slope != 0.0
+        ]
+        if means and np.isfinite(means).any():
+            true = float(np.nanmedian(means))
+            text = f"the readings under {table.label(a)} are those of {table.label(true)}"
+            tries.append((text, "weigh that load again", np.where(table.load == a, true, table.load)))
+    fits = [[_fit(changed, code) for code in table.code.T] for *_, changed in tries]
+    plain = _likelihood(lines)
+    # A label that is any load costs the likelihood of one more number.
+    free = np.array([0.5 * np.log(len(table.load)) * (cure != "exchange them") for _, cure, _ in tries])
+    gains = np.array([_likelihood(fit) for fit in fits]) - plain - free
+    best = int(np.argmax(gains))
+    limit = float(np.log(ODDS * len(tries)))
+    noise = max((_repeat(table, i, b) for i, b in enumerate(fits[best]) if b is not None), default=1.0)
+    if gains[best] <= limit or noise > 4.0:
+        return None
+    rest = np.delete(gains, best)
+    second = tries[int(np.argsort(-gains)[1])][0]
+    certain = 1.0 / (1.0 + np.exp(np.clip(rest - gains[best], -700.0, 0.0)).sum())
+    worst = max(
+        abs(np.nanmax(np.abs(one.residual)) / one.slope) for one in lines if one is not None and one.slope
+    )
+    sure = "more than 99.9 %" if certain > 0.999 else f"{100 * certain:.2g} %"
+    return Finding(
+        "labels",
+        f"The weighings contradict each other by up to {worst:.2g} N. The likeliest cause: in column "
+        f"'{table.column}' {tries[best][0]} (probability {sure}; next: {second}).",
+        f"{tries[best][1].capitalize()}, or leave these rows out.",
+        float(gains[best]),
+        limit,
+        contradicts=True,
+    )
+
+
+def _repeat(table: Weighings, i: int, line: Line) -> float:
+    """Scale of a cell's residuals in that of its repeated readings under one load; 1 without repeats."""
+    spread = [
+        (code - code.mean()) * np.sqrt(len(code) / (len(code) - 1.0))
+        for one in np.unique(table.load[np.isfinite(table.load)])
+        if len(code := table.code[(table.load == one) & np.isfinite(table.code[:, i]), i]) > 1
+    ]
+    if not spread:
+        return 1.0
+    inner = max(float(np.median(np.abs(np.concatenate(spread)))) / NORMAL, ROUNDING)
+    return float(line.scale / inner)
+
+
+def _outliers(table: Weighings, i: int, line: Line) -> NDArray[np.bool_]:
+    code = table.code[:, i]
+    middle = float(np.nanmedian(np.abs(line.residual))) / NORMAL
+    # As far as one reading in a million is, where so many readings have found the line and its noise.
+    noise = max(line.scale, middle)
+    reach = noise * float(student.ppf(1.0 - 0.5 / ODDS, max(np.isfinite(line.residual).sum() - 2, 1)))
+    far: NDArray[np.bool_] = np.abs(line.residual) > reach
+    # A curve bends away from its line under one load; a reading that lies off differs from its like as well.
+    for row in np.flatnonzero(far):
+        like = (table.load == table.load[row]) & np.isfinite(code)
+        if like.sum() > 2 and abs(code[row] - np.median(code[like])) < reach:
+            far[row] = False
+    return far
+
+
+def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np.bool_]) -> Iterator[Finding]:
+    """Say of one cell which readings are left out, whether it follows its load, and how it bends."""
+    code, load = table.code[:, i], table.load
+    kept = np.isfinite(code) & np.isfinite(load) & ~out
+    x, span = load[kept], float(np.ptp(load[kept])) if kept.any() else 0.0
+    if not line.follows:
+        yield Finding(
+            "dead cell",
+            f"Column '{name}' does not follow the load: from {table.label(x.min())} to "
+            f"{table.label(x.max())} its counts change by {abs(line.slope) * span:.3g}, and "
+            f"they scatter by {line.scale:.3g}.",
+            "Check its wiring and that the weights rest on it, or leave the column out.",
+            abs(line.slope) / line.slope_std,
+            FOLLOWS,
+        )
+        return
+    if out.any():
+        rows = np.flatnonzero(out)
+        listed = ", ".join(f"{row + 2}" for row in rows[:6]) + (" and more" if len(rows) > 6 else "")
+        reason = (
+            f"Column '{name}': {len(rows)} of {int(np.isfinite(code).sum())} readings lie off the line of "
+            f"the others by up to {_off(line, code[out], load[out]):.3g} N (line {listed} of the file, "
+            f"such as {code[rows[0]]:.10g})."
+        )
+        if len(rows) > MOST * np.isfinite(code).sum():
+            yield Finding("outliers", reason, "Weigh this cell again.", len(rows) / len(code), MOST)
+            return
+        yield Finding("outliers", reason, "They are left out.", refuses=False)
+    bend, at, doubt = _bend(table, i, line, kept)
+    if bend > max(FOLLOWS * doubt, BENT * span):
+        yield Finding(
+            "curve",
+            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it, and "
+            f"they scatter by {abs(line.scale / line.slope):.2g} N.",
+            "Forces between the weights are that uncertain; weigh near the loads that matter.",
+            bend,
+            BENT * span,
+            refuses=False,
+        )
+    elif (scatter := abs(line.scale / line.slope)) > FOLLOWS * BENT * span:
+        yield Finding(
+            "scatter",
+            f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
+            "or weights that do not rest on it alone.",
+            "Weigh each load three times or more, up and down.",
+            scatter,
+            FOLLOWS * BENT * span,
+            refuses=False,
+        )
+
+
+def _off(line: Line, code: Floats, load: Floats) -> float:
+    """Return the largest distance of readings from a line in N."""
+    return float(np.nanmax(np.abs(code - line.slope * load - line.level)) / abs(line.slope))
+
+
+def _bend(table: Weighings, i: int, line: Line, kept: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return the largest mean residual of a load in N, that load, and its standard deviation."""
+    code, load = table.code[kept, i], table.load[kept]
+    slope, level = np.polyfit(load, code, 1)
+    groups = {float(one): code[load == one] for one in np.unique(load)}
+    means = [(abs(part.mean() - slope * one - level) / abs(slope), one) for one, part in groups.items()]
+    inner = [part - part.mean() for part in groups.values() if len(part) > 1]
+    free = sum(len(part) - 1 for part in inner)
+    noise = np.sqrt(sum((part**2).sum() for part in inner) / free) if free else line.scale
+    bend, at = max(means)
+    count = int((load == at).sum())
+    return bend, float(at), max(float(noise), ROUNDING) / abs(slope) / np.sqrt(count)

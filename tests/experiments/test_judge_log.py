@@ -1,0 +1,304 @@
+"""Logs that contradict themselves are explained; sound ones, and what filters are for, are let through."""
+
+import dataclasses
+import importlib.util
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surefoot.calibration import CalibrationRefused, Reference
+from surefoot.experiments import record_walk, write_log
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.format import Log, LogError, read_log
+from surefoot.experiments.walking import calibrate as module
+from surefoot.experiments.walking.calibrate import calibrate_log
+from surefoot.experiments.walking.claims import claims_of, fit_claims
+from surefoot.experiments.walking.hypotheses import hypotheses
+from surefoot.experiments.walking.judge import Verdict, judge_log
+from surefoot.experiments.walks.replay import starting_map
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+
+def _spoilers() -> dict[str, tuple[str, Callable[..., Log]]]:
+    spec = importlib.util.spec_from_file_location("spoilt_logs", Path(__file__).with_name("spoilt_logs.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    found: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found.SPOILERS
+
+
+SPOILERS = _spoilers()
+RUNNER = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def walked() -> dict[str, Log]:
+    """Give a walk of 16 s from a bad start and from calibrated cells."""
+    return record_walk(0.04, 11, 16.0)
+
+
+@pytest.fixture(scope="module")
+def bad_start(walked: dict[str, Log]) -> Log:
+    return dataclasses.replace(walked["bad-start"], truth=None)
+
+
+def judge(log: Log) -> Verdict:
+    return judge_log(log, starting_map(log))
+
+
+QUICK = (
+    "feet", "cells", "gain 64", "millimetres", "mirror", "late", "roles", "contacts", "gravity",
+    "accelerometer", "x and y", "half turn",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_mistake_is_named(bad_start: Log, name: str) -> None:
+    kind, spoil = SPOILERS[name]
+    first = judge(spoil(bad_start, np.random.default_rng(1))).findings[0]
+    assert first.name == kind
+    assert first.refuses
+    assert first.contradicts
+    assert first.value > first.limit
+
+
+def test_sound_walks_are_let_through(walked: dict[str, Log]) -> None:
+    for log in walked.values():
+        verdict = judge(log)
+        assert verdict.findings == ()
+        assert verdict.as_it_is.worst < 1.5
+
+
+def _with_fault(log: Log, fault: str) -> Log:
+    raw, rng, i, half = log.raw.copy(), np.random.default_rng(3), 5, len(log) // 2
+    offset = 0.1 * log.mass * 9.81 / log.nominal.scale[i]
+    if fault == "dies":
+        raw[half:, i] = raw[half, i]
+    elif fault == "dead":
+        raw[:, i] = raw[0, i]
+    elif fault == "leaps":
+        raw[half:, i] += offset
+    elif fault == "missing":
+        raw[rng.random(raw.shape) < 0.1] = np.nan
+    elif fault == "spikes":
+        raw[rng.random(raw.shape) < 0.01] = 8388607.0
+    return dataclasses.replace(log, raw=raw)
+
+
+@pytest.mark.parametrize("fault", ["dies", "dead", "leaps", "missing", "spikes"])
+def test_faults_of_one_cell_are_for_the_filter(bad_start: Log, fault: str) -> None:
+    assert not any(one.refuses for one in judge(_with_fault(bad_start, fault)).findings)
+
+
+def test_each_hypothesis_keeps_the_shapes_of_claims(bad_start: Log) -> None:
+    claims = claims_of(bad_start, starting_map(bad_start), 0.17)
+    tried = list(hypotheses(bad_start.layout))
+    assert len(tried) > 150
+    assert len({one.cause for one in tried}) == len(tried)
+    for one in tried:
+        undone = one.undo(claims)
+        assert undone.raw.shape == claims.raw.shape
+        assert all(
+            np.shape(a) == np.shape(b) for a, b in zip(undone.reference, claims.reference, strict=True)
+        )
+
+
+def test_the_fit_finds_the_cells(bad_start: Log, walked: dict[str, Log]) -> None:
+    """By its map the feet bear what they truly bear, to the noise of the motion and the drift of the walk."""
+    truth = walked["bad-start"].truth
+    assert truth is not None
+    start, weight = bad_start.nominal.force(bad_start.raw), bad_start.mass * 9.81
+    found = fit_claims(claims_of(bad_start, bad_start.nominal, 0.17)).map
+    true = truth.force.reshape(-1, 2, 4).sum(axis=2)
+    before, after = (
+        np.std(force.reshape(-1, 2, 4).sum(axis=2) - true)
+        for force in (start, found.scale * start + weight * found.offset)
+    )
+    assert after < 0.3 * before
+
+
+def test_a_short_log_says_nothing(log: Log) -> None:
+    assert judge(log).findings == ()
+
+
+def test_a_log_that_nothing_mends_is_refused_with_its_figures(bad_start: Log) -> None:
+    rng = np.random.default_rng(0)
+    log = dataclasses.replace(bad_start, raw=bad_start.raw[rng.permutation(len(bad_start))])
+    first = judge(log).findings[0]
+    assert (first.name, first.refuses) == ("contradiction", True)
+    assert "and no single mistake that was tried mends it; closest is: " in first.reason
+    assert first.value > first.limit
+
+
+def spoil(log: Log, name: str) -> Log:
+    return SPOILERS[name][1](log, np.random.default_rng(1))
+
+
+class TestCommand:
+    """Exit status 3, no file, and a way past it that every file tells."""
+
+    def test_it_refuses(self, bad_start: Log, tmp_path: Path) -> None:
+        path = write_log(spoil(bad_start, "feet"), tmp_path / "walk.parquet")
+        result = RUNNER.invoke(app, ["calibrate", "walk", str(path)])
+        assert result.exit_code == 3
+        assert result.stderr.startswith(
+            "surefoot: walk.parquet: Readings, layout, mass and motion contradict each other (by the best "
+        )
+        assert (
+            "The likeliest cause: the readings of the left and of the right foot are exchanged (probability "
+            "more than 99.9 %; the next, less than 0.1 %: "
+        ) in result.stderr
+        assert result.stderr.endswith(
+            "Exchange their plugs or their columns. If you know better: --accept REASON goes on, and every "
+            "file says so.\n"
+        )
+        assert [one.name for one in tmp_path.iterdir()] == ["walk.parquet"]
+
+    def test_with_a_reason_it_goes_on(
+        self, bad_start: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+        options: dict[str, Any] = {"folder": tmp_path, "stem": "walk", "file": "walk.csv"}
+        result = calibrate_log(spoil(bad_start, "x and y"), "none", accept="a test", **options)
+        assert result.notices[0].startswith("walk.csv: accepted (a test): Readings, layout, mass and motion")
+        assert json.loads(result.parameters.read_text())["notices"][0] == result.notices[0]
+        with pytest.raises(CalibrationRefused):
+            calibrate_log(spoil(bad_start, "x and y"), "none", **options)
+
+    def test_a_reason_must_be_given(self, tmp_path: Path) -> None:
+        result = RUNNER.invoke(app, ["calibrate", "walk", str(tmp_path / "walk.csv"), "--accept", " "])
+        assert result.exit_code == 2
+        assert "--accept needs the reason why a refusal may be passed" in result.stderr
+
+    def test_slow_converters_are_told(
+        self, bad_start: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+        raw = bad_start.raw.copy()
+        raw[np.arange(len(raw)) % 8 != 0] = np.nan
+        log = dataclasses.replace(bad_start, raw=raw)
+        notices = calibrate_log(log, "moment", folder=tmp_path, stem="walk", file="walk.csv").notices
+        assert (
+            "walk.csv: nothing was learnt: the moment map is the one at the start. 88 % of the readings are "
+            "missing, and a method learns from rows in which all channels were read; if the converters are "
+            "slower than the rows, write rows at their rate."
+        ) in notices
+
+
+def feet_alone(log: Log, path: Path, *, contacts: bool) -> Path:
+    """Write a log without references."""
+    pd = pytest.importorskip("pandas")
+    write_log(log, path)
+    table = pd.read_csv(path)
+    kept = ["time_s", *(name for name in table if name.startswith("raw_"))]
+    kept += [name for name in table if name.endswith(("_stance", "_swing"))] if contacts else []
+    table[kept].to_csv(path, index=False)
+    return path
+
+
+class TestFeetAlone:
+    """Insoles, plates and boards know no robot."""
+
+    @pytest.mark.parametrize("contacts", [True, False])
+    def test_they_are_tared(
+        self, walked: dict[str, Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contacts: bool
+    ) -> None:
+        pd = pytest.importorskip("pandas")
+        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+        log = walked["bad-start"]
+        path = feet_alone(dataclasses.replace(log, truth=None), tmp_path / "feet.csv", contacts=contacts)
+        result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "tare", "--json"])
+        assert result.exit_code == 0, result.output
+        assert "agreement" not in json.loads(result.stdout)["tables"]
+        found = pd.read_parquet(tmp_path / "feet.tare.parquet")
+        assert "cop_level_x_m" not in found
+        np.testing.assert_allclose(found["vgrf_N"], found["vgrf_left_N"] + found["vgrf_right_N"])
+        truth = log.truth
+        assert truth is not None
+        # The offset of a cell is what it reads in the air.
+        last = json.loads((tmp_path / "feet.tare.json").read_text())["offset_N"]
+        right = truth.offset[-1] * log.nominal.scale / truth.scale[-1]
+        assert np.abs(last - right).max() < 0.5
+        assert np.abs(log.nominal.offset - right).max() > 1.0
+
+    def test_contacts_are_felt(self, walked: dict[str, Log], tmp_path: Path) -> None:
+        log = walked["bad-start"]
+        path = feet_alone(log, tmp_path / "feet.csv", contacts=False)
+        felt = read_log(path, feet_alone=True)
+        truth = log.truth
+        assert truth is not None
+        load = truth.force.reshape(-1, 2, 4).sum(axis=2)
+        assert felt.reference.swing.any(axis=0).all()
+        assert load[felt.reference.swing].max() < 0.05 * log.mass * 9.81
+        assert load[felt.reference.stance].min() > 0.1 * log.mass * 9.81
+
+    def test_other_methods_need_the_robot(self, log: Log, tmp_path: Path) -> None:
+        path = feet_alone(log, tmp_path / "feet.csv", contacts=True)
+        with pytest.raises(LogError) as refused:
+            read_log(path)
+        assert str(refused.value).endswith(
+            "docs/log-format.md lists every column and its unit. Feet alone, without references, can be "
+            "calibrated by --method tare or none."
+        )
+
+
+def exercise(robot: str, sensors: str | None, seed: int, duration: float = 16.0) -> Log:
+    """Log a robot's own calibration motion."""
+    env = FootSensors(gym.make("surefoot/Exercise-v0", robot=robot, duration=None), sensors)
+    own = SelfCalibration(env, "none")
+    own.reset(seed=seed)
+    setup, raw, references = own.calibrator.setup, [], []
+    for _ in range(round(duration / setup.dt)):
+        own.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        raw.append(env.raw.copy())
+        references.append(own.reference)
+    stacked = Reference(*(np.array(part)[16:] for part in zip(*references, strict=True)))
+    time = setup.dt * np.arange(16, len(raw))
+    about = {"sample_age_s": setup.age}
+    return Log(time, np.array(raw)[16:], stacked, setup.layout, setup.mass, setup.initial, None, setup.dt,
+               setup.lag, seed, None, about)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def second_walker(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+        return benchmark_script("second_walker")
+
+
+@pytest.mark.slow
+def test_the_table_of_spoilt_and_sound_logs(second_walker: ModuleType) -> None:
+    """Three robots, two speeds: nine in ten named first, none wrong without a word, no sound one refused."""
+    sound: list[Log] = []
+    for seed, speed in enumerate((0.02, 0.03, 0.05, 0.06, 0.08)):
+        sound += record_walk(speed, 100 + seed, 20.0).values()
+    for seed, speed in enumerate((0.03, 0.06)):
+        for stairs, starts in ((True, ("bad", "weights", "triple")), (False, ("chips",))):
+            sound += second_walker.record(speed, 100 + seed, 20.0, starts, stairs=stairs).values()
+    for robot in ("nao", "g1", "op3", "t1"):
+        sound += [exercise(robot, kind, 100 + i) for i, kind in enumerate((None, "icub-force-torque"))]
+    spoilt = [sound[1], sound[7], sound[10], exercise("op3", None, 107)]
+    sound += [
+        _with_fault(log, fault) for log in sound[1:20:6] for fault in ("dies", "leaps", "missing", "dead")
+    ]
+    assert len(sound) >= 40
+    refused = [one.name for log in sound for one in judge(log).findings if one.refuses]
+    assert refused == []
+    right, tried, silent = 0, 0, []
+    for number, log in enumerate(spoilt):
+        for i, (name, (kind, put)) in enumerate(SPOILERS.items()):
+            findings = judge(put(log, np.random.default_rng([number, i]))).findings
+            tried += 1
+            right += bool(findings) and findings[0].name == kind
+            silent += [] if findings else [(number, name)]
+    assert tried >= 60
+    assert right >= 0.9 * tried
+    assert silent == []
