@@ -37,9 +37,11 @@ __all__ = [
     "check_gauges",
     "criterion",
     "drifting",
+    "fit_loops",
     "lag_signals",
+    "likeliest_loops",
+    "shows_loops",
     "with_gains",
-    "with_hysteresis",
 ]
 
 Matrix = NDArray[np.float64]
@@ -67,23 +69,33 @@ _ROUNDS = 2
 """Fits, as the loads whose loops these are come from the fit itself."""
 
 
-def with_hysteresis(
+Fitted = tuple[Problem, Solution]
+
+
+def fit_loops(
     sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
-) -> tuple[Problem, Solution] | None:
-    """Return the problem with loops of loads or of channels, whichever is likelier, and its solution.
+) -> list[Fitted]:
+    """Return the problem with loops of loads and with loops of channels, each with its solution.
 
     Loops of loads are six more parameters, the shares s of the axes, behind the limb's; loops of channels are
-    a signal for each channel that acts on the readings directly. None if loops explain too little. The
+    a signal for each channel that acts on the readings directly. None of both where few rows show them. The
     problem and the solution that are given have no loops.
     """
-    if sum(part.rows for part in problem.sets) < _ROWS_EACH * problem.inputs * len(problem.sets):
-        return None
-    plain = criterion(problem, solution)
-    kinds = (_of_loads(sets, problem, solution, options), _of_channels(sets, problem, solution, options))
+    if not shows_loops(problem):
+        return []
+    return [_of_loads(sets, problem, solution, options), _of_channels(sets, problem, solution, options)]
+
+
+def shows_loops(problem: Problem) -> bool:
+    """Return whether sets have rows enough to show loops."""
+    return sum(part.rows for part in problem.sets) >= _ROWS_EACH * problem.inputs * len(problem.sets)
+
+
+def likeliest_loops(plain: Fitted, loops: Sequence[Fitted]) -> Fitted:
+    """Return the likeliest of the problems with loops; the plain one where they explain too little."""
     # What leads the load is no hysteresis but two clocks that disagree.
-    lagging = [fitted for fitted in kinds if _lags(loop_shares(*fitted))]
-    best = min(lagging, key=lambda fitted: criterion(*fitted), default=None)
-    return best if best is not None and criterion(*best) < plain else None
+    lagging = [fitted for fitted in loops if _lags(loop_shares(*fitted))]
+    return min([plain, *lagging], key=lambda fitted: criterion(*fitted))
 
 
 def _lags(shares: NDArray[np.float64]) -> bool:

@@ -455,10 +455,10 @@ def lagging(wrench, share, scale, first=None):
     return read
 
 
-def lagging_sets(read):
+def lagging_sets(read, n=1500):
     """Sets of the paper, slowly swept, by what a sensor reads of the wrenches."""
     _, mass, com, places = SENSORS["leg"]
-    gravity, time = swept_gravity(3000), np.arange(3000) / 10.0
+    gravity, time = swept_gravity(n), np.arange(n) / 10.0
     sets = []
     for added, place in zip(ADDED_MASS, places, strict=True):
         wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
@@ -481,6 +481,17 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     np.testing.assert_allclose(fit.hysteresis[:2], 0.015, rtol=0.4)
     assert abs(fit.limb.mass / mass - 1.0) < 0.5 * abs(plain.limb.mass / mass - 1.0)
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
+    assert fit.delay == 0.0
+    # A late IMU cancels part of a loop, and what is left is wrong by as much.
+    late = [replace(one, gravity=gravity_at(one, one.time - 0.06)) for one in sets]
+    shifted = calibrate_in_situ(late)
+    assert shifted.delay == pytest.approx(0.06, abs=0.01)
+    assert abs(shifted.limb.mass / mass - 1.0) < 0.005
+    assert any("The IMU is late by" in warning for warning in shifted.warnings)
+
+
+def gravity_at(one, time):
+    return np.stack([np.interp(time, one.time, column) for column in one.gravity.T], axis=1)
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02])
