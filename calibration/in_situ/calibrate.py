@@ -218,8 +218,9 @@ def _solve(task: Task, findings: list[Finding]) -> Solved:
         if any(data.time is None for data in sets):
             break
         left = delay_left(late, *loops)
-        then, std = max(delay + left.delay, 0.0), left.std
-        if left.nats < _CLEARLY or abs(then - delay) < SHORTEST or then > LONGEST:
+        then, std = max(delay + left.delay, 0.0), float(np.hypot(left.std, left.law))
+        nats = left.shows if delay else left.is_no_loop
+        if nats < _CLEARLY or abs(then - delay) < SHORTEST or then > LONGEST:
             break
         delay = then
     findings += found

@@ -76,16 +76,23 @@ class DelayLeft(NamedTuple):
 
     Attributes:
         delay: In s; negative where it is early.
-        std: Its deviation.
+        std: Its deviation by noise.
+        law: Its deviation as loops of another law may feign one.
     """
 
     delay: float
     std: float
+    law: float
 
     @property
-    def nats(self) -> float:
-        """What the delay explains."""
+    def shows(self) -> float:
+        """Nats that the delay explains."""
         return 0.5 * (self.delay / self.std) ** 2
+
+    @property
+    def is_no_loop(self) -> float:
+        """Nats that it explains beyond what loops of another law might."""
+        return 0.5 * self.delay**2 / (self.std**2 + self.law**2)
 
 
 def delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> DelayLeft:
@@ -124,7 +131,7 @@ def delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution) 
     free = free.reshape(solution.residual.shape) * believed
     along -= float(np.sum(free * solution.residual * believed))
     square += float(np.sum(free**2))
-    return DelayLeft(along / square, float(np.hypot(square**-0.5, _LAW * like / whole)))
+    return DelayLeft(along / square, square**-0.5, _LAW * abs(like) / whole)
 
 
 def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:

@@ -9,8 +9,8 @@ from _in_situ import SENSORS, make_set, moving_sets, noisy_sets, swept_gravity
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.clock import guess_delay
+from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.gravity import fit_sphere, level
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
