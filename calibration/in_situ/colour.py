@@ -181,12 +181,13 @@ class Spectrum:
         return cls(seen / (2.0 * rows * spacing), left[seen], dct(residual, norm="ortho", axis=0)[seen])
 
 
-def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
+def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = True) -> Colour:
     """Return the colour that explains residuals best; white unless another is worth its parameters.
 
     Args:
         spectra: Of the sets, in channels none of which follows from the others.
         motion: Frequency of the limb's motion.
+        walks: Whether offsets may walk at random.
     """
     spectra = [one for one in spectra if len(one.left) >= _LEAST_MODES]
     if not spectra:
@@ -202,7 +203,7 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
     knees = np.geomspace(slowest, max(2.0 * slowest, float(frequency[-1])), _KNEES)
     lags = [part for part in product(corners, _LAGS, knees) if part[2] < part[0]]
     tried = {
-        "drift": np.array([Part(), *product(corners, (_WALK,), (0.0,))]),
+        "drift": np.array([Part(), *(product(corners, (_WALK,), (0.0,)) if walks else ())]),
         "hysteresis": np.array([Part(), *lags]),
     }
     powers = {name: _powers(grid, frequency) for name, grid in tried.items()}

@@ -225,12 +225,12 @@ def with_signals(
 
 
 def _compressed(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
-    colour = _colour(rows) if options.drift is None else Colour()
+    colour = _colour(rows, walks=options.drift is None)
     return tuple(_triangularise(one, colour) for one in rows)
 
 
-def _colour(rows: Sequence[SetRows]) -> Colour:
-    """Return the colour of what no linear map of the signals explains."""
+def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
+    """Return the colour of what no linear map of the signals explains; ``walks`` is whether offsets may."""
     found, spread = [], 0.0
     for one in rows:
         first = one.terms + one.inputs
@@ -249,6 +249,7 @@ def _colour(rows: Sequence[SetRows]) -> Colour:
     return likeliest_colour(
         [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
         float(np.median(motions)),
+        walks,
     )
 
 
