@@ -9,7 +9,8 @@ before. Velocity and angular momentum are then added up,
           L \leftarrow L + L' \Delta t - \frac{\Delta t}{T_L} L
 
 so that an accelerometer's bias does not grow: v_legs is what the centre of mass does relative to soles that
-stand, and the angular momentum of a robot on its feet comes back to zero.
+stand, and the angular momentum of a robot on its feet comes back to zero. A log whose centre of mass does not
+move as its accelerations say is pulled no harder than an attitude that is off would.
 """
 
 from typing import NamedTuple
@@ -25,6 +26,12 @@ LEG_TIME = 1.0
 SPIN_TIME = 2.0
 """T_L in s: longer than a stride, in which the angular momentum comes back to where it was."""
 
+LARGEST_BIAS = 0.3
+"""Acceleration in m/s^2 that is believed to be an error, of an attitude that is off by two degrees."""
+
+FIRST_SPEED = 1.0
+"""Velocity in m/s that a robot begins with at most, a quick walk."""
+
 FASTEST = 20.0
 """Velocity in m/s, and angular momentum by the mass in m^2/s, that no robot on feet has."""
 
@@ -34,6 +41,8 @@ class MotionConstants(NamedTuple):
 
     leg_time: float = LEG_TIME
     spin_time: float = SPIN_TIME
+    largest_bias: float = LARGEST_BIAS
+    first_speed: float = FIRST_SPEED
     fastest: float = FASTEST
 
 
@@ -121,7 +130,9 @@ def follow_accelerations(
     if stance.any():
         by_legs = (com - (old_R @ track.motion[columns.com] + track.origin)) / dt
         # The first velocities are averaged: nothing was known before.
-        velocity = velocity + max(1.0 / track.samples, dt / LEG_TIME) * (by_legs - velocity)
+        share = max(1.0 / track.samples, dt / LEG_TIME)
+        limit = max(FIRST_SPEED / track.samples**2, LARGEST_BIAS * dt)
+        velocity = velocity + np.clip(share * (by_legs - velocity), -limit, limit)
     rate = R @ motion[columns.angular_momentum_rate] / mass
     spin = track.spin + (rate - track.spin / SPIN_TIME) * dt
     track = Track(motion, track.samples + 1, heading, origin, velocity, spin)

@@ -56,7 +56,7 @@ typedef struct {
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
-    sf_real leg_time, spin_time, fastest;
+    sf_real leg_time, spin_time, largest_bias, first_speed, fastest;
 } sf_momentum_config;
 
 /* Belief: what the modes hold, and how likely they are. */
@@ -239,10 +239,13 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     sf_about_z(turned, heading, motion + SF_ACCELERATION);
     for (int k = 0; k < 3; k++) com[k] += origin[k], s->velocity[k] += turned[k] * dt;
     if (standing) {
-        sf_real share = sf_max(1 / (sf_real)s->samples, dt / m->leg_time);
+        sf_real n = (sf_real)s->samples, share = sf_max(1 / n, dt / m->leg_time);
+        sf_real limit = sf_max(m->first_speed / (n * n), m->largest_bias * dt);
         sf_about_z(turned, s->heading, s->motion + SF_COM);
-        for (int k = 0; k < 3; k++)
-            s->velocity[k] += share * ((com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k]);
+        for (int k = 0; k < 3; k++) {
+            sf_real pull = share * ((com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k]);
+            s->velocity[k] += sf_max(sf_min(pull, limit), -limit);
+        }
     }
     sf_about_z(turned, heading, motion + SF_RATE);
     for (int k = 0; k < 3; k++) s->spin[k] += (turned[k] / c->mass - s->spin[k] / m->spin_time) * dt;
