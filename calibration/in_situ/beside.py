@@ -6,9 +6,9 @@ load and a share s of
 
 .. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
 
-with play operators P of half-width :math:`r_i`, all or a narrow one, and the largest amplitude X of the data. The loop shows s,
-and the rest follows from s: such an element gives way by s more for each doubling of the swing, so that a
-small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
+with play operators P of half-width :math:`r_i`, all or a narrow one, and the largest amplitude X of the data.
+The loop shows s, and the rest follows from s: such an element gives way by s more for each doubling of the
+swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
 too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
 it only sets the swing at which the matrix holds, that of the data.
 
@@ -59,8 +59,8 @@ _LEADS = 0.3
 """A share this far below zero, as a part of the largest, is no hysteresis."""
 
 _PROPORTIONAL, _BACKLASH = np.ones(_PLAYS), np.where(np.arange(_PLAYS) == 6, 64.0, 0.0)
-"""Weights of the plays, the widest first: a loop as wide in proportion over any swing, and one that is as wide
-over a large swing as over a small one; a share of one is as wide as the largest amplitude."""
+"""Weights of the plays, the widest first: a loop as wide in proportion over any swing, and one that is as
+wide over a large swing as over a small one; a share of one is as wide as the largest amplitude."""
 
 _STEPS = 3000
 """Steps in which a set's plays are followed, if its limb turns slowly."""
