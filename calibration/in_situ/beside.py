@@ -8,9 +8,9 @@ load and a share s of
 
 with play operators P of half-width :math:`r_i`, all or a narrow one, and the largest amplitude X of the data.
 The loop shows s, and the rest follows from s: such an element gives way by s more for each doubling of the
-swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
-too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
-it only sets the swing at which the matrix holds, that of the data.
+swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this
+makes the limb too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x
+over the data; it only sets the swing at which the matrix holds, that of the data.
 
 Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
