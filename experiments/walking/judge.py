@@ -164,7 +164,7 @@ def _decide(
     gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))
     seen = _figures(plain)
     if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
-        mistake, clear = best.hypothesis, min(gain, lead) > limit
+        mistake, clear = best.hypothesis, bool(min(gain, lead) > limit)
         # Delays that are near each other are one cause.
         near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
         second = next(one for one in explanations[1:] if one not in near)
