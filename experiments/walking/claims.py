@@ -123,29 +123,42 @@ class _Rows(NamedTuple):
 
 
 def fit_claims(claims: Claims, without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:
-    """Fit claims in up to :data:`WINDOWS` windows, each by a map of its own, and add up the evidence.
+    """Fit claims as :func:`fit_parts` does."""
+    return fit_parts(condense(claims), without, widths)
+
+
+def fit_parts(parts: Sequence[Claims], without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:
+    """Fit condensed claims, each part by a map of its own, and add up the evidence.
 
     ``without`` is a channel that is left out: what it bears is open at every moment. Of the ``widths`` of the
     map's prior the likeliest counts.
     """
-    parts = []
-    for one in map(_condense, _windows(claims)):
-        written = _rows(one, without)
-        if written.blocks >= FEWEST:
+    found = []
+    for one in parts:
+        if len(one.raw) >= FEWEST:
+            written = _rows(one, without)
             fits = [_fit_with(written, one, width) for width in widths]
-            parts.append(max(fits, key=lambda fit: fit.evidence))
-    if not parts:
-        ones = np.ones(claims.raw.shape[1])
+            found.append(max(fits, key=lambda fit: fit.evidence))
+    if not found:
+        ones = np.ones(parts[0].raw.shape[1])
         return Fit(0.0, np.zeros(3), Parameters(ones, 0.0 * ones), 0)
-    middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in parts), strict=True)]
-    evidence, rows = float(sum(part.evidence for part in parts)), sum(part.rows for part in parts)
-    evidence += ABSURD * _crossed(claims.reference)
+    middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in found), strict=True)]
+    evidence, rows = float(sum(part.evidence for part in found)), sum(part.rows for part in found)
+    evidence += ABSURD * _crossed(parts[0].reference)
     return Fit(evidence, middle[0], Parameters(*middle[1:]), rows)
+
+
+def condense(claims: Claims) -> list[Claims]:
+    """Return claims of blocks, in up to :data:`WINDOWS` parts: means over samples that hold everything.
+
+    A foot stands, or swings, in all of a block or not.
+    """
+    return [_condense(one) for one in _windows(claims)]
 
 
 def _crossed(reference: Reference) -> bool:
     """Whether the left sole is to the right of the right one, most of the time."""
-    if reference.position_sole.shape[1] != 2:
+    if reference.position_sole.shape[1] != 2 or len(reference.com) == 0:
         return False
     left = reference.R_level_sole[..., 1].sum(axis=1)
     apart = reference.position_sole[:, 0] - reference.position_sole[:, 1]
@@ -173,7 +186,7 @@ def _cut(claims: Claims, where: slice) -> Claims:
 
 
 def _condense(claims: Claims) -> Claims:
-    """Return means over blocks of samples that hold everything; a foot swings in all of a block or not."""
+    """Condense one window."""
     size = max(1, round(BLOCK / claims.dt))
     blocks = len(claims.raw) // size
     end, reference = blocks * size, claims.reference
@@ -189,8 +202,11 @@ def _condense(claims: Claims) -> Claims:
         values.reshape(-1, *part.shape[1:])
         for values, part in zip(np.split(means, edges, axis=1), parts, strict=True)
     )
-    swing = np.asarray(reference.swing)[:end].reshape(blocks, size, -1)[kept].all(axis=1)
-    beliefs = reference._replace(**dict(zip(named, found, strict=True)), swing=swing, stance=~swing)
+    stance, swing = (
+        np.asarray(part)[:end].reshape(blocks, size, -1)[kept].all(axis=1)
+        for part in (reference.stance, reference.swing)
+    )
+    beliefs = reference._replace(**dict(zip(named, found, strict=True)), stance=stance, swing=swing)
     return replace(claims, raw=raw, reference=beliefs)
 
 

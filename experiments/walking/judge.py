@@ -25,7 +25,9 @@ from surefoot.experiments.walking.claims import (
     Claims,
     Fit,
     claims_of,
+    condense,
     fit_claims,
+    fit_parts,
     thirds,
 )
 from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
@@ -111,12 +113,18 @@ def _length(log: Log) -> float:
 
 def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explanation]:
     """Fit the log by each hypothesis, and return the likeliest by falling likelihood."""
+    parts = condense(claims)
+
+    def mend(one: Hypothesis) -> list[Claims]:
+        # All but delays may as well be undone in the means of blocks.
+        return condense(one.undo(claims)) if one.kind == DELAY else [one.undo(part) for part in parts]
+
     # One prior is enough to see which are worth a closer look.
-    rough = [fit_claims(one.undo(claims), widths=WIDTHS[-1:]).evidence for one in tried]
+    rough = [fit_parts(mend(one), widths=WIDTHS[-1:]).evidence for one in tried]
     tried = [tried[i] for i in np.argsort(rough)[::-1]]
     others = [one for one in tried if one.kind != tried[0].kind]
     tried = [*[one for one in tried if one.kind == tried[0].kind][:CLOSER], *others[:CLOSER]]
-    fits = [fit_claims(one.undo(claims)) for one in tried]
+    fits = [fit_parts(mend(one)) for one in tried]
     evidence = np.array([plain.evidence, *(fit.evidence for fit in fits)])
     likely = np.exp(evidence - evidence.max())
     likely /= likely.sum()
@@ -126,11 +134,11 @@ def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explan
 
 def _broken(claims: Claims, plain: Fit, columns: list[str]) -> list[Explanation]:
     """Fit the log without one channel, and without its accelerations: what calibrators are there for."""
-    found = []
+    found, parts = [], condense(claims)
     for i, column in enumerate(columns):
         cure = "see whether it follows the load; the method watches for it and does without it"
         channel = Hypothesis("broken", f"column '{column}' does not go with the others", cure, lambda c: c)
-        found.append(Explanation(channel, fit_claims(claims, without=i), 0.0))
+        found.append(Explanation(channel, fit_parts(parts, without=i), 0.0))
     for quiet in _quiet(claims):
         noise = Hypothesis(
             "noise", "the accelerations are noise", "see that they are not delayed", lambda c: c
@@ -156,7 +164,7 @@ def _decide(
     gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))
     seen = _figures(plain)
     if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
-        mistake, clear = best.hypothesis, min(gain, lead) > limit
+        mistake, clear = best.hypothesis, bool(min(gain, lead) > limit)
         # Delays that are near each other are one cause.
         near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
         second = next(one for one in explanations[1:] if one not in near)

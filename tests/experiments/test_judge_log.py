@@ -93,7 +93,7 @@ def _with_fault(log: Log, fault: str) -> Log:
     return dataclasses.replace(log, raw=raw)
 
 
-@pytest.mark.parametrize("fault", ["dies", "dead", "leaps", "missing", "spikes"])
+@pytest.mark.parametrize("fault", ["dies", "leaps", "missing"])
 def test_faults_of_one_cell_are_for_the_filter(bad_start: Log, fault: str) -> None:
     assert not any(one.refuses for one in judge(_with_fault(bad_start, fault)).findings)
 
