@@ -198,7 +198,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
 def constants(env: Any, sensors: Any) -> str:
     """Return the robot in C: its constants, and its cells and random numbers as an episode begins."""
     equipment, telemetry = sensors.equipment, sensors.telemetry
-    streams, cells, library = equipment.streams(0), equipment.native["cells"], required(installed())
+    streams, cells, library = equipment.streams(0), equipment.fitted.native["cells"], required(installed())
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)
     first, *more = equipment.instruments.first_steps(telemetry.dt)

@@ -58,9 +58,8 @@ _SEARCHES, _TURNED_SEARCHES = 3, 36
 _AS_GOOD = 10.0
 """Minima that cost this much more than the lowest are none."""
 
-_SETTLED, _CONVERGED, _EVALUATIONS = 1e-9, 1e-14, 60
-"""Relative change of cost at which a search ends (of 1,000 nats: 0.001 deviations), that of unknowns and
-slope, and its evaluations at most."""
+_CONVERGED, _EVALUATIONS = 1e-14, 60
+"""Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
 """Mass in kg by which unknowns are scaled at least, and angle in rad below which a short series is exact."""
@@ -304,9 +303,7 @@ def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
         start / scale,
         jac=lambda x: residual.jacobian(x * scale) * scale,
         max_nfev=_EVALUATIONS,
-        ftol=_SETTLED,
-        xtol=_CONVERGED,
-        gtol=_CONVERGED,
+        **dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED),
     )
     return float(found.cost), found.x * scale
 
