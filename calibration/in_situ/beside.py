@@ -1,16 +1,15 @@
 r"""Hysteresis as signals of a linear fit.
 
 The spring element of a sensor lags behind its load, as wide a loop over a large swing as over a small one in
-proportion (Prandtl and Ishlinskii), or as wide over any swing, as a joint with backlash: its reading is the
-load and a share s of
+proportion (Prandtl and Ishlinskii): its reading is the load and a share s of
 
 .. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
 
-with play operators P of half-width :math:`r_i`, all or a narrow one, and the largest amplitude X of the data.
-The loop shows s, and the rest follows from s: such an element gives way by s more for each doubling of the
-swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this
-makes the limb too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x
-over the data; it only sets the swing at which the matrix holds, that of the data.
+with play operators P of half-width :math:`r_i` and the largest amplitude X of the data. The loop shows s,
+and the rest follows from s: such an element gives way by s more for each doubling of the swing, so that a
+small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
+too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
+it only sets the swing at which the matrix holds, that of the data.
 
 Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
@@ -38,15 +37,12 @@ __all__ = [
     "check_gauges",
     "criterion",
     "drifting",
-    "fit_loops",
     "lag_signals",
-    "likeliest_loops",
-    "shows_loops",
     "with_gains",
+    "with_hysteresis",
 ]
 
 Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 
 _PLAYS = 8
@@ -57,10 +53,6 @@ _SHARE_STD = 0.05
 
 _LEADS = 0.3
 """A share this far below zero, as a part of the largest, is no hysteresis."""
-
-_PROPORTIONAL, _BACKLASH = np.ones(_PLAYS), np.where(np.arange(_PLAYS) == 6, 64.0, 0.0)
-"""Weights of the plays, the widest first: a loop as wide in proportion over any swing, and one that is as
-wide over a large swing as over a small one; a share of one is as wide as the largest amplitude."""
 
 _STEPS = 3000
 """Steps in which a set's plays are followed, if its limb turns slowly."""
@@ -75,34 +67,23 @@ _ROUNDS = 2
 """Fits, as the loads whose loops these are come from the fit itself."""
 
 
-Fitted = tuple[Problem, Solution]
-
-
-def fit_loops(
+def with_hysteresis(
     sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
-) -> list[Fitted]:
-    """Return the problem with loops of loads and with loops of channels, each with its solution.
+) -> tuple[Problem, Solution] | None:
+    """Return the problem with loops of loads or of channels, whichever is likelier, and its solution.
 
     Loops of loads are six more parameters, the shares s of the axes, behind the limb's; loops of channels are
-    a signal for each channel that acts on the readings directly. None of both where few rows show them. The
+    a signal for each channel that acts on the readings directly. None if loops explain too little. The
     problem and the solution that are given have no loops.
     """
-    if not shows_loops(problem):
-        return []
-    laws = [_of_loads(sets, problem, solution, options, law) for law in (_PROPORTIONAL, _BACKLASH)]
-    return [*laws, _of_channels(sets, problem, solution, options)]
-
-
-def shows_loops(problem: Problem) -> bool:
-    """Return whether sets have rows enough to show loops."""
-    return sum(part.rows for part in problem.sets) >= _ROWS_EACH * problem.inputs * len(problem.sets)
-
-
-def likeliest_loops(plain: Fitted, loops: Sequence[Fitted]) -> Fitted:
-    """Return the likeliest of the problems with loops; the plain one where they explain too little."""
+    if sum(part.rows for part in problem.sets) < _ROWS_EACH * problem.inputs * len(problem.sets):
+        return None
+    plain = criterion(problem, solution)
+    kinds = (_of_loads(sets, problem, solution, options), _of_channels(sets, problem, solution, options))
     # What leads the load is no hysteresis but two clocks that disagree.
-    lagging = [fitted for fitted in loops if _lags(loop_shares(*fitted))]
-    return min([plain, *lagging], key=lambda fitted: criterion(*fitted))
+    lagging = [fitted for fitted in kinds if _lags(loop_shares(*fitted))]
+    best = min(lagging, key=lambda fitted: criterion(*fitted), default=None)
+    return best if best is not None and criterion(*best) < plain else None
 
 
 def _lags(shares: NDArray[np.float64]) -> bool:
@@ -126,10 +107,10 @@ def criterion(problem: Problem, solution: Solution) -> float:
 
 
 def _of_loads(
-    sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions, law: Vector
+    sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution]:
     def lags(problem: Problem, solution: Solution) -> list[Matrix]:
-        return _at_rows(sets, plain, lag_signals(_loads(sets, problem, solution), law))
+        return _at_rows(sets, plain, lag_signals(_loads(sets, problem, solution)))
 
     return beside_loads(plain, solution, lags, _SHARE_STD, options)
 
@@ -227,8 +208,8 @@ def _at_rows(sets: Sequence[InSituSet], problem: Problem, lags: Sequence[Matrix]
     return found
 
 
-def _plays(wrenches: Sequence[Matrix], slack: Matrix, weights: Vector) -> list[Matrix]:
-    """Return the weighted sums of the plays of each axis or channel, (n_j, a) each."""
+def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
+    """Return the sums of the plays of each axis or channel, (n_j, a) each."""
     longest = max(len(wrench) for wrench in wrenches)
     loads = np.stack([np.pad(w, ((0, longest - len(w)), (0, 0)), mode="edge") for w in wrenches], axis=1)
     play, sums = loads[0][..., None] * np.ones(slack.shape[1]), np.empty_like(loads)
@@ -238,24 +219,22 @@ def _plays(wrenches: Sequence[Matrix], slack: Matrix, weights: Vector) -> list[M
         plays = np.empty_like(low)
         for i in range(len(block)):
             play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
-        sums[first : first + _BLOCK] = plays @ weights
+        sums[first : first + _BLOCK] = plays.sum(axis=-1)
     return [sums[: len(wrench), j] for j, wrench in enumerate(wrenches)]
 
 
-def lag_signals(wrenches: Sequence[Matrix], law: Vector = _PROPORTIONAL) -> list[Matrix]:
+def lag_signals(wrenches: Sequence[Matrix]) -> list[Matrix]:
     """Return p of the loads of each set, axis by axis or channel by channel.
 
     Args:
         wrenches: In the order of time, without gaps, shape (n_j, a) each.
-        law: Weights of the plays, the widest first, shape (8,).
 
     Returns:
         p in the unit of the loads, shape (n_j, a) each, of zero mean over a set: the mean is the offset's.
     """
     amplitude = np.max([np.ptp(wrench, axis=0) / 2.0 for wrench in wrenches], axis=0)
     slack = amplitude[:, None] * 0.5 ** np.arange(1, _PLAYS + 1)
-    used = law > 0.0
-    lags = _plays(wrenches, slack[:, used], law[used])
+    lags = _plays(wrenches, slack)
     loads = [wrench - wrench.mean(axis=0) for wrench in wrenches]
     common = sum(np.sum(lag * load, axis=0) for lag, load in zip(lags, loads, strict=True))
     square = sum(np.sum(load**2, axis=0) for load in loads)

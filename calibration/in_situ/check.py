@@ -11,7 +11,7 @@ from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.gravity import Sphere
-from surefoot.calibration.in_situ.model import DIRECT, signals
+from surefoot.calibration.in_situ.model import DIRECT
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
@@ -265,11 +265,10 @@ def check_within(
     sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions
 ) -> list[Finding]:
     """Return which samples were left out, and which sets no rigid limb explains."""
-    found, moving = [], any(data.moves for data in sets)
+    found = []
     for data, part in zip(sets, parts, strict=True):
         share = float(np.mean(part.rejected))
-        many = share > (_REJECTED_MOVING if data.moves else _REJECTED)
-        if many and _rejected_size(data, part, moving) > options.residual_tolerance:
+        if share > (_REJECTED_MOVING if data.moves else _REJECTED):
             reason = (
                 f"'{data.name}': {share:.0%} of the samples disagree with all others"
                 f"{when(data, part.rejected)}."
@@ -321,14 +320,6 @@ def _bends(data: InSituSet, share: float, allowed: float) -> Finding:
         return Finding("bending", reason, BENT_CURE, share, allowed, contradicts=True)
     reason += " Matrix and offset count as unsure by as much."
     return Finding("bending", reason, value=share, limit=allowed, refuses=False)
-
-
-def _rejected_size(data: InSituSet, part: CompressedSet, moving: bool) -> float:
-    """Return by how much samples that were left out are off, as a share of the set's spread."""
-    u = signals(data, moving)
-    left = data.raw - u @ part.response[:, : u.shape[1]].T
-    left = left[part.rejected] - np.mean(left[part.used], axis=0)
-    return _share_of_spread(float(np.mean(np.sum(left**2, axis=1))) * part.samples, part)
 
 
 def _residual_share(data: InSituSet, part: CompressedSet) -> float:

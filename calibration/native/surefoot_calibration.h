@@ -148,7 +148,7 @@ typedef struct {
     sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
     sf_real unproven, due, quiet, anchor[SF_CHANNELS];
     sf_whole status;
-    sf_faults faults;
+    sf_channel_faults faults;
     sf_real trust, doubt, scores[1 + SF_HYPOTHESES + 1], size[SF_HYPOTHESES], load[12];
 } sf_state;
 
@@ -1641,7 +1641,7 @@ SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w)
     int N = sf_unknowns(c), M = sf_map(c);
     memset(s, 0, sizeof *s);
     sf_front_init(c, &s->front);
-    sf_faults_init(c, &s->faults, s->front.raw);
+    sf_channel_faults_init(c, &s->faults, s->front.raw);
     for (int i = 0; i < N; i++) {
         s->covariance[i * N + i] = c->first_variance[i];
         if (i < M) s->given_covariance[i * M + i] = c->first_variance[i];

@@ -91,7 +91,7 @@ typedef struct {
 typedef struct {
     sf_front front;
     sf_track track;
-    sf_faults faults;
+    sf_channel_faults faults;
     sf_real pending[SF_BLOCK * SF_WAITING], before[SF_WAITING];
     sf_whole waiting, linked;
     sf_real point[3], time, drifted[2], noise[SF_COMPONENTS];
@@ -1104,7 +1104,7 @@ SF_API void sf_momentum_estimate(const sf_config *c, const sf_momentum_config *m
                                  const sf_sample *sample, sf_estimate *out) {
     int K = c->channels, wide = 2 * K;
     const sf_real *F0 = sample->force, *S = s->covariance;
-    const sf_faults *faults = &s->faults;
+    const sf_channel_faults *faults = &s->faults;
     sf_real a[SF_CHANNELS], b[SF_CHANNELS], force[SF_CHANNELS], moved[SF_CHANNELS], change[SF_CHANNELS];
     sf_real rows[3 * SF_CHANNELS], turned[2][2 * SF_CHANNELS], found[3];
     sf_level_rows(c, s->front.motion, rows);
@@ -1327,7 +1327,7 @@ SF_API void sf_momentum_retract(const sf_config *c, const sf_momentum_config *m,
 SF_API void sf_momentum_init(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c) - 2;
     sf_front_init(c, &s->front);
-    sf_faults_init(c, &s->faults, s->front.raw);
+    sf_channel_faults_init(c, &s->faults, s->front.raw);
     sf_break(c, m, s);
     memset(s->before, 0, sizeof s->before);
     memset(s->point, 0, sizeof s->point);

@@ -149,7 +149,7 @@ typedef struct {
     sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
     sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
     sf_whole altered;
-} sf_faults;
+} sf_channel_faults;
 
 /* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is in the state. */
 typedef struct {
@@ -516,7 +516,7 @@ SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_rea
 /* ------------------------------------------------------------------------------------------------- faults */
 
 /* StandIn.others: how each channel follows from those that are not lost, and how well in N. */
-SF_API void sf_others(const sf_config *c, const sf_faults *s, sf_real *others, sf_real *spread) {
+SF_API void sf_others(const sf_config *c, const sf_channel_faults *s, sf_real *others, sf_real *spread) {
     int K = c->channels;
     sf_real L[SF_CHANNELS * SF_CHANNELS], precision[SF_CHANNELS * SF_CHANNELS], row[SF_CHANNELS], cut[SF_CHANNELS];
     for (int i = 0; i < K; i++)
@@ -552,7 +552,7 @@ SF_API void sf_others(const sf_config *c, const sf_faults *s, sf_real *others, s
 }
 
 /* ChannelFaults._rebuild: work out how to do without what is lost. */
-SF_API void sf_rebuild(const sf_config *c, sf_faults *s) {
+SF_API void sf_rebuild(const sf_config *c, sf_channel_faults *s) {
     int K = c->channels;
     sf_real others[SF_CHANNELS * SF_CHANNELS], spread[SF_CHANNELS];
     sf_others(c, s, others, spread);
@@ -565,7 +565,7 @@ SF_API void sf_rebuild(const sf_config *c, sf_faults *s) {
 }
 
 /* ChannelFaults._return: take channels in again. */
-SF_API void sf_return(const sf_config *c, sf_faults *s, const int *back) {
+SF_API void sf_return(const sf_config *c, sf_channel_faults *s, const int *back) {
     int any = 0;
     for (int i = 0; i < c->channels; i++) {
         if (!back[i]) continue;
@@ -577,7 +577,7 @@ SF_API void sf_return(const sf_config *c, sf_faults *s, const int *back) {
 }
 
 /* ChannelFaults._lose: take channels out. */
-SF_API void sf_lose(const sf_config *c, sf_faults *s, const int *fresh, const int *kind) {
+SF_API void sf_lose(const sf_config *c, sf_channel_faults *s, const int *fresh, const int *kind) {
     int any = 0;
     for (int i = 0; i < c->channels; i++) {
         if (!fresh[i]) continue;
@@ -589,7 +589,7 @@ SF_API void sf_lose(const sf_config *c, sf_faults *s, const int *fresh, const in
 }
 
 /* ChannelFaults.init: channels are sound. raw: of the front end at the start. */
-SF_API void sf_faults_init(const sf_config *c, sf_faults *s, const sf_real *raw) {
+SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, const sf_real *raw) {
     int K = c->channels;
     memset(s, 0, sizeof *s);
     for (int i = 0; i < K; i++) {
@@ -602,7 +602,7 @@ SF_API void sf_faults_init(const sf_config *c, sf_faults *s, const sf_real *raw)
 
 /* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in place.
    scale: what a newton by the starting map is as far as is known. */
-SF_API void sf_fault_sample(const sf_config *c, sf_faults *s, const sf_real *scale, sf_real *force, int *read,
+SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_real *scale, sf_real *force, int *read,
                             sf_whole *kinds) {
     int K = c->channels, any = 0, leaping[SF_CHANNELS];
     sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
@@ -657,7 +657,7 @@ SF_API void sf_fault_sample(const sf_config *c, sf_faults *s, const sf_real *sca
 
 /* ChannelFaults.silent: find channels that are silent, or always read the same. Of n samples, `width` numbers apart:
    forces by the starting map in `unit` N, and whether they were read. */
-SF_API void sf_silent(const sf_config *c, sf_faults *s, const sf_real *force, const sf_real *read, int width, int n,
+SF_API void sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *force, const sf_real *read, int width, int n,
                       sf_real unit) {
     int K = c->channels, flat[SF_CHANNELS], moves[SF_CHANNELS], again[SF_CHANNELS];
     int fresh[SF_CHANNELS], kind[SF_CHANNELS], stuck[SF_CHANNELS];
@@ -693,7 +693,7 @@ SF_API void sf_silent(const sf_config *c, sf_faults *s, const sf_real *force, co
 
 /* ChannelFaults.learn: how cells share loads while nothing is wrong; let channels come back. force: calibrated, by the
    channels' own readings in N, shape (groups, K); good: whether they could be learnt from, and nothing is in doubt. */
-SF_API void sf_fault_learn(const sf_config *c, sf_faults *s, const sf_real *force, int groups, int good) {
+SF_API void sf_fault_learn(const sf_config *c, sf_channel_faults *s, const sf_real *force, int groups, int good) {
     int K = c->channels, back[SF_CHANNELS], any = 0, well = good;
     for (int i = 0; i < K; i++) well = well && s->lost[i] < (sf_real)0.5;
     for (int i = 0; well && i < K; i++)
