@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,8 +18,14 @@ RESPONSE = np.linalg.inv(MATRIX)
 NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])
 
 
+@cache
 def leg_sets():
     return noisy_sets("leg", np.random.default_rng(0), noise=0.5)[0]
+
+
+@cache
+def sound_fit():
+    return calibrate_in_situ(leg_sets())
 
 
 def with_raw(one, change):
@@ -192,7 +199,7 @@ CAUSES = {
 @pytest.mark.parametrize(
     ("factory", "make", "cause", "cure"),
     [
-        pytest.param(*row, id=name, marks=() if name.startswith(("a step", "sets")) else pytest.mark.slow)
+        pytest.param(*row, id=name, marks=() if name in ("a step", "sets exchanged") else pytest.mark.slow)
         for name, row in CAUSES.items()
     ],
 )
@@ -229,7 +236,13 @@ TRANSFORMS = {
 }
 
 
-@pytest.mark.parametrize(("change", "words"), TRANSFORMS.values(), ids=TRANSFORMS.keys())
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        pytest.param(*row, id=name, marks=pytest.mark.slow if name in ("inverted", "N mm") else ())
+        for name, row in TRANSFORMS.items()
+    ],
+)
 def test_a_factory_matrix_that_is_read_wrongly_is_named(change, words):
     with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
         calibrate_in_situ(leg_sets(), factory_matrix=change(MATRIX))
@@ -237,7 +250,10 @@ def test_a_factory_matrix_that_is_read_wrongly_is_named(change, words):
 
 @pytest.mark.parametrize(
     ("mass", "place", "words"),
-    [(1.0 / 0.45359237, 1.0, "masses are in lb"), (1.0, -1.0, "all places of the masses")],
+    [
+        (1.0 / 0.45359237, 1.0, "masses are in lb"),
+        pytest.param(1.0, -1.0, "all places of the masses", marks=pytest.mark.slow),
+    ],
 )
 def test_units_and_signs_of_masses_contradict_a_factory_matrix(mass, place, words):
     sets = [
@@ -254,7 +270,7 @@ def test_a_foot_in_contact_is_refused():
 
 
 def test_takes_the_same_sets_unhurt():
-    fit = calibrate_in_situ(leg_sets())
+    fit = sound_fit()
     assert fit.result is FitResult.DETERMINED
     assert fit.refusals == ()
     assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std
@@ -266,7 +282,12 @@ FREE = InSituOptions(factory_std=(1.0,) * 6)
 
 
 @pytest.mark.parametrize(
-    ("row", "column", "factor", "options"), [(2, 4, -1.0, None), (0, 5, 10.0, FREE), (1, 1, 0.1, FREE)]
+    ("row", "column", "factor", "options"),
+    [
+        (2, 4, -1.0, None),
+        pytest.param(0, 5, 10.0, FREE, marks=pytest.mark.slow),
+        pytest.param(1, 1, 0.1, FREE, marks=pytest.mark.slow),
+    ],
 )
 def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor, options):
     corrupt = MATRIX.copy()
@@ -414,7 +435,7 @@ def test_masses_are_checked_while_the_limb_moves():
 
 
 def test_a_temperature_that_stays_is_left_out():
-    plain = calibrate_in_situ(leg_sets())
+    plain = sound_fit()
     fit = calibrate_in_situ([replace(one, temperature=np.full(600, 25.0)) for one in leg_sets()])
     assert "too little to show its effect" in fit.warnings[0]
     np.testing.assert_allclose(fit.offset, plain.offset)
@@ -434,14 +455,13 @@ def test_a_limb_that_is_not_as_given_is_refused(factory):
 
 def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
     up = [replace(one, gravity=-one.gravity) for one in leg_sets()]
-    for sets, limb in ((up, None), (up[:1], LIMB)):
-        with pytest.raises(CalibrationRefused, match="Likeliest: the sign of gravity or of the factory"):
-            calibrate_in_situ(sets, factory_matrix=MATRIX, limb=limb, options=FREE)
+    with pytest.raises(CalibrationRefused, match="Likeliest: the sign of gravity or of the factory"):
+        calibrate_in_situ(up[:1], factory_matrix=MATRIX, limb=LIMB, options=FREE)
 
 
 def test_an_accelerometers_bias_is_taken_off():
     biased = [replace(one, gravity=np.add(one.gravity, [0.1, 0.0, 0.3])) for one in leg_sets()]
-    fit, sound = calibrate_in_situ(biased), calibrate_in_situ(leg_sets())
+    fit, sound = calibrate_in_situ(biased), sound_fit()
     assert "it has a bias of about (0.10, 0.00, 0.30) m/s^2" in fit.warnings[0]
     np.testing.assert_allclose(fit.accelerometer_bias, [0.1, 0.0, 0.3], atol=1e-3)
     off = (fit.offset - sound.offset) @ MATRIX.T
@@ -554,9 +574,7 @@ def test_no_tolerance_is_too_wide():
     assert calibrate_in_situ(heavier(leg_sets()), options=InSituOptions(**wide)).refusals == ()
 
 
-@pytest.mark.parametrize(
-    ("aged", "shown"), [(0.64, 0.64), (0.7, None), (1.3, None), (1.6, 1.6), ([1.7, 1.6, 1.5, 1, 1, 1], None)]
-)
+@pytest.mark.parametrize(("aged", "shown"), [(0.64, 0.64), (1.3, None), ([1.7, 1.6, 1.5, 1, 1, 1], None)])
 def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(aged, shown):
     # Masses in lb read 0.45 times a matrix that has aged, each of its axes by itself.
     fit = calibrate_in_situ(leg_sets(), factory_matrix=np.multiply(np.reshape(aged, (-1, 1)), MATRIX))
