@@ -6,7 +6,7 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.sensors.faults.channels import KINDS
-from surefoot.wrappers import FootSensors, VectorFootSensors, VectorSelfCalibration
+from surefoot.wrappers import FootSensors, TruthRow, VectorFootSensors, VectorSelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)
 
@@ -16,7 +16,9 @@ def robot(**options):
 
 
 def robots(count=4, **options):
-    copies = gym.make_vec("surefoot/NaoStand-v0", num_envs=count, vectorization_mode="vector_entry_point")
+    copies = gym.make_vec(
+        "surefoot/NaoStand-v0", num_envs=count, vectorization_mode="sync", wrappers=[TruthRow]
+    )
     return VectorFootSensors(copies, **options)
 
 
