@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import test_native as shared
+import test_native_filter as shared
 from _momentum import DT, Errors, move
 from _native import SANITIZED, compile_program, library_of
 from _synthetic import LAYOUT, MASS, NOMINAL
-from test_native import Log, play, robot, same_estimate, setup_of
+from test_native_filter import Log, play, robot, same_estimate, setup_of
 
 from surefoot.calibration import FootCalibrator, MomentumReference
 from surefoot.calibration.estimate import Flag
