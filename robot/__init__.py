@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from surefoot.robot.beliefs.nominal import NominalModel
     from surefoot.robot.beliefs.references import Beliefs
     from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
-    from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+    from surefoot.robot.sensing.equipment import Equipment
+    from surefoot.robot.sensing.sensors import RobotSensors
     from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
 
 __all__ = [

@@ -28,8 +28,9 @@ from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DEFAULT, DETERMINED, FootView, check_certainty, check_parts
 from surefoot.robot.native import NOTHING, NativeSample, Sample
+from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
-from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+from surefoot.robot.sensing.sensors import RobotSensors
 from surefoot.robot.starting_map import StartingMap
 from surefoot.robot.streams import BELIEF_STREAM, check_stream, wants_fresh
 from surefoot.sensors.presets import REFERENCE_WEIGHT

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.raw_view import RawView
-from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
+from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
 from surefoot.robot.streams import SENSOR_STREAM
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout

@@ -230,7 +230,7 @@ def _compressed(rows: Sequence[SetRows], options: InSituOptions) -> tuple[Compre
 
 
 def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
-    """Return the colour of what no linear map of the signals explains; ``walks`` is whether offsets may."""
+    """Return the colour of residuals of a linear map of the signals; ``walks``: whether offsets may walk."""
     found, spread = [], 0.0
     for one in rows:
         first = one.terms + one.inputs

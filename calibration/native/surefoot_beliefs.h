@@ -462,6 +462,19 @@ SF_API void sf_interpolate(const sf_timing *t, const sf_beliefs *s, const sf_rea
 /* Rows that there may be in a ring. */
 SF_API sf_whole sf_rows_kept(const sf_beliefs *s) { return s->run < SF_PACKETS - 1 ? s->run : SF_PACKETS - 1; }
 
+/* Put what is believed into a reference: the two rates, or velocity and momentum; soles (2, 3), and both soles' axes one
+   after another, which are the columns of their rotations. */
+SF_API void sf_put_reference(sf_reference *r, const sf_real *com, const sf_real *linear, const sf_real *angular,
+                             const sf_real *soles, const sf_real *axes) {
+    sf_copy(r->com, com, 3);
+    sf_copy(r->com_acceleration, linear, 3);
+    sf_copy(r->angular_momentum_rate, angular, 3);
+    sf_copy(r->position_sole, soles, 6);
+    for (int foot = 0; foot < 2; foot++)
+        for (int axis = 0; axis < 3; axis++)
+            for (int k = 0; k < 3; k++) r->R_level_sole[9 * foot + 3 * k + axis] = axes[9 * foot + 3 * axis + k];
+}
+
 /* Beliefs.reference: what the robot believed to do at a moment, in s of the host's clock. Contacts are left open. */
 SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time, sf_belief *out) {
     sf_real rows[SF_ROW], level[SF_ROW_ACCELEROMETER], x, y, by, middle[2], low;
@@ -482,14 +495,8 @@ SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time,
         level[i + 1] = x * rows[i + 1] - y * rows[i] - (place ? x * middle[1] - y * middle[0] : 0);
         level[i + 2] = rows[i + 2] - (place ? low : 0);
     }
-    sf_copy(r->com, level + SF_ROW_COM, 3);
-    sf_copy(r->com_acceleration, level + SF_ROW_ACCELERATION, 3);
-    sf_copy(r->angular_momentum_rate, level + SF_ROW_RATE, 3);
-    sf_copy(r->position_sole, level + SF_ROW_SOLES, 6);
-    for (int foot = 0; foot < 2; foot++)
-        for (int axis = 0; axis < 3; axis++)
-            for (int k = 0; k < 3; k++)
-                r->R_level_sole[9 * foot + 3 * k + axis] = level[SF_ROW_AXES + 9 * foot + 3 * axis + k];
+    sf_put_reference(r, level + SF_ROW_COM, level + SF_ROW_ACCELERATION, level + SF_ROW_RATE, level + SF_ROW_SOLES,
+                     level + SF_ROW_AXES);
     sf_copy(out->accelerometer, rows + SF_ROW_ACCELEROMETER, 3);
     sf_copy(out->gyroscope, rows + SF_ROW_GYROSCOPE, 3);
     out->known = r->com[0] == r->com[0];

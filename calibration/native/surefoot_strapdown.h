@@ -192,14 +192,8 @@ SF_API void sf_momentum_sample(const sf_timing *t, sf_momentum_beliefs *s, doubl
     /* A reading stands for the middle of its interval, a momentum for the end. */
     sf_interpolate(t, beliefs, s->moved, SF_MOVED, time + 0.5 * (double)t->dt, beliefs->number - sf_rows_kept(beliefs) + 1,
                    beliefs->number, rows);
-    sf_copy(r->com, rows + SF_MOVED_COM, 3);
-    sf_copy(r->com_acceleration, rows + SF_MOVED_VELOCITY, 3);
-    sf_copy(r->angular_momentum_rate, rows + SF_MOVED_MOMENTUM, 3);
-    sf_copy(r->position_sole, rows + SF_MOVED_SOLES, 6);
-    for (int foot = 0; foot < 2; foot++)
-        for (int axis = 0; axis < 3; axis++)
-            for (int k = 0; k < 3; k++)
-                r->R_level_sole[9 * foot + 3 * k + axis] = rows[SF_MOVED_AXES + 9 * foot + 3 * axis + k];
+    sf_put_reference(r, rows + SF_MOVED_COM, rows + SF_MOVED_VELOCITY, rows + SF_MOVED_MOMENTUM, rows + SF_MOVED_SOLES,
+                     rows + SF_MOVED_AXES);
     memcpy(r->stance, found, 2);
     memcpy(r->swing, found + 2, 2);
     out->known = r->com[0] == r->com[0];

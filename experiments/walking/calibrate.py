@@ -13,11 +13,11 @@ import yaml
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration import CalibrationRefused, Estimate, Parameters
-from surefoot.calibration.in_situ.findings import decide
+from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
@@ -97,23 +97,17 @@ def calibrate_log(
 
 
 def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:
-    """Return notices of what does not fit in a log, or raise what refuses it."""
+    """Return notices of contradictions in a log, or refuse it."""
     if log.about.get("feet_alone"):
         check_weight(log, start, initial, file)
         return ()
     with working("judging the log"):
         findings = judge_log(log, initial).findings
-    decision = decide(findings, accept)
-    if decision.refused:
-        first, *others = decision.refused
-        more = "".join(f" Also: {other.reason}" for other in others)
-        more += " If you know better: --accept REASON goes on, and every file says so."
-        raise CalibrationRefused(f"{file}: {first.reason}", f"{first.cure}{more}")
+    passed, weaker = pass_or_refuse(findings, accept, file, "every file")
     check_weight(log, start, initial, file)
-    passed = tuple(f"{file}: accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
     if accept and not passed:
         passed = ("Nothing was refused, so that no reason was needed to go on.",)
-    return (*passed, *(f"{file}: {text}" for text in decision.warnings))
+    return passed + weaker
 
 
 def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:

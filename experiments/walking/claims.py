@@ -144,7 +144,7 @@ def fit_parts(parts: Sequence[Claims], without: int | None = None, widths: Seque
         return Fit(0.0, np.zeros(3), Parameters(ones, 0.0 * ones), 0)
     middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in found), strict=True)]
     evidence, rows = float(sum(part.evidence for part in found)), sum(part.rows for part in found)
-    evidence += ABSURD * _crossed(parts[0].reference)
+    evidence += ABSURD * _legs_cross(parts[0].reference)
     return Fit(evidence, middle[0], Parameters(*middle[1:]), rows)
 
 
@@ -156,8 +156,8 @@ def condense(claims: Claims) -> list[Claims]:
     return [_condense(one) for one in _windows(claims)]
 
 
-def _crossed(reference: Reference) -> bool:
-    """Whether the left sole is to the right of the right one, most of the time."""
+def _legs_cross(reference: Reference) -> bool:
+    """Return whether the left sole is to the right of the right one, most of the time."""
     if reference.position_sole.shape[1] != 2 or len(reference.com) == 0:
         return False
     left = reference.R_level_sole[..., 1].sum(axis=1)

@@ -72,11 +72,12 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):
         claims = claims_of(log, initial, _length(log))
-        plain = fit_claims(claims)
+        parts = condense(claims)
+        plain = fit_parts(parts)
         if plain.rows == 0:
             return Verdict(tuple(far), (), plain)
-        explanations = _explain(claims, plain, list(hypotheses(log.layout)))
-        broken = _broken(claims, plain, raw_names_of(log.layout))
+        explanations = _explain(claims, parts, plain, list(hypotheses(log.layout)))
+        broken = _broken(claims, parts, raw_names_of(log.layout))
         found = _decide(claims, plain, explanations, broken)
     if far and found and found[0].contradicts:
         far = []
@@ -111,9 +112,8 @@ def _length(log: Log) -> float:
     return float(log.about.get("foot_length_m", max(known, default=LENGTH)))
 
 
-def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explanation]:
-    """Fit the log by each hypothesis, and return the likeliest by falling likelihood."""
-    parts = condense(claims)
+def _explain(claims: Claims, parts: list[Claims], plain: Fit, tried: list[Hypothesis]) -> list[Explanation]:
+    """Fit the log, condensed to ``parts``, by each hypothesis; return the likeliest by falling likelihood."""
 
     def mend(one: Hypothesis) -> list[Claims]:
         # All but delays may as well be undone in the means of blocks.
@@ -132,9 +132,9 @@ def _explain(claims: Claims, plain: Fit, tried: list[Hypothesis]) -> list[Explan
     return sorted(found, key=lambda one: -one.fit.evidence)
 
 
-def _broken(claims: Claims, plain: Fit, columns: list[str]) -> list[Explanation]:
-    """Fit the log without one channel, and without its accelerations: what calibrators are there for."""
-    found, parts = [], condense(claims)
+def _broken(claims: Claims, parts: list[Claims], columns: list[str]) -> list[Explanation]:
+    """Fit the log without one channel, and without its accelerations: troubles that calibrators cope with."""
+    found = []
     for i, column in enumerate(columns):
         cure = "see whether it follows the load; the method watches for it and does without it"
         channel = Hypothesis("broken", f"column '{column}' does not go with the others", cure, lambda c: c)

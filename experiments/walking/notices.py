@@ -113,7 +113,7 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
 def result_notices(
     log: Log, method: str, initial: Parameters, estimate: Estimate, file: str
 ) -> tuple[str, ...]:
-    """Return what is odd about a result: nothing was learnt, scales of another sign, a common factor."""
+    """Return notices of a result: nothing was learnt, scales of another sign, a common factor."""
     found, unread = [], float(1.0 - np.isfinite(log.raw).mean())
     refused = ((np.asarray(estimate.flags) & Flag.REJECTED) != 0).any(axis=1).mean()
     still = all(np.ptp(part, axis=0).max() == 0.0 for part in (estimate.scale, estimate.offset))

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, CalibrationRefused, fit_channels
-from surefoot.calibration.in_situ.findings import decide
+from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
@@ -19,7 +19,7 @@ from surefoot.files import write_text
 
 @dataclass(frozen=True)
 class CalibratedCells:
-    """What came of weighings: the map's path, what to show, and what is odd about the table."""
+    """The result of weighings: the path of the map, a table to show, and notices."""
 
     path: Path
     table: Table
@@ -37,16 +37,10 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     weighings = _read(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
     findings, out_of_line = judge_weighings(weighings)
-    decision = decide(findings, accept)
-    if decision.refused:
-        first, *others = decision.refused
-        more = "".join(f" Also: {other.reason}" for other in others)
-        more += " If you know better: --accept REASON goes on, and the map says so."
-        raise CalibrationRefused(f"{path.name}: {first.reason}", f"{first.cure}{more}")
+    passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
     fit = fit_channels(np.where(out_of_line, np.nan, weighings.code), weighings.load, names)
     std = _deviations(fit, weighings.code)
-    accepted = (f"accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
-    notices = tuple(f"{path.name}: {text}" for text in (*accepted, *decision.warnings))
+    notices = passed + weaker
     facts: dict[str, Any] = {
         "channels": names,
         "scale_N_per_count": fit.value.scale.tolist(),

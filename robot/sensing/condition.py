@@ -101,7 +101,7 @@ def severity_range(severity: Any) -> tuple[float, float]:
 def faults_of(
     faults: Any, feet: Sequence[str], cells: Sequence[str]
 ) -> tuple[tuple[Fault, ...], tuple[FaultChance, ...]]:
-    """Return what breaks when, and what may happen by chance.
+    """Return scheduled faults, and faults by chance.
 
     Args:
         faults: As a user gives them.
@@ -124,7 +124,7 @@ def faults_of(
 
 
 def channel_states(faults: Sequence[Fault], channels: int) -> NDArray[np.int8]:
-    """Return what is wrong with channels, shape (K,): 0, or 1 plus the place of the fault in ``KINDS``."""
+    """Return the fault of each channel, shape (K,): 0 for none, or 1 plus its place in ``KINDS``."""
     states = np.zeros(channels, dtype=np.int8)
     for fault in faults:
         for channel in (fault.channel, fault.other):

@@ -246,7 +246,7 @@ class ManySensing:
             time: The hosts' clocks at its end in s, of those that are read.
             threads: As of :func:`~surefoot.native.call_for_many`.
         """
-        self._truth[which] = truth[which]
+        self._truth[...] = truth
         told = np.zeros(len(which), dtype=np.int32)
         call_for_many(self._sense, (self._at[which], time, told), threads)
         for robot, packets in zip(which.tolist(), told.tolist(), strict=True):

@@ -3,11 +3,9 @@
 Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from hashlib import sha256
+from collections.abc import Sequence
 from os import PathLike
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -15,41 +13,14 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
-from surefoot.envs import RobotDrawing
-from surefoot.robot.sensing.condition import (
-    Condition,
-    Conditions,
-    Faults,
-    Severity,
-    channel_states,
-    faults_of,
-    severity_range,
-)
-from surefoot.robot.sensing.device import FootDevice, foot_device
-from surefoot.robot.sensing.instruments import Instruments, InstrumentsState, check_capacity, usual_cells
+from surefoot.robot.sensing.condition import Condition, channel_states
+from surefoot.robot.sensing.equipment import Equipment
+from surefoot.robot.sensing.instruments import InstrumentsState
 from surefoot.robot.sensing.native import NativeSensing, Seen, native_sensing
 from surefoot.robot.sensing.raw_view import RawView
-from surefoot.robot.streams import SENSOR_STREAM, check_stream, device_streams, wants_fresh
-from surefoot.sensors import Encoders, Imu, Link, channel_faults, scaled
-from surefoot.sensors.corruption import Corruption
-from surefoot.sensors.devices.native_device import NativeDevice, native_here
-from surefoot.sensors.devices.native_faults import FAULTS, Broken
-from surefoot.sensors.faults.channels import FaultState
-from surefoot.sensors.presets import resolve
-from surefoot.sensors.randomness import Stream
-from surefoot.sensors.telemetry.computer import Telemetry, timely_link
-from surefoot.sensors.telemetry.native import telemetry_of
+from surefoot.robot.streams import wants_fresh
+from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
-from surefoot.sensors.transport.wire import check_wire
-
-NAO_JOINT: Final = "LHipYawPitch"
-"""The joint by which a NAO is known: its hips share one motor, and no other robot's joint is called so."""
-
-NAO_COMPUTER: Final = ("nao-imu", "nao-encoders", "nao-wlan")
-"""IMU, encoders and link of a NAO whose host is at the other end of a wireless network."""
-
-ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
-"""Those of a robot that computes on board."""
 
 _EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
 """Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
@@ -70,168 +41,6 @@ class HardwareState(NamedTuple):
     faults: Any
     telemetry: Any
     severity: float | None = None
-
-
-class Fitted(NamedTuple):
-    """What one robot has under its feet, in its condition.
-
-    Attributes:
-        condition: How bad it is.
-        instruments: What is under the feet.
-        broken: The faults of channels, or ``None``.
-        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` for what it
-            has no room for.
-    """
-
-    condition: Condition
-    instruments: Instruments
-    broken: Corruption[FaultState] | None
-    native: dict[str, NativeDevice | None]
-
-
-class Equipment:
-    """What each robot of a kind is equipped with.
-
-    Args:
-        owner: The wrapper that asks, for messages.
-        drawing: The robot.
-        joint_names: Its J hinge joints.
-        dt: Duration of a control step in s.
-        config: As of :class:`~surefoot.wrappers.FootSensors`, like all that follow.
-        ankles: Six-axis sensors besides load cells.
-        imu: The IMU; ``None`` for a NAO's on a robot that has a NAO's joint ``"LHipYawPitch"``, and that of
-            an onboard computer on others.
-        encoders: The joint encoders, likewise.
-        link: The link over which encoders and IMU reach the host, likewise.
-        severity: Factor of all errors of the feet's sensors, or the lowest and the highest.
-        faults: What breaks when, or with what probability.
-        fresh: Whether every reset draws fresh sensors.
-        stream: Number of the random stream.
-        seldom: Whether truth is read in one of several substeps of a control step.
-
-    Attributes:
-        seldom: The same.
-        instruments: What is under the feet.
-        drawing: The robot.
-        fresh: Whether every reset draws fresh sensors.
-        conditions: What a robot's condition is drawn from.
-        fitted: What a robot has under its feet before anything is drawn.
-        computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
-
-    Raises:
-        TypeError: If faults are no sequence.
-        ValueError: If a preset is unknown, a value is refused, or the feet have no place for the sensors.
-    """
-
-    def __init__(
-        self,
-        owner: str,
-        drawing: RobotDrawing,
-        joint_names: tuple[str, ...],
-        dt: float,
-        config: str | Mapping[str, Any] | FootDevice | None = None,
-        *,
-        ankles: str | Mapping[str, Any] | FootDevice | None = None,
-        imu: str | Mapping[str, Any] | Imu | None = None,
-        encoders: str | Mapping[str, Any] | Encoders | None = None,
-        link: str | Mapping[str, Any] | Link | None = None,
-        severity: Severity = 1.0,
-        faults: Faults = (),
-        fresh: bool = False,
-        stream: int = SENSOR_STREAM,
-        seldom: bool = False,
-    ) -> None:
-        check_stream(owner, stream)
-        self.seldom = seldom
-        self.drawing, self._joint_names = drawing, joint_names
-        cells_or_ankles = usual_cells(drawing) if config is None else config
-        self._devices = [foot_device(part) for part in (cells_or_ankles, ankles) if part is not None]
-        self._dt = dt
-        sound = self.fit(Condition(severity_range(severity)[0], ())).instruments
-        self._cells = sound.layout.feet[0].channel_names
-        conditions = self.with_severity(Conditions(1.0, 1.0), severity)
-        self.conditions = self.with_faults(conditions, faults)
-        self.fitted = self.fit(self.conditions.usual)
-        self.instruments = self.fitted.instruments
-        check_capacity([part.config for part in self.instruments.parts], drawing)
-        names = NAO_COMPUTER if NAO_JOINT in joint_names else ONBOARD_COMPUTER
-        imu, encoders = names[0] if imu is None else imu, names[1] if encoders is None else encoders
-        link = names[2] if link is None else link
-        self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
-        self._link_by_name = isinstance(link, str)
-        self.computer = tuple(part if isinstance(part, str) else "custom" for part in (imu, encoders, link))
-        self.fresh, self._stream = fresh, stream
-
-    def with_severity(self, conditions: Conditions, severity: Any) -> Conditions:
-        """Return conditions of another severity, a number or (lowest, highest).
-
-        Raises:
-            ValueError: If a device cannot be so bad.
-        """
-        lowest, highest = severity_range(severity)
-        for end in (lowest, highest):
-            self.fit(Condition(end, ()))
-        return conditions._replace(lowest=lowest, highest=highest)
-
-    def with_faults(self, conditions: Conditions, faults: Any) -> Conditions:
-        """Return conditions in which other things break.
-
-        Raises:
-            ValueError: If a fault or a probability is refused.
-        """
-        given, chances = faults_of(faults, self.drawing.sides, self._cells)
-        self.fit(Condition(conditions.usual.severity, given))
-        return conditions._replace(faults=given, chances=chances)
-
-    def fit(self, condition: Condition) -> Fitted:
-        """Return what a robot in some condition has under its feet.
-
-        Raises:
-            ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
-        """
-        severity = condition.severity
-        devices = [part if severity == 1.0 else scaled(part, severity) for part in self._devices]
-        for device in devices:
-            check_wire(device, self._dt)
-        instruments = Instruments(tuple(devices), self.drawing, self._dt)
-        native = {part.name: native_here(part.kind, part.config) for part in instruments.parts}
-        if not condition.faults:
-            return Fitted(condition, instruments, None, native)
-        broken = channel_faults(condition.faults, instruments)
-        native["faults"] = native_here(FAULTS, Broken(condition.faults, instruments))
-        return Fitted(condition, instruments, broken, native)
-
-    def streams(self, seed: int | None) -> dict[str, Stream]:
-        """Return the random streams of one robot's devices; nobody knows them without a seed."""
-        return device_streams(self._stream, seed)
-
-    def telemetry(self, dt: float, substeps: int) -> Telemetry:
-        """Build telemetry; a link by name sends no more packets than there are moments of truth.
-
-        Args:
-            dt: Duration of a control step in s.
-            substeps: Rows of truth in one.
-        """
-        imu, encoders, link = self._configs
-        if self._link_by_name and link.rate is not None:
-            link = replace(link, rate=min(link.rate, substeps / dt))
-        return telemetry_of(len(self._joint_names), imu, encoders, link, dt, substeps)
-
-    def notes(self) -> dict[str, str]:
-        """Return what hardware that is saved belongs to."""
-        return {
-            "robot": _robot_note(self.drawing, self._joint_names),
-            "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
-            "channels": " ".join(self.instruments.layout.channel_names),
-            "faults": "; ".join(map(repr, (*self.conditions.faults, *self.conditions.chances))) or "none",
-        }
-
-
-def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
-    """Return which robot it is, to be kept with what is saved of it."""
-    places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
-    mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
-    return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"
 
 
 class RobotSensors:

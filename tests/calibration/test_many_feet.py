@@ -87,7 +87,7 @@ def accelerations(momentum):
     )  # fmt: skip
 
 
-def calibrated(layout, method, raw, reference):
+def calibrate(layout, method, raw, reference):
     return replay(layout, method, raw, reference, DT, mass=MASS, initial=None, lag=0, foot_length=0.4)
 
 
@@ -96,7 +96,7 @@ def calibrated(layout, method, raw, reference):
 def test_each_foots_error_is_less_than_half(feet, seed):
     force, reference = move(feet, seed)
     raw, layout = read(force, seed), layout_of(feet)
-    found = errors(calibrated(layout, "momentum", raw, reference).vgrf, force)
+    found = errors(calibrate(layout, "momentum", raw, reference).vgrf, force)
     assert (found < 0.5 * errors(raw, force)).all()
     assert found.max() < 0.01 * WEIGHT
 
@@ -105,16 +105,16 @@ def test_three_axes_a_foot():
     force, reference = move(4, 3)
     raw, layout = read(force, 3, axes=3), layout_of(4, "xyz")
     before = errors(raw[:, 2::3], force)
-    estimate = calibrated(layout, "momentum", raw, reference)
+    estimate = calibrate(layout, "momentum", raw, reference)
     assert estimate.wrench.shape == (SAMPLES, 4, 6)
     assert (errors(estimate.vgrf, force) < before).all()
-    tared = calibrated(layout, "tare", raw, accelerations(reference))
+    tared = calibrate(layout, "tare", raw, accelerations(reference))
     assert errors(tared.vgrf, force).mean() < before.mean()
 
 
 def test_a_point_has_its_own_place_and_all_feet_one_centre_of_pressure():
     force, reference = move(4, 0)
-    estimate = calibrated(layout_of(4), "none", force, accelerations(reference))
+    estimate = calibrate(layout_of(4), "none", force, accelerations(reference))
     loaded = force > 5.0
     np.testing.assert_array_equal(estimate.cop_foot_valid, loaded)
     np.testing.assert_array_equal(estimate.cop_foot[loaded], 0.0)
@@ -138,5 +138,5 @@ def test_axes_that_are_none_are_refused(axes):
 def test_old_references_do_as_well():
     force, momentum = move(4, 5)
     raw = read(force, 5)
-    estimate = calibrated(layout_of(4), "momentum", raw, accelerations(momentum))
+    estimate = calibrate(layout_of(4), "momentum", raw, accelerations(momentum))
     assert errors(estimate.vgrf, force).mean() < 0.5 * errors(raw, force).mean()

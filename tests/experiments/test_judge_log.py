@@ -40,14 +40,14 @@ RUNNER = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def walked() -> dict[str, Log]:
+def walks() -> dict[str, Log]:
     """Give a walk of 16 s from a bad start and from calibrated cells."""
     return record_walk(0.04, 11, 16.0)
 
 
 @pytest.fixture(scope="module")
-def bad_start(walked: dict[str, Log]) -> Log:
-    return dataclasses.replace(walked["bad-start"], truth=None)
+def bad_start(walks: dict[str, Log]) -> Log:
+    return dataclasses.replace(walks["bad-start"], truth=None)
 
 
 def judge(log: Log) -> Verdict:
@@ -70,8 +70,8 @@ def test_a_mistake_is_named(bad_start: Log, name: str) -> None:
     assert first.value > first.limit
 
 
-def test_sound_walks_are_let_through(walked: dict[str, Log]) -> None:
-    for log in walked.values():
+def test_sound_walks_are_let_through(walks: dict[str, Log]) -> None:
+    for log in walks.values():
         verdict = judge(log)
         assert verdict.findings == ()
         assert verdict.as_it_is.worst < 1.5
@@ -111,9 +111,9 @@ def test_each_hypothesis_keeps_the_shapes_of_claims(bad_start: Log) -> None:
         )
 
 
-def test_the_fit_finds_the_cells(bad_start: Log, walked: dict[str, Log]) -> None:
+def test_the_fit_finds_the_cells(bad_start: Log, walks: dict[str, Log]) -> None:
     """By its map the feet bear what they truly bear, to the noise of the motion and the drift of the walk."""
-    truth = walked["bad-start"].truth
+    truth = walks["bad-start"].truth
     assert truth is not None
     start, weight = bad_start.nominal.force(bad_start.raw), bad_start.mass * 9.81
     found = fit_claims(claims_of(bad_start, bad_start.nominal, 0.17)).map
@@ -209,11 +209,11 @@ class TestFeetAlone:
 
     @pytest.mark.parametrize("contacts", [True, False])
     def test_they_are_tared(
-        self, walked: dict[str, Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contacts: bool
+        self, walks: dict[str, Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contacts: bool
     ) -> None:
         pd = pytest.importorskip("pandas")
         monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
-        log = walked["bad-start"]
+        log = walks["bad-start"]
         path = feet_alone(dataclasses.replace(log, truth=None), tmp_path / "feet.csv", contacts=contacts)
         result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "tare", "--json"])
         assert result.exit_code == 0, result.output
@@ -229,8 +229,8 @@ class TestFeetAlone:
         assert np.abs(last - right).max() < 0.5
         assert np.abs(log.nominal.offset - right).max() > 1.0
 
-    def test_contacts_are_felt(self, walked: dict[str, Log], tmp_path: Path) -> None:
-        log = walked["bad-start"]
+    def test_contacts_are_felt(self, walks: dict[str, Log], tmp_path: Path) -> None:
+        log = walks["bad-start"]
         path = feet_alone(log, tmp_path / "feet.csv", contacts=False)
         felt = read_log(path, feet_alone=True)
         truth = log.truth

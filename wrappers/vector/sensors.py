@@ -17,9 +17,10 @@ from surefoot.envs.numbers import MANY
 from surefoot.native import cores
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
-from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
+from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
