@@ -6,7 +6,9 @@ I = P^-1 - P0^-1, and i = P^-1 (x - x0). Under another prior D,
     V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
 exactly so for sensors that stay as they are. What is handed out is the mixture of all of them. A mixture of
-modes may be wider than P0 in some direction: there the data say nothing.
+modes may be wider than P0 in some direction: there the data say nothing. What has drifted since the start has
+one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
+started.
 """
 
 from itertools import product
@@ -102,7 +104,7 @@ class Severity:
         parts = (
             scale[:, None] * (spread.scale + drifted[0]),
             offset[:, None] * spread.offset,
-            offset[:, None] * drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2,
+            np.ones((len(offset), 1)) * (drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2),
             np.broadcast_to(spread.com, (len(scale), columns.com.stop - columns.com.start)),
         )
         return np.concatenate(parts, axis=1)
@@ -143,7 +145,7 @@ class Severity:
         """Hold all severities against the data; arguments as of :meth:`weigh`."""
         of = self._columns.weighed
         wide = np.array([WIDE**2])
-        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1] / WIDE**2]))[0])
+        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1]]))[0])
         # In standard deviations of the wide prior, which is 1 there.
         share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
         share = np.clip(share, LEAST_SHARE, None)

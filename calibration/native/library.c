@@ -162,7 +162,8 @@ static const place places[] = {
 
     FRONT_OF(momentum_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
-    IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"), FAULTS_OF(momentum_state),
+    IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"),
+    IN(track_adrift, track.adrift, "real"), FAULTS_OF(momentum_state),
     N_REAL(pending), N_REAL(before), PLACE(momentum_state, waiting, "whole"), PLACE(momentum_state, linked, "whole"),
     N_REAL(point), N_REAL(time), N_REAL(drifted), N_REAL(noise), IN(tare_reading, tare.reading, "real"),
     IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),

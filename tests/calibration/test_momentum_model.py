@@ -145,7 +145,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
         likelihood = -0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1])
         return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
 
-    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
+    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted * np.array([1.0 / 25.0, 1.0]))[0]
     mean, covariance, widely = posterior(wide)
     found = severity.weigh(mean[None], covariance[None], drifted)
     means, covariances, chances = [], [], []
