@@ -10,8 +10,8 @@ before. Velocity and angular momentum are then added up,
 
 so that an accelerometer's bias does not grow: v_legs is what the centre of mass does relative to soles that
 stand, and the angular momentum of a robot on its feet comes back to zero. Where legs contradict accelerations
-by more than a bias can make in T_v, they pull the less the more they do (Cauchy's weight): a log's centre of
-mass may be a constant. Of a robot in the air for longer than T_v nothing is added up.
+by more than a robot walks fast, they pull the less the more they do (Cauchy's weight): a log's centre of mass
+may be a constant. Of a robot in the air for longer than T_v nothing is added up.
 """
 
 from typing import NamedTuple
@@ -27,11 +27,9 @@ LEG_TIME = 1.0
 SPIN_TIME = 2.0
 """T_L in s: longer than a stride, in which the angular momentum comes back to where it was."""
 
-LARGEST_BIAS = 0.3
-"""Acceleration in m/s^2 that is believed to be an error, of an attitude that is off by two degrees."""
-
 FIRST_SPEED = 1.0
-"""Velocity in m/s that a robot begins with at most, a quick walk."""
+"""Velocity in m/s that a robot begins with, a quick walk: where legs and accelerations are further apart, one of
+them is wrong."""
 
 FASTEST = 20.0
 """Velocity in m/s, and angular momentum by the mass in m^2/s, that no robot on feet has."""
@@ -42,7 +40,6 @@ class MotionConstants(NamedTuple):
 
     leg_time: float = LEG_TIME
     spin_time: float = SPIN_TIME
-    largest_bias: float = LARGEST_BIAS
     first_speed: float = FIRST_SPEED
     fastest: float = FASTEST
 
@@ -142,8 +139,7 @@ def follow_accelerations(
         # The first velocities are averaged: nothing was known before.
         share = max(1.0 / track.samples, dt / LEG_TIME)
         off = by_legs - velocity
-        width = max(FIRST_SPEED / track.samples, LARGEST_BIAS * LEG_TIME)
-        velocity = velocity + share * off / (1.0 + (off / width) ** 2)
+        velocity = velocity + share * off / (1.0 + (off / FIRST_SPEED) ** 2)
     rate = R @ motion[columns.angular_momentum_rate] / mass
     spin = track.spin + (rate - track.spin / SPIN_TIME) * dt
     adrift = 0.0 if stands else track.adrift + dt

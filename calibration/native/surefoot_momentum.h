@@ -28,11 +28,11 @@
 
 #define SF_MODES 3
 #define SF_SEVERITIES 4 /* of scales, and as many of offsets */
-#define SF_WEIGHED (3 * SF_CHANNELS + 2)
-#define SF_STATES (SF_WEIGHED + 2 + 2 * SF_COMPONENTS)
+#define SF_WEIGHED (3 * SF_CHANNELS)
+#define SF_STATES (SF_WEIGHED + 4 + 2 * SF_COMPONENTS)
 #define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
-#define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
+#define SF_REST (2 * SF_CHANNELS) /* weighed unknowns that are no scales */
 
 /* Shares of a mixture that change no digit of it. */
 #define SF_LITTLE 1e-15
@@ -51,12 +51,12 @@ typedef struct {
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
-    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], spread_com[2], unit[SF_CHANNELS];
+    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
-    sf_real leg_time, spin_time, largest_bias, first_speed, fastest;
+    sf_real leg_time, spin_time, first_speed, fastest;
 } sf_momentum_config;
 
 /* Belief: what the modes hold, and how likely they are. */
@@ -139,7 +139,7 @@ typedef struct {
 /* Where parts of the unknowns stand: scales from 0 on. */
 SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
 SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
-SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels + 2; }
+SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
 SF_API int sf_states(const sf_config *c, const sf_momentum_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
 
@@ -244,11 +244,10 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     for (int k = 0; k < 3; k++) com[k] += origin[k], s->velocity[k] += turned[k] * dt;
     if (standing) {
         sf_real n = (sf_real)s->samples, share = sf_max(1 / n, dt / m->leg_time);
-        sf_real width = sf_max(m->first_speed / n, m->largest_bias * m->leg_time);
         sf_about_z(turned, s->heading, s->motion + SF_COM);
         for (int k = 0; k < 3; k++) {
             sf_real off = (com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k];
-            s->velocity[k] += share * off / (1 + (off / width) * (off / width));
+            s->velocity[k] += share * off / (1 + (off / m->first_speed) * (off / m->first_speed));
         }
     }
     sf_about_z(turned, heading, motion + SF_RATE);
@@ -694,15 +693,13 @@ SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
         w->std[2 * K + i] = sf_sqrt(drifted[1] * unit + least);
     }
-    for (int i = 0; i < 2; i++) w->std[3 * K + i] = sf_sqrt(m->spread_com[i]);
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
         for (int i = 0; i < M; i++) {
             int k = i % K;
             sf_real variance = i < K       ? by * (m->spread_scale[k] + drifted[0])
                                : i < 2 * K ? by * m->spread_offset[k]
-                               : i < 3 * K ? drifted[1] * (m->unit[k] * m->unit[k]) + least
-                                           : m->spread_com[i - 3 * K];
+                                           : drifted[1] * (m->unit[k] * m->unit[k]) + least;
             inverse[i] = w->std[i] * w->std[i] / variance;
             of[i >= K][l] -= sf_log(inverse[i]);
         }
