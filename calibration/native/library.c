@@ -159,6 +159,7 @@ static const place places[] = {
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
     O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance), O_REAL(gate),
     O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
+    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
 
     FRONT_OF(momentum_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
@@ -167,7 +168,10 @@ static const place places[] = {
     N_REAL(pending), N_REAL(before), PLACE(momentum_state, waiting, "whole"), PLACE(momentum_state, linked, "whole"),
     N_REAL(point), N_REAL(time), N_REAL(drifted), N_REAL(noise), IN(tare_reading, tare.reading, "real"),
     IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
-    IN(tare_followed, tare.followed, "whole"), KNOWN(, belief, published), N_REAL(covariance),
+    IN(tare_followed, tare.followed, "whole"), IN(suspects_score, suspects.score, "real"),
+    IN(suspects_before, suspects.before, "real"), IN(suspects_error, suspects.error, "real"),
+    IN(suspects_noise, suspects.noise, "real"), IN(suspects_known, suspects.known, "real"),
+    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published), N_REAL(covariance),
     KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
     IN(kept_age, age, "real"), PLACE(momentum_state, status, "whole"),
 #endif
