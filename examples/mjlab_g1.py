@@ -18,7 +18,7 @@ from mjlab.utils.lab_api.math import matrix_from_quat
 from mjlab.utils.noise.noise_cfg import ConstantNoiseCfg, NoiseModelCfg
 from mjlab.utils.noise.noise_model import NoiseModel
 
-from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Reference
+from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, MomentumReference
 from surefoot.sensors import preset, sized
 from surefoot.wrappers.gpu import FootSensorsModule, SelfCalibrationModule
 from surefoot.wrappers.gpu.hooks import noise_model_class, observation_term_class
@@ -42,7 +42,6 @@ class Robots:
         # Equal springs under a rigid sole bear (fz, tx, ty) with the least sum of squares.
         x, y = CELLS.T
         self.spread = torch.linalg.pinv(torch.stack([torch.ones(4), y, -x])).to(env.device)
-        self.step, self.rates = -1, None
 
     def soles(self):
         """Return origins (N, 2, 3) and axes (N, 2, 3, 3) of the soles in the world."""
@@ -59,26 +58,17 @@ class Robots:
         return torch.where(contact.found[..., None] > 0, wrench @ self.spread.T, 0.0).flatten(1)
 
     def beliefs(self):
-        """Return the reference: kinematics whose centre of mass is off, and rates over the last step."""
-        data, scene, (place, axes) = self.robot.data, self.env.scene, self.soles()
-        momentum = scene["robot/root_angmom"].data
-        rates = torch.cat([torch.einsum("b,nbi->ni", self.share, data.body_com_lin_vel_w), momentum], dim=1)
-        if self.step != self.env.common_step_counter:
-            self.step, self.before, self.rates = self.env.common_step_counter, self.rates, rates
-        change = torch.full_like(rates, torch.nan) if self.before is None else (rates - self.before) / DT
-        # A robot that has just been put back has no rates yet: nothing is learnt from it.
-        change = torch.where(self.env.episode_length_buf[:, None] < 2, torch.nan, change)
+        """Return the reference: kinematics whose centre of mass is off, and what the robots' momentum is."""
+        data, (place, axes) = self.robot.data, self.soles()
         low = place[..., 2] < GROUNDED
-        return Reference(
+        return MomentumReference(
             com=torch.einsum("b,nbi->ni", self.share, data.body_com_pos_w) + ERROR,
-            com_acceleration=change[:, :3],
-            angular_momentum_rate=change[:, 3:],
+            com_velocity=torch.einsum("b,nbi->ni", self.share, data.body_com_lin_vel_w),
+            angular_momentum=self.env.scene["robot/root_angmom"].data,
             position_sole=place,
             R_level_sole=axes,
             stance=low,
             swing=~low,
-            accelerometer=scene["robot/imu_lin_acc"].data,
-            gyroscope=scene["robot/imu_ang_vel"].data,
         )
 
 
@@ -86,7 +76,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     """Stand; return the rms error of the vertical force in N, by the data sheet and calibrated."""
     feet = FootSensorsModule(sized(preset("hx711-load-cells"), MASS * GRAVITY), robots, device, dt=DT)
     given = {"mass": MASS, "dt": DT, "initial": feet.nominal}
-    calibrator = SelfCalibrationModule(LAYOUT, "moment", robots, device, **given)
+    calibrator = SelfCalibrationModule(LAYOUT, "momentum", robots, device, **given)
     watched = cache(Robots)
 
     def truth(env):

@@ -28,10 +28,13 @@ INSTRUMENTS = {"hx711-bar-cells": CELLS, "icub-force-torque": FORCE_TORQUE, "icu
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(compiler() is None, reason="there is no C compiler")]
 
 # As library.c has them, so that records are laid out alike.
-CALIBRATION = "surefoot_calibration", "surefoot_momentum", "surefoot_strapdown", "surefoot_view", "surefoot_window"
 HEADERS = "".join(
-    f'#include "{name}.h"\n' for name in ("device", *CALIBRATION, "surefoot_feet", "surefoot_telemetry")
-)
+    f'#include "{name}.h"\n'
+    for name in (
+        "device", "surefoot_calibration", "surefoot_momentum", "surefoot_strapdown", "surefoot_view",
+        "surefoot_window", "surefoot_feet", "surefoot_telemetry",
+    )
+)  # fmt: skip
 
 # One robot a thread: its own record of each array, but for the constants, which all share.
 STEP = """
@@ -47,7 +50,8 @@ STEP = """
         const sf_real *imu[] = {belief->accelerometer, belief->gyroscope}, *raw = in + robot * of->channels;
         sf_estimate *told = (sf_estimate *)found.data + robot;
         if (rows == 4)
-            sf_momentum_step(of, (const sf_momentum_config *)(of + 1), (sf_momentum_state *)state.data + robot,
+            sf_momentum_step(of, (const sf_momentum_config *)(of + 1),
+                             (sf_momentum_state *)state.data + robot,
                              (sf_momentum_work *)stream.data + robot, raw, now, dt, told);
         else if (rows == 1)
             sf_window_step(of, (const sf_window_config *)(of + 1), (sf_window_state *)state.data + robot,
@@ -168,7 +172,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
     native = native_filter(library, method, setup, {})
     expected = of_robots([native.init().record] * ROBOTS)
-    state, beliefs = expected.copy(), np.zeros(ROBOTS, native.belief.dtype)
+    state, beliefs = expected.copy(), np.zeros(ROBOTS, native.references[Reference].dtype)
     own, number = native.constants.own, native.constants.number
     constants = [one.reshape(1).view(np.uint8) for one in (native.constants.config, own) if one is not None]
     size = library.places["momentum_work" if method == "momentum" else "window_work"][""][2]

@@ -5,7 +5,7 @@ for: the table in ``library.c``, compiled for the CPU, tells where their fields 
 """
 
 # Warp reads types of arguments that mypy does not know.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator, valid-type"
+# mypy: disable-error-code="arg-type, no-untyped-def, untyped-decorator, valid-type"
 
 import ctypes
 from collections.abc import Sequence
@@ -33,8 +33,8 @@ ARRAYS = 9
 WARP = 32
 """Threads of a block: one warp, so that a few thousand robots are spread over all multiprocessors."""
 
-REGISTERS = 256
-"""Registers that one thread of a GPU can have."""
+THREADS = 256
+"""Threads of a large kernel that a GPU's multiprocessor runs at once: each takes 255 of 65,536 registers."""
 
 Bytes = wp.array2d[wp.uint8]
 
@@ -45,8 +45,8 @@ class Kernel:
     Args:
         package: Whose headers, a key of :data:`SOURCES`.
         headers: Those that are needed.
-        body: What is done for one robot, in C. It has the numbers ``robot`` and ``worker``, that of the thread,
-            and what :meth:`launch` is given.
+        body: What is done for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
+            what :meth:`launch` is given.
         fits: Functions of ``library.c`` that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
         single: Whether its numbers are floats rather than doubles.
@@ -128,15 +128,14 @@ def kernel(*given: Any) -> Kernel:
 
 
 def threads_at_once(device: torch.device) -> int:
-    """Return how many threads of large kernels a device runs at the same time: as many as it has registers for."""
+    """Return how many threads of a large kernel a device runs at once: on a CPU one after the other."""
     if device.type != "cuda":
         return 1
-    gpu = torch.cuda.get_device_properties(device)
-    return int(gpu.multi_processor_count * gpu.regs_per_multiprocessor // REGISTERS)
+    return THREADS * torch.cuda.get_device_properties(device).multi_processor_count
 
 
 def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
-    """Return a kernel of Warp in a module of its own, whose threads take turns at robots; nothing is compiled yet."""
+    """Return a kernel of Warp in a module of its own; nothing is compiled yet."""
 
     @wp.func_native(body)
     def step(
@@ -146,8 +145,9 @@ def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
     ): ...  # fmt: skip
 
     def steps(
-        robots: int, workers: int, what: int, rows: int, count: int, dt: wp.float64, span: wp.float64, config: Bytes, state: Bytes,
-        own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes, other: Bytes, rest: Bytes,
+        robots: int, workers: int, what: int, rows: int, count: int, dt: wp.float64, span: wp.float64,
+        config: Bytes, state: Bytes, own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes,
+        other: Bytes, rest: Bytes,
     ):  # fmt: skip
         worker = wp.tid()
         for robot in range(worker, robots, workers):

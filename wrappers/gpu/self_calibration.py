@@ -28,7 +28,6 @@ from surefoot.calibration import (
 from surefoot.calibration.momentum.config import MomentumConfig
 from surefoot.calibration.momentum.filter import MomentumFilter
 from surefoot.calibration.native import native_filter
-from surefoot.calibration.native.reference import reference_dtype
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.calibration.state import check_leaves
 from surefoot.names import plain_name
@@ -45,8 +44,8 @@ _HEADERS = "surefoot_calibration", "surefoot_beliefs", "surefoot_momentum", "sur
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
     """Return how large the momentum filter's arrays are, besides those of any method."""
-    own = MomentumFilter(setup, MomentumConfig(**options)).constants[0]
-    return {"COMPONENTS": own.components, "BLOCK": own.capacity}
+    own = MomentumFilter(setup, MomentumConfig(**options)).constants[0]._asdict()
+    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"]}
 
 
 def _moment_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
@@ -57,7 +56,7 @@ def _moment_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]
 
 
 class _Steps(NamedTuple):
-    """A method in C: its state, what it works in, its own constants, calls of its functions, and its sizes."""
+    """A method in C: its state, what it works in, its own constants, calls of its functions, its sizes."""
 
     state: str
     work: str
@@ -98,9 +97,7 @@ _STEPS = {
         "sf_tare_config",
         "sf_tare_step(c, m, s, raw, &belief.reference, dt, out)",
     ),
-    "none": _Steps(
-        "sf_front", "char", "char", "sf_uncorrected_step(c, s, raw, &belief.reference, dt, out)"
-    ),
+    "none": _Steps("sf_front", "char", "char", "sf_uncorrected_step(c, s, raw, &belief.reference, dt, out)"),
 }
 
 _BODY = """
@@ -223,24 +220,21 @@ class SelfCalibrationModule(BatchModule):
         self._workers = min(num_envs, threads_at_once(self.device))
         size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
         self._work = self._nothing(self._workers, size)
-        motions = constants.front.motions
-        self._kinds = {kind: reference_dtype(library, kind, motions.shapes) for kind in motions.taken}
-        self._beliefs = {
-            kind: self._nothing(num_envs, library.places["belief"][""][2]) for kind in motions.taken
-        }
+        given = native.references
+        self._beliefs = {kind: self._record(record, num_envs) for kind, record in given.items()}
         estimate = self._nothing(num_envs, library.places["estimate"][""][2])
         self._state = self._kept("state", self._fresh.expand(num_envs, -1))
         self._estimate = self._kept("estimate", estimate)
         self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
+        self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.record.dtype, native.estimate.now.dtype
         self._view()
-        for kind, believed in self._believed.items():
-            if kind is MomentumReference:
-                believed["momentum"].fill_(True)
         self._covariance = constants.covariance
-        self._untold = () if constants.contact else ("undetermined", "contact_probability")
-        if constants.covariance is None:
-            self._untold += "force_std", "cop_covariance", "nis", "nis_rows"
+        certain = constants.covariance is not None
+        self._untold = (
+            *(() if constants.contact else ("undetermined", "contact_probability")),
+            *(() if certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
+        )
         self._talks = None if constants.matrix is None else self._scales(constants.config)
 
     def forward(
