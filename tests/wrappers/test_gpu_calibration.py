@@ -267,6 +267,11 @@ def test_bad_input_is_refused_with_the_reason(log):
         make("tare")(*momentum_row(log, 0))
     with pytest.raises(ValueError, match="Method 'windows' does not exist"):
         make("windows")
+    four = FeetLayout(tuple(FootLayout.point(name) for name in ("fl", "fr", "rl", "rr")))
+    with pytest.raises(
+        ValueError, match=r"There is no kernel of 'momentum' for 4 feet .* FootCalibrator none"
+    ):
+        SelfCalibrationModule(four, mass=12.0, foot_length=0.4)
 
 
 @pytest.mark.slow

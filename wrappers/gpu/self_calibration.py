@@ -199,7 +199,6 @@ class SelfCalibrationModule(BatchModule):
         steps = _STEPS[self.method]
         sizes = {
             "CHANNELS": layout.channels,
-            "FEET": len(layout.feet),
             "LAG": max(8, self.setup.lag),
             **steps.sizes(self.setup, options),
         }
@@ -210,8 +209,8 @@ class SelfCalibrationModule(BatchModule):
         fresh = None if native is None else native.pack(native.constants.like)
         if native is None or fresh is None:
             raise ValueError(
-                f"There is no kernel of {self.method!r} with the options {self._options}; docs/native.md has "
-                "its limits."
+                f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
+                f"{self._options}; docs/native.md has its limits, and FootCalibrator none."
             )
         constants = native.constants
         self._config, self._fresh = self._record(constants.config), self._record(fresh.record)
