@@ -143,6 +143,7 @@ static const place places[] = {
     T_REAL(offset),
 
     WHOLE_OF(momentum_config), WHOLE_OF(momentum_state), WHOLE_OF(momentum_work),
+    {"momentum_work", "numbers", "", 0, sizeof(sf_momentum_work)}, /* of which nobody reads one */
 
     PLACE(momentum_config, components, "int"), PLACE(momentum_config, capacity, "int"),
     PLACE(momentum_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std),
