@@ -16,6 +16,7 @@ from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be
 from surefoot.experiments.logs.table import LogError
 from surefoot.files import read_toml
+from surefoot.names import page
 
 SI = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY,
@@ -202,7 +203,7 @@ def config_beside(log: Path) -> InSituConfig:
 def read_config(path: Path) -> InSituConfig:
     """Read the TOML file, and the factory matrix that it names; LogError if it is none, or is wrong."""
     if not path.is_file():
-        raise LogError(f"{path}: no such file; see docs/in-situ-log.md for what it holds.")
+        raise LogError(f"{path}: no such file; {page('in-situ-log')} says what it holds.")
     config = InSituConfig.read(read_toml(path, LogError), path.name)
     factory, sensor = config.factory, config.sensor
     if factory.file is None:

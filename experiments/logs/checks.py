@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.reference import Reference
 from surefoot.experiments.logs.table import LogError, LogTable
+from surefoot.names import page
 
-LISTED = "docs/log-format.md lists every column and its unit."
+LISTED = f"{page('log-format')} lists every column and its unit."
 
 FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite

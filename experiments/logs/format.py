@@ -40,6 +40,7 @@ from surefoot.experiments.logs.description import Description, describe
 from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 from surefoot.files import atomic_path, parse_json, read_text, write_text
+from surefoot.names import page
 
 METADATA_KEY = b"surefoot"
 MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
@@ -76,6 +77,22 @@ class Log:
     def __len__(self) -> int:
         """The number of samples, N."""
         return len(self.time)
+
+    def __repr__(self) -> str:
+        """What it is of, on one line."""
+        feet = ", ".join(foot.name for foot in self.layout.feet)
+        span = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self) else "empty"
+        more = ", with truth" * (self.truth is not None)
+        return (
+            f"Log({len(self)} samples of {self.layout.channels} channels ({feet}), {span} at "
+            f"{1.0 / self.dt:g} Hz, {self.mass:g} kg{more})"
+        )
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with the columns of the table, one row a sample."""
+        import pandas as pd
+
+        return pd.DataFrame(columns_of(self))
 
 
 def write_log(log: Log, path: str | Path) -> Path:
@@ -240,12 +257,12 @@ def _description(path: Path, table: LogTable) -> Any:
         if not side.is_file():
             raise LogError(
                 f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
-                "calibrations (see docs/log-format.md)."
+                f"calibrations; {page('log-format')} shows one."
             )
         text = read_text(side, LogError)
     elif text is None:
         raise LogError(
             f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
-            "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
+            f"write the log with surefoot.experiments.write_log, or as {page('log-format')} says."
         )
     return parse_json(text, f"{side.name}: the description", LogError)

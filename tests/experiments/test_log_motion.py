@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.logs.motion import count_rows
@@ -329,7 +330,7 @@ def _scaled(prefix: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame
 BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "no column": (
         lambda t: t.drop(columns="joint_left_hip_rad"),
-        "missing column joint_left_hip_rad; docs/log-format.md lists every column and its unit.",
+        f"missing column joint_left_hip_rad; {LISTED}",
     ),
     "never a number": (
         lambda t: t.assign(joint_left_hip_rad=np.nan),

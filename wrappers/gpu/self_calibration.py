@@ -19,7 +19,7 @@ from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, on
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.calibration.state import check_leaves
-from surefoot.names import plain_name
+from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of, views
 from surefoot.wrappers.gpu.kernels import kernel
@@ -173,8 +173,8 @@ class SelfCalibrationModule(BatchModule):
         fresh = None if native is None else native.pack(native.constants.like)
         if native is None or fresh is None:
             raise ValueError(
-                f"There is no kernel of {self.method!r} with the options {self._options}; docs/native.md has "
-                "its limits."
+                f"There is no kernel of {self.method!r} with the options {self._options}; {page('native')} "
+                "has its limits."
             )
         own = native.constants.own
         self._config, self._fresh = self._record(native.constants.config), self._record(fresh.record)
