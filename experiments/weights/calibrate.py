@@ -10,8 +10,9 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.refusals import pass_or_refuse
-from surefoot.experiments.logs.table import LogError, read_table
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
@@ -64,7 +65,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
 
 
 def _read(path: Path) -> Weighings:
-    table = read_table(path, "give a CSV of weighings, one a row.")
+    mapping = TableMapping.beside(path)
+    table = mapping.read_mapped(path, "give a CSV of weighings, one a row.", mapping.columns)
     units = {"load_kg": GRAVITY, "load_N": 1.0}
     given = [name for name in units if name in table]
     if len(given) != 1:

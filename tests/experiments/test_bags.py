@@ -303,7 +303,7 @@ BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "two clocks that do not overlap": (
         change("# Proposed", '[offsets_s]\n"/imu" = 1000.0\n# Proposed'),
-        "{bag}: topics do not overlap: '/joint_states' from ",
+        "{bag}: no overlap in time: '/joint_states' from ",
     ),
     "joints and feet that do not overlap": (
         change("# Proposed", '[offsets_s]\n"/joint_states" = 100.0\n"/imu" = 96.3\n# Proposed'),

@@ -188,7 +188,9 @@ BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
     ),
     "no offsets": (
         {"nominal": {"scale_N_per_count": [1.0] * 8}},
-        "the description: nominal: is no map, KeyError 'offset_N'.",
+        "the description's nominal has no 'offset_N', and the left foot is never surely in the air, where it "
+        "could be read; lift it, or give for 'raw_left_front_left_count' minus scale times what the channel "
+        "reads unloaded.",
     ),
 }
 

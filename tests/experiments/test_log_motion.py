@@ -330,7 +330,8 @@ def _scaled(prefix: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame
 BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "no column": (
         lambda t: t.drop(columns="joint_left_hip_rad"),
-        f"missing column joint_left_hip_rad; {LISTED}",
+        f"missing column joint_left_hip_rad; {LISTED} A joint without a column is held at an angle by "
+        "motion.held_rad.",
     ),
     "never a number": (
         lambda t: t.assign(joint_left_hip_rad=np.nan),
