@@ -10,8 +10,9 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, train, view
+from surefoot.experiments.cli import calibrate, compare, demo, evaluate, instrument, sweep, train, view
 from surefoot.experiments.cli.console import INTERRUPTED
+from surefoot.names import page
 
 
 class _InOrder(TyperGroup):
@@ -19,7 +20,7 @@ class _InOrder(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
-        return ["demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay"]
+        return ["demo", "view", "compare", "check", "calibrate", "train", "evaluate", "sweep", "replay"]
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -43,6 +44,7 @@ app = typer.Typer(
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
+app.command(epilog=f"Kinds of logs: {page('check')}")(instrument.check)
 for command in (demo.demo, view.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
     app.command()(command)
 

@@ -28,7 +28,7 @@ from surefoot.experiments.walking.claims import (
     condense,
     fit_claims,
     fit_parts,
-    thirds,
+    parts_of,
 )
 from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
 
@@ -71,7 +71,7 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):
-        claims = claims_of(log, initial, _length(log))
+        claims = claims_of(log, initial, length_of(log))
         parts = condense(claims)
         plain = fit_parts(parts)
         if plain.rows == 0:
@@ -105,7 +105,7 @@ def _check_layout(log: Log) -> list[Finding]:
     return []
 
 
-def _length(log: Log) -> float:
+def length_of(log: Log) -> float:
     """Return the length of a foot in m."""
     places = [foot.position_cell_sole for foot in log.layout.feet]
     known = [float(np.ptp(one[:, :2], axis=0).max()) for one in places if one is not None]
@@ -184,7 +184,7 @@ def _decide(
         cure = _sentence(other.hypothesis.cure)
         return [Finding(other.hypothesis.kind, reason, cure, plain.worst, SOUND, refuses=False)]
     if plain.worst > SOUND:
-        parts = [fit for one in thirds(claims) if (fit := fit_claims(one)).rows]
+        parts = [fit for one in parts_of(claims) if (fit := fit_claims(one)).rows]
         refuses = plain.worst > GROSS and all(fit.worst > SOUND for fit in parts)
         reason = (
             f"Readings, layout, mass and motion contradict each other ({seen}), and no single mistake that "
@@ -209,7 +209,7 @@ def _percent(probability: float) -> str:
 
 def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis is likelier than the log as it is in each third of it that says anything."""
-    mended = zip(thirds(claims), thirds(hypothesis.undo(claims)), strict=True)
+    mended = zip(parts_of(claims), parts_of(hypothesis.undo(claims)), strict=True)
     fits = [(fit_claims(one), fit_claims(other)) for one, other in mended]
     return all(other.evidence > one.evidence for one, other in fits if one.rows and other.rows)
 

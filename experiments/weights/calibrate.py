@@ -35,7 +35,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at what cannot be
     read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
-    weighings = _read(path)
+    weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
     findings, out_of_line = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
@@ -64,7 +64,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     return CalibratedCells(out, table, notices)
 
 
-def _read(path: Path) -> Weighings:
+def read_weighings(path: Path) -> Weighings:
+    """Read a table of weighings; LogError if it is none."""
     mapping = TableMapping.beside(path)
     table = mapping.read_mapped(path, "give a CSV of weighings, one a row.", mapping.columns)
     units = {"load_kg": GRAVITY, "load_N": 1.0}

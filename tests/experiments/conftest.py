@@ -18,6 +18,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.episodes.episode import failed_row
 from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -83,6 +84,12 @@ def log() -> Log:
         truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
         about={"speed_m_s": 0.0},
     )
+
+
+@pytest.fixture(scope="session")
+def walks() -> dict[str, Log]:
+    """Give a walk of 16 s from a bad start and from calibrated cells."""
+    return record_walk(0.04, 11, 16.0)
 
 
 @pytest.fixture

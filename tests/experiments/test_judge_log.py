@@ -41,12 +41,6 @@ RUNNER = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def walks() -> dict[str, Log]:
-    """Give a walk of 16 s from a bad start and from calibrated cells."""
-    return record_walk(0.04, 11, 16.0)
-
-
-@pytest.fixture(scope="module")
 def bad_start(walks: dict[str, Log]) -> Log:
     return dataclasses.replace(walks["bad-start"], truth=None)
 
