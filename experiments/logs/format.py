@@ -7,7 +7,9 @@ calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing u
 """
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +76,8 @@ class Log:
     seed: int | None = None  # of a simulated walk
     truth: LogTruth | None = None  # what the simulator knew
     about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
+    turned: Mapping[str, Callable[[], Reference]] = field(default_factory=dict)
+    """References with one joint's sign turned round, by the joint: of logs whose references were made."""
 
     def __len__(self) -> int:
         """The number of samples, N."""
@@ -173,7 +177,8 @@ def read_log(
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
     else:
-        reference, about = _made_reference(path, table, moved or table, description, time)
+        made = _made_reference(path, table, moved or table, description, time)
+        reference, about, facts["turned"] = made
         facts["about"] = facts["about"] | about
     if table.notices:
         facts["about"] = facts["about"] | {"notices": table.notices}
@@ -257,8 +262,8 @@ def _made_reference(
     moved: LogTable,
     description: Description,
     time: NDArray[np.float64],
-) -> tuple[Reference, dict[str, Any]]:
-    """Return references that are made of joints and IMU, and where they come from."""
+) -> tuple[Reference, dict[str, Any], dict[str, Callable[[], Reference]]]:
+    """Return references made of joints and IMU, where they come from, and :attr:`Log.turned`."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(
@@ -282,9 +287,18 @@ def _made_reference(
             f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
             f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
         )
-    stance, swing, source = contacts(table, (feet[0].name, feet[1].name), reference, dt)
-    about = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
-    return reference._replace(stance=stance, swing=swing), about
+    names = feet[0].name, feet[1].name
+    stance, swing, source = contacts(table, names, reference, dt)
+    about: dict[str, Any] = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
+
+    def turned(joint: str) -> Reference:
+        found = make_reference(time, motion.turn(joint_names.index(joint)), facts, model, description.mass_kg)
+        down, up, _ = contacts(table, names, found, dt)
+        return found._replace(stance=down, swing=up)
+
+    joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
+    made: dict[str, Callable[[], Reference]] = {name: partial(turned, name) for name in legs}
+    return reference._replace(stance=stance, swing=swing), about, made
 
 
 def _description(path: Path, metadata: Any) -> Any:

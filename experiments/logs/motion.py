@@ -38,6 +38,12 @@ class Motion(NamedTuple):
     accelerometer: NDArray[np.float64]  # specific force in m/s^2, IMU axes, shape (M, 3)
     gyroscope: NDArray[np.float64]  # in rad/s, IMU axes, shape (M, 3)
 
+    def turn(self, joint: int) -> "Motion":
+        """Return it with the sign of one joint turned round."""
+        angles = self.joint.copy()
+        angles[:, joint] *= -1.0
+        return self._replace(joint=angles)
+
 
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
     """Return joints (the model's, in order) and IMU of a table, without rows that lack one; or LogError."""

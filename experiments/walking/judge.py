@@ -30,7 +30,7 @@ from surefoot.experiments.walking.claims import (
     fit_parts,
     parts_of,
 )
-from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
+from surefoot.experiments.walking.hypotheses import DELAY, JOINT, Hypothesis, hypotheses, joint_hypotheses
 
 ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
 HINT = 1e3  # odds from which it is a notice
@@ -76,9 +76,15 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
         plain = fit_parts(parts)
         if plain.rows == 0:
             return Verdict(tuple(far), (), plain)
-        explanations = _explain(claims, parts, plain, list(hypotheses(log.layout)))
+        tried = list(hypotheses(log.layout))
+        explanations = _explain(claims, parts, plain, tried)
         broken = _broken(claims, parts, raw_names_of(log.layout))
         found = _decide(claims, plain, explanations, broken)
+        joints = list(joint_hypotheses(log))
+        # A joint's sign takes its time: all references are made again.
+        if joints and found and not (found[0].refuses and found[0].contradicts):
+            explanations = _explain(claims, parts, plain, [*tried, *joints])
+            found = _decide(claims, plain, explanations, broken)
     if far and found and found[0].contradicts:
         far = []
     return Verdict((*far, *found), tuple(explanations), plain)
@@ -116,8 +122,10 @@ def _explain(claims: Claims, parts: list[Claims], plain: Fit, tried: list[Hypoth
     """Fit the log, condensed to ``parts``, by each hypothesis; return the likeliest by falling likelihood."""
 
     def mend(one: Hypothesis) -> list[Claims]:
-        # All but delays may as well be undone in the means of blocks.
-        return condense(one.undo(claims)) if one.kind == DELAY else [one.undo(part) for part in parts]
+        # All but what changes times or postures may as well be undone in the means of blocks.
+        return (
+            condense(one.undo(claims)) if one.kind in (DELAY, JOINT) else [one.undo(part) for part in parts]
+        )
 
     # One prior is enough to see which are worth a closer look.
     rough = [fit_parts(mend(one), widths=WIDTHS[-1:]).evidence for one in tried]
