@@ -20,7 +20,18 @@ class _InOrder(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
-        return ["demo", "view", "compare", "check", "calibrate", "train", "evaluate", "sweep", "replay"]
+        return [
+            "demo",
+            "view",
+            "compare",
+            "check",
+            "twin",
+            "calibrate",
+            "train",
+            "evaluate",
+            "sweep",
+            "replay",
+        ]
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -44,7 +55,8 @@ app = typer.Typer(
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
-app.command(epilog=f"Kinds of logs: {page('check')}")(instrument.check)
+for look in (instrument.check, instrument.twin):
+    app.command(epilog=f"Kinds of logs: {page('check')}")(look)
 for command in (demo.demo, view.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
     app.command()(command)
 

@@ -195,7 +195,8 @@ def channel_table(checked: Checked) -> Table:
     unit = "counts" if recording.scale is None else "N"
     rows = []
     for i, one in enumerate(checked.facts):
-        scale = 1.0 if recording.scale is None else float(recording.scale[i])
+        scale = 1.0 if recording.scale is None else abs(float(recording.scale[i]))
+        sign = 1.0 if recording.scale is None else float(np.sign(recording.scale[i]))
         rate = 1.0 / one.noise.interval if np.isfinite(one.noise.interval) else np.nan
         rows.append(
             (
@@ -207,7 +208,7 @@ def channel_table(checked: Checked) -> Table:
                 number(rate),
                 number(scale * one.noise.white),
                 number(scale * one.noise.walk * np.sqrt(60.0)),
-                number(60.0 * scale * one.slope),
+                number(60.0 * scale * one.slope * sign),
             )
         )
     columns = (
@@ -230,9 +231,8 @@ def words_of(checked: Checked) -> str:
     return "\n".join(lines)
 
 
-def log_table(checked: Checked) -> Table:
-    """Return what the log is."""
-    one = checked.recording
+def facts_table(one: Recording) -> Table:
+    """Return what a log is."""
     rows = [
         ("file", one.file),
         ("kind", one.kind),

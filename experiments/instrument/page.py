@@ -1,10 +1,11 @@
-"""The page of a checked log: what one sends to a colleague."""
+"""The pages of a checked log, which one sends to a colleague, and of an instrument's twin."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 from surefoot.experiments.instrument import figures
-from surefoot.experiments.instrument.check import Checked, channel_table, log_table, wrong_table
+from surefoot.experiments.instrument.check import Checked, channel_table, facts_table, wrong_table
+from surefoot.experiments.instrument.twin import Twin, likeness_table, parameter_table
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 
 _say = Words("instrument")
@@ -18,7 +19,7 @@ def write_check_page(path: Path, checked: Checked) -> Path:
         f"{checked.recording.file}, checked",
         "by 'surefoot check'",
         verdict,
-        log_table(checked),
+        facts_table(checked.recording),
         checked.recording.notices,
         lambda folder: _sections(folder, checked),
     )
@@ -32,3 +33,20 @@ def _sections(folder: Path, checked: Checked) -> Iterator[Section]:
     curves = figures.draw_allan(folder / "allan.svg", checked)
     shown = () if curves is None else (ReportFigure(curves, "Figure 2", _say("channels")),)
     yield Section("channels", "Channels", tables=(channel_table(checked),), figures=(overview, *shown))
+
+
+def write_twin_page(path: Path, twin: Twin) -> Path:
+    """Write the page of an instrument, and return its path."""
+    alike = "No test tells the two apart." if twin.alike else "Tests tell the two apart: see below."
+    return write_log_page(
+        path,
+        f"{twin.recording.file}, its instrument",
+        "by 'surefoot twin'",
+        f"{_say('twin')} {alike}",
+        facts_table(twin.recording),
+        (*twin.recording.notices, *twin.notes),
+        lambda _: (
+            Section("instrument", "The instrument", (_say("parameters"),), tables=(parameter_table(twin),)),
+            Section("likeness", "Twin against log", tables=(likeness_table(twin),)),
+        ),
+    )

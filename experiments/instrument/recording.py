@@ -36,7 +36,7 @@ class Recording:
     raw: Floats  # in counts, shape (N, K); NaN where no sample arrived
     unloaded: NDArray[np.bool_]  # where a channel surely carries nothing, shape (N, K)
     load: Floats | None = None  # known load of each channel in N, shape (N, K)
-    scale: Floats | None = None  # nominal N per count, shape (K,)
+    scale: Floats | None = None  # nominal N per count with its sign, shape (K,)
     read: Log | InSituLog | None = None  # what its own command makes of it
     refusal: str = ""  # why its own command cannot read it
     notices: tuple[str, ...] = ()
@@ -97,7 +97,7 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
         time=read.time,
         raw=read.raw,
         unloaded=np.asarray(read.reference.swing)[:, foot],
-        scale=np.abs(read.nominal.scale),
+        scale=np.asarray(read.nominal.scale),
         read=read,
         notices=tuple(read.about.get("notices", ())),
     )

@@ -29,7 +29,7 @@ from surefoot.experiments.study.tables import Table
 RUNNER = CliRunner()
 
 
-COMMANDS = ("demo", "view", "compare", "check", "calibrate", "train", "evaluate", "sweep", "replay")
+COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay")
 
 
 def test_version_and_help() -> None:
