@@ -314,7 +314,8 @@ class MomentumFilter:
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         rows = self._model.rows(block, published, self._product(state, tare))
-        if not state.linked:
+        # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
+        if not (state.linked and state.track.held):
             belief = self._begin_momentum(belief, rows)
             weighed, nis = self._weigh(belief, state.drifted), np.nan
         else:
@@ -348,7 +349,7 @@ class MomentumFilter:
         state = state._replace(
             belief=belief,
             tare=tare,
-            linked=1,
+            linked=int(state.track.held),
             point=rows.point,
             published=publication,
             covariance=self._map_covariance(publication),

@@ -103,7 +103,7 @@ class Model:
 
         Args:
             block: The samples.
-            published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
+            published: Scales, offsets and drift, about which forces are linear, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
                 shape (K,).
         """

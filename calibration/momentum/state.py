@@ -97,7 +97,7 @@ class Belief(NamedTuple):
 
 
 class Publication(NamedTuple):
-    """What is handed out: the posterior of scales, offsets, drift and centre of mass, M unknowns.
+    """What is handed out: the posterior of scales, offsets and drift, M unknowns.
 
     Attributes:
         mean: Shape (M,).

@@ -28,11 +28,11 @@
 
 #define SF_MODES 3
 #define SF_SEVERITIES 4 /* of scales, and as many of offsets */
-#define SF_WEIGHED (3 * SF_CHANNELS + 2)
-#define SF_STATES (SF_WEIGHED + 2 + 2 * SF_COMPONENTS)
+#define SF_WEIGHED (3 * SF_CHANNELS)
+#define SF_STATES (SF_WEIGHED + 4 + 2 * SF_COMPONENTS)
 #define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
-#define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
+#define SF_REST (2 * SF_CHANNELS) /* weighed unknowns that are no scales */
 
 /* Shares of a mixture that change no digit of it. */
 #define SF_LITTLE 1e-15
@@ -51,12 +51,12 @@ typedef struct {
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
-    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], spread_com[2], unit[SF_CHANNELS];
+    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
-    sf_real leg_time, spin_time, largest_bias, first_speed, fastest;
+    sf_real leg_time, spin_time, first_speed, fastest;
 } sf_momentum_config;
 
 /* Belief: what the modes hold, and how likely they are. */
@@ -84,7 +84,7 @@ typedef struct {
 typedef struct {
     sf_real motion[SF_MOTION];
     sf_whole samples;
-    sf_real heading, origin[3], velocity[3], spin[3];
+    sf_real heading, origin[3], velocity[3], spin[3], adrift;
 } sf_track;
 
 /* MomentumState */
@@ -139,7 +139,7 @@ typedef struct {
 /* Where parts of the unknowns stand: scales from 0 on. */
 SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
 SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
-SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels + 2; }
+SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
 SF_API int sf_states(const sf_config *c, const sf_momentum_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
 
@@ -164,7 +164,10 @@ SF_API int sf_momentum_fits(const sf_config *c, const sf_momentum_config *m) {
 /* ------------------------------------------------------------------------------------------------- motion */
 
 /* Track.begin */
-SF_API void sf_track_begin(sf_track *s) { memset(s, 0, sizeof *s); }
+SF_API void sf_track_begin(const sf_momentum_config *m, sf_track *s) {
+    memset(s, 0, sizeof *s);
+    s->adrift = m->leg_time;
+}
 
 /* Of a sample: where the robot was while it was taken. Pose. */
 typedef struct {
@@ -179,7 +182,7 @@ SF_API void sf_follow_momentum(const sf_config *c, sf_track *s, const sf_real *m
         middle[i] = s->samples == 0 ? motion[i] : (sf_real)0.5 * (motion[i] + s->motion[i]);
     sf_copy(s->motion, motion, R);
     s->samples++;
-    s->heading = 0;
+    s->heading = s->adrift = 0;
     for (int k = 0; k < 3; k++) {
         s->origin[k] = 0;
         s->velocity[k] = motion[SF_ACCELERATION + k];
@@ -204,10 +207,12 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     const sf_real *sole = sf_position(motion, 0), *rotation = sf_rotation(c, motion, 0);
     sf_copy(pose->sole, sole, 3 * F);
     sf_copy(pose->rotation, rotation, 9 * F);
-    if (s->samples == 0) {
-        sf_track_begin(s);
+    for (int foot = 0; foot < F; foot++) standing = standing || stance[foot];
+    if (s->adrift >= m->leg_time) {
+        sf_track_begin(m, s);
         sf_copy(s->motion, motion, sf_motion(c));
         s->samples = 1;
+        if (standing) s->adrift = 0;
         sf_copy(pose->end, motion + SF_COM, 3);
         sf_copy(pose->com, motion + SF_COM, 3);
         return;
@@ -216,7 +221,6 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     sf_real least = 0, forward[2] = {0, 0}, before[2] = {0, 0}, heading, origin[3] = {0, 0, 0}, com[3], turned[3];
     for (int foot = 0; foot < F; foot++) {
         sf_real height = sole[3 * foot + 2] + old_sole[3 * foot + 2];
-        standing = standing || stance[foot];
         least = foot ? sf_min(least, height) : height;
     }
     for (int foot = 0; foot < F; foot++) {
@@ -240,16 +244,16 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     for (int k = 0; k < 3; k++) com[k] += origin[k], s->velocity[k] += turned[k] * dt;
     if (standing) {
         sf_real n = (sf_real)s->samples, share = sf_max(1 / n, dt / m->leg_time);
-        sf_real limit = sf_max(m->first_speed / (n * n), m->largest_bias * dt);
         sf_about_z(turned, s->heading, s->motion + SF_COM);
         for (int k = 0; k < 3; k++) {
-            sf_real pull = share * ((com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k]);
-            s->velocity[k] += sf_max(sf_min(pull, limit), -limit);
+            sf_real off = (com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k];
+            s->velocity[k] += share * off / (1 + (off / m->first_speed) * (off / m->first_speed));
         }
     }
     sf_about_z(turned, heading, motion + SF_RATE);
     for (int k = 0; k < 3; k++) s->spin[k] += (turned[k] / c->mass - s->spin[k] / m->spin_time) * dt;
     s->samples++;
+    s->adrift = standing ? 0 : s->adrift + dt;
     s->heading = heading;
     sf_copy(s->origin, origin, 3);
     for (int foot = 0; foot < F; foot++) {
@@ -687,17 +691,15 @@ SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_
         sf_real unit = m->unit[i] * m->unit[i];
         w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted[0] / square));
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
-        w->std[2 * K + i] = sf_sqrt(square * (drifted[1] / square) * unit + least);
+        w->std[2 * K + i] = sf_sqrt(drifted[1] * unit + least);
     }
-    for (int i = 0; i < 2; i++) w->std[3 * K + i] = sf_sqrt(m->spread_com[i]);
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
         for (int i = 0; i < M; i++) {
             int k = i % K;
             sf_real variance = i < K       ? by * (m->spread_scale[k] + drifted[0])
                                : i < 2 * K ? by * m->spread_offset[k]
-                               : i < 3 * K ? by * drifted[1] * (m->unit[k] * m->unit[k]) + least
-                                           : m->spread_com[i - 3 * K];
+                                           : drifted[1] * (m->unit[k] * m->unit[k]) + least;
             inverse[i] = w->std[i] * w->std[i] / variance;
             of[i >= K][l] -= sf_log(inverse[i]);
         }
@@ -1282,7 +1284,7 @@ SF_API void sf_copy_known(const sf_config *c, const sf_momentum_config *m, sf_kn
 
 /* MomentumFilter._break: forget the samples that wait, and what the momentum is. */
 SF_API void sf_break(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
-    sf_track_begin(&s->track);
+    sf_track_begin(m, &s->track);
     memset(s->pending, 0, (size_t)(m->capacity * sf_waiting(c)) * sizeof(sf_real));
     s->waiting = -1;
     s->linked = 0;
@@ -1416,7 +1418,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_mome
     sf_momentum_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
-    if (!s->linked) {
+    if (!s->linked || s->track.adrift >= m->leg_time) {
         sf_begin_momentum(c, m, rows, belief);
         good = sf_weigh(c, m, belief, w);
     } else {
@@ -1489,7 +1491,7 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
             sf_momentum_rows_of(c, m, s->pending, n, published, product, w);
             if (good) flag = sf_take_rows(c, m, s, w, nis);
             missing = flag != 0;
-            s->linked = !flag;
+            s->linked = !flag && s->track.adrift < m->leg_time;
             s->status = flag;
         }
         if (!out && !missing) {

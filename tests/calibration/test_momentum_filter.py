@@ -104,6 +104,16 @@ def test_a_load_that_stays_is_no_error_of_the_cells():
     assert rmse(estimate, log, 10.0) < 1.5 * rmse(estimate, log, 4.0, 6.0)
 
 
+def test_a_load_at_the_side_moves_the_centre_of_mass_and_not_the_cells():
+    log = move(2, 16.0, STATED, walking=False, lifted=-lifted(0.1, 8.0, 1e9, 16.0), aside=(0.1, -0.2))
+    estimate = calibrated(log)
+    position = np.concatenate([foot.position_cell_sole for foot in LAYOUT.feet])
+    sole = log.reference.position_sole[0].repeat(4, axis=0)
+    cop, truth = (force @ (position + sole) / force.sum(axis=1)[:, None] for force in (estimate.force, log.force))
+    off = np.linalg.norm((cop - truth)[:, :2], axis=1)
+    assert off[round(12.0 / DT) :].mean() < off[round(4.0 / DT) : round(8.0 / DT)].mean() + 0.002
+
+
 def test_zeros_that_leap_are_tared_at_the_next_swing():
     log = move(4, 10.0, Errors(noise=1e-3))
     raw = log.raw.copy()
