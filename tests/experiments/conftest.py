@@ -143,6 +143,7 @@ class RecordedWalk:
             part = values[:, getattr(where, sensor)]
             columns |= {f"{sensor}_{axis}_{unit}": part[:, i] for i, axis in enumerate("xyz")}
         self.motion = pd.DataFrame(columns)
+        self.model = env.beliefs.model
         self.force = np.array(force)
         self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
         self.description = {
