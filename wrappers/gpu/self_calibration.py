@@ -30,7 +30,7 @@ from surefoot.calibration.momentum.filter import MomentumFilter
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.calibration.state import check_leaves
-from surefoot.names import plain_name
+from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, views
 from surefoot.wrappers.gpu.kernels import kernel, threads_at_once
@@ -210,7 +210,7 @@ class SelfCalibrationModule(BatchModule):
         if native is None or fresh is None:
             raise ValueError(
                 f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
-                f"{self._options}; docs/native.md has its limits, and FootCalibrator none."
+                f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
         constants = native.constants
         self._config, self._fresh = self._record(constants.config), self._record(fresh.record)
