@@ -90,7 +90,7 @@ def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path, undrawn: N
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.moment.parquet").is_file()
+    assert (tmp_path / "new" / "walk.momentum.parquet").is_file()
 
 
 def test_calibrating_from_weights(tmp_path: Path) -> None:
