@@ -28,8 +28,8 @@ SPIN_TIME = 2.0
 """T_L in s: longer than a stride, in which the angular momentum comes back to where it was."""
 
 FIRST_SPEED = 1.0
-"""Velocity in m/s that a robot begins with, a quick walk: where legs and accelerations are further apart, one of
-them is wrong."""
+"""Velocity in m/s that a robot begins with, a quick walk: where legs and accelerations are further apart, one
+of them is wrong."""
 
 FASTEST = 20.0
 """Velocity in m/s, and angular momentum by the mass in m^2/s, that no robot on feet has."""

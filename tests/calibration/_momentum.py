@@ -78,7 +78,7 @@ def move(
     torque = np.diff(about, axis=0, prepend=about[:1]) / DT + np.cross(middle, (0.0, 0.0, GRAVITY))
     if lifted is not None:
         force[:, 2] -= lifted * GRAVITY
-        torque -= np.cross(middle + (*aside, 0.0), lifted[:, None] * (0.0, 0.0, GRAVITY))
+        torque -= np.cross(middle + np.array([*aside, 0.0]), lifted[:, None] * (0.0, 0.0, GRAVITY))
     cop = np.column_stack([-torque[:, 1], torque[:, 0]]) / force[:, 2:]
     soles = np.tile([[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]], (n, 1, 1))
     step = (time // 0.5).astype(int) % 4
