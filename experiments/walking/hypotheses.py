@@ -18,6 +18,9 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 
 DELAY, JOINT = "feet late or early", "joint sign"
+ORDERS = ("feet exchanged", "cells exchanged", "cells in another order")
+"""Kinds by which readings come from other channels."""
+
 LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
 LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
 POUND = 0.45359237  # in kg

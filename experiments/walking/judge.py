@@ -30,10 +30,17 @@ from surefoot.experiments.walking.claims import (
     fit_parts,
     parts_of,
 )
-from surefoot.experiments.walking.hypotheses import DELAY, JOINT, Hypothesis, hypotheses, joint_hypotheses
+from surefoot.experiments.walking.hypotheses import (
+    DELAY,
+    JOINT,
+    ORDERS,
+    Hypothesis,
+    hypotheses,
+    joint_hypotheses,
+)
 
 ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
-HINT = 1e3  # odds from which it is a notice
+HINT = 1e2  # odds from which it is a notice: one that is wrong in a hundred logs
 SOUND, GROSS = 2.0, 6.0
 """Scales of residuals in those of a sound log: up to the first a log fits; from the second on it contradicts
 itself whatever the cause (15 mm, a tenth of the weight)."""
@@ -173,6 +180,9 @@ def _decide(
     seen = _figures(plain)
     if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
         mistake, clear = best.hypothesis, bool(min(gain, lead) > limit)
+        # Exchanged channels are all misplaced: a reason that goes with one of them is that channel's own.
+        if clear and mistake.kind in ORDERS:
+            clear = bool(_without_one(claims, mistake) > 0.0)
         # Delays that are near each other are one cause.
         near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
         second = next(one for one in explanations[1:] if one not in near)
@@ -213,6 +223,13 @@ def _percent(probability: float) -> str:
     if probability < 1.0 - SHOWN:
         return f"less than {100.0 * (1.0 - SHOWN):.1f} %"
     return f"{100.0 * probability:.3g} %"
+
+
+def _without_one(claims: Claims, mistake: Hypothesis) -> float:
+    """Return by how much a mistake mends a log at least, whichever channel is left out."""
+    plain, mended = condense(claims), condense(mistake.undo(claims))
+    fits = ((fit_parts(mended, i), fit_parts(plain, i)) for i in range(claims.raw.shape[1]))
+    return min(one.evidence - other.evidence for one, other in fits)
 
 
 def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:

@@ -16,6 +16,7 @@ from surefoot.calibration import calibrate_in_situ, replay
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.log import read_in_situ_log
+from surefoot.experiments.instrument.check import check_log
 from surefoot.experiments.logs.bag import Series, read_bag
 from surefoot.experiments.logs.bag_guess import guess_topics
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
@@ -483,3 +484,11 @@ def test_a_drivers_wrench_is_guessed_as_such(ros: Ros, tmp_path: Path) -> None:
     table = read_bag(path).table()
     assert len(table) >= 17
     np.testing.assert_array_equal(table.numbers("force_z_N"), 1.0)
+
+
+@one_format
+def test_a_bag_is_checked_as_its_walk(bag: Path, undrawn: None) -> None:
+    checked = check_log(bag)
+    assert (checked.recording.kind, len(checked.recording.names)) == ("walk", 8)
+    assert checked.sound, checked.wrong
+    assert len(checked.recording.notices) >= 3  # a clock of each topic
