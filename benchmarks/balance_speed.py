@@ -118,7 +118,7 @@ def vectors(robots: int) -> dict[str, Any]:
         "environment": copies(),
         "FootSensors": felt(copies(TruthRow)),
         "SelfCalibration(none)": VectorSelfCalibration(felt(copies(TruthRow)), "none"),
-        "SelfCalibration(moment)": VectorSelfCalibration(felt(copies(TruthRow)), **EXPECTED_LOADS),
+        "SelfCalibration(moment)": VectorSelfCalibration(felt(copies(TruthRow)), "moment", **EXPECTED_LOADS),
     }
 
 

@@ -3,7 +3,7 @@
     python benchmarks/gpu_speed.py                         # 4,096 robots x 8 cells, one thread
     python benchmarks/gpu_speed.py --device cuda
 
-A step is one of the control loop; the default calibrator learns at every sixteenth, so that its mean is more
+A step is one of the control loop; the default calibrator learns at every eighth, so that its mean is more
 than its median. No test asserts these figures.
 """
 
@@ -65,7 +65,7 @@ def main() -> None:
     )
     parser.add_argument("--robots", type=int, default=4096)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--methods", nargs="+", default=["moment"], choices=list(METHODS))
+    parser.add_argument("--methods", nargs="+", default=["momentum"], choices=list(METHODS))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     device, robots = torch.device(arguments.device), arguments.robots

@@ -21,7 +21,7 @@ from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.momentum.motion import Track
-from surefoot.calibration.momentum.state import Belief, Kept, MomentumState, Publication
+from surefoot.calibration.momentum.state import Belief, Kept, MomentumState, Publication, SuspectState
 from surefoot.calibration.momentum.state import TareState as MomentumTare
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
@@ -41,7 +41,10 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
             *("step", "mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
             *("kept_mean", "kept_covariance", "noise", "misfit", "rate", "unproven"),
         ),
-        MomentumState: (*("time", "belief", "drifted", "noise", "tare", "published", "covariance", "kept"),),
+        MomentumState: (
+            *("time", "belief", "drifted", "noise", "tare", "shift", "published", "covariance", "kept"),
+        ),
+        SuspectState: ("noise", "known"),
         Track: (),
         **{kind: kind._fields for kind in (Belief, Publication, MomentumTare, Kept)},
         ChannelState: (

@@ -73,7 +73,7 @@ class FootCalibrator:
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "moment",
+        method: str = "momentum",
         *,
         mass: float,
         initial: Parameters | None = None,

@@ -95,7 +95,7 @@ class CalibrationSetup:
         self,
         owner: str,
         equipment: Equipment,
-        method: str = "moment",
+        method: str = "momentum",
         /,
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",

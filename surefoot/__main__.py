@@ -29,9 +29,13 @@ def main() -> None:
             file=sys.stderr,
         )
         raise SystemExit(2)
-    from surefoot.experiments.cli.app import app
+    try:
+        from surefoot.experiments.cli.app import app
 
-    app()
+        app()
+    except KeyboardInterrupt:  # while modules are imported, or a second one
+        print("Stopped.", file=sys.stderr)
+        raise SystemExit(130) from None
 
 
 if __name__ == "__main__":

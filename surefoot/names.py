@@ -1,4 +1,4 @@
-"""Names that users give to things of their own.
+"""Names that users give to things of their own, and where the pages are that messages name.
 
 Wherever a name is looked up, ``"module:name"`` imports the user's module first, which registers the name:
 so that a command, a worker process and a specification read from JSON know it, too.
@@ -6,6 +6,7 @@ so that a command, a worker process and a specification read from JSON know it, 
 
 from collections.abc import Collection
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, metadata
 
 
 def plain_name(name: str) -> str:
@@ -27,6 +28,16 @@ def plain_name(name: str) -> str:
                 "every process that uses it."
             ) from error
     return plain
+
+
+def page(name: str) -> str:
+    """Return the address of a page of the documentation of this version: a wheel has no ``docs`` folder."""
+    try:
+        about = metadata("surefoot")
+    except PackageNotFoundError:  # copied beside a program, and not installed
+        return f"docs/{name}.md"
+    home = about["Project-URL"].partition(", ")[2]
+    return f"{home}/blob/v{about['Version']}/docs/{name}.md"
 
 
 def check_new_name(what: str, name: str, taken: Collection[str]) -> None:

@@ -86,7 +86,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        method: str = "moment",
+        method: str = "momentum",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         show: Sequence[str] = DEFAULT,

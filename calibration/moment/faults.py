@@ -257,10 +257,18 @@ class ChannelFaults:
         if fault is None:
             return state, False, load
         if fault < hypotheses.out.stop:
-            out = np.arange(len(state.lost)) == fault
-            return self._lose(state, out, int(Flag.DEAD) * out), True, False
+            return self.lose(state, fault), True, False
         wiring, kind = hypotheses.repair(fault, state.wiring, state.kind)
         return state._replace(wiring=wiring, kind=kind, altered=1), True, False
+
+    def lose(self, state: ChannelState, channel: int) -> ChannelState:
+        """Take a channel out that is dead."""
+        out = np.arange(len(state.lost)) == channel
+        return self._lose(state, out, int(Flag.DEAD) * out)
+
+    def rewire(self, state: ChannelState, turned: Array, kind: Array) -> ChannelState:
+        """Put channels right by a signed permutation, and turn flags of them, shapes (K, K) and (K,)."""
+        return state._replace(wiring=turned @ state.wiring, kind=state.kind ^ kind, altered=1)
 
     def suspects(self, state: ChannelState, residuals: Residuals) -> bool:
         """Return whether to wait with learning, as something seems wrong since short."""

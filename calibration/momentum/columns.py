@@ -62,13 +62,8 @@ class Columns(NamedTuple):
 
     @property
     def map(self) -> slice:
-        """Scales, offsets and drift together, which stand first."""
+        """Scales, offsets and drift together, which stand first: what is handed out."""
         return slice(0, self.drift.stop)
-
-    @property
-    def weighed(self) -> slice:
-        """What the evidence of severities is about: the map, and the centre of mass behind it."""
-        return slice(0, self.com.stop)
 
 
 class Spread(NamedTuple):

@@ -59,6 +59,7 @@ from surefoot.calibration.momentum.state import (
     SampleColumns,
     TareState,
 )
+from surefoot.calibration.momentum.suspects import Leap, SuspectConstants, Suspects
 from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -149,6 +150,7 @@ class MomentumFilter:
         leap = np.inf if six_axis else max(LEAP, LEAP_RATE * setup.dt)
         change = np.array([config.com_std / setup.length] * 2 + [config.mass_std])
         self.faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
+        self.suspects = Suspects(layout, self.faults.stand_in.cells, columns)
         self._samples = SampleColumns.of(self._channels, self._feet)
         self._capacity = ceil(config.block / setup.dt) + ceil(LONGEST_GAP)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
@@ -169,7 +171,7 @@ class MomentumFilter:
         )
         health = HealthConstants(MOST_LOAD, LEAST_ROW, self._reading_noise)
         parts = self._model.constants, self._tare.constants, self._severity.constants
-        return own, *parts, health, MODE_CONSTANTS, MotionConstants()
+        return own, *parts, health, MODE_CONSTANTS, MotionConstants(), SuspectConstants()
 
     def init(self, raw: Array) -> MomentumState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
@@ -200,6 +202,8 @@ class MomentumFilter:
             drifted=drifted,
             noise=np.ones(columns.components),
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
+            suspects=self.suspects.init(self._capacity),
+            shift=zero,
             published=published,
             covariance=self._map_covariance(published),
             kept=Kept(belief, published, belief, published, 0.0),
@@ -227,7 +231,7 @@ class MomentumFilter:
         def repair(force: Array, read: Array) -> tuple[Array, Array]:
             nonlocal faults, kinds
             faults, force, sure, kinds = self.faults.sample(state.faults, force, read, scale)
-            return force, sure
+            return force - state.shift, sure
 
         front, sample = self.front_end.observe(state.front, raw, reference, dt, repair)
         state = state._replace(front=front, faults=faults)
@@ -314,11 +318,10 @@ class MomentumFilter:
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         rows = self._model.rows(block, published, self._product(state, tare))
-        if not state.linked:
-            belief = self._begin_momentum(belief, rows)
-            weighed, nis = self._weigh(belief, state.drifted), np.nan
-        else:
-            columns = self.columns
+        columns, nis, rejected = self.columns, np.nan, False
+        # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
+        follows = bool(state.linked and state.track.held)
+        if follows:
             transition, added = self._model.move(rows.point - state.point, block.velocity.mean(axis=0))
             belief = belief._replace(
                 mean=belief.mean @ transition.T + added,
@@ -326,9 +329,16 @@ class MomentumFilter:
             )
             likeliest = belief.mean[belief.chance.argmax()]
             ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest
-            if abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration:
-                state = state._replace(linked=0, status=int(Flag.REJECTED))
-                return self._rest(state, block, good=False), np.nan, 0.0
+            state, guilty, leap = self._suspect(state, block, rows, published, belief, transition, added)
+            if leap is not None:
+                return self._shift(state, leap), np.nan, 0.0
+            if guilty is not None:
+                return self._convict(state, guilty), np.nan, 0.0
+            rejected = abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration
+        if not follows or rejected:
+            belief = self._begin_momentum(belief, rows)
+            weighed = self._weigh(belief, state.drifted)
+        else:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
             step = learn(mixed, rows, state.noise, columns, block.duration)
             before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
@@ -343,18 +353,70 @@ class MomentumFilter:
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
+        if not state.linked:
+            state = state._replace(suspects=self.suspects.follow(state.suspects, block.force, rows.at_end))
         publication = weighed.publish(belief.chance)
         held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
+        status = int(Flag.REJECTED) if rejected else held
         state = state._replace(
             belief=belief,
             tare=tare,
-            linked=1,
+            linked=int(state.track.held),
             point=rows.point,
             published=publication,
             covariance=self._map_covariance(publication),
-            status=held,
+            status=status,
         )
-        return self._rest(state, block, good=not held), nis, float(len(rows.measured))
+        return self._rest(state, block, good=not status), nis, float(len(rows.measured))
+
+    def _suspect(
+        self, state: MomentumState, block: Block, rows: Rows, published: Array, belief: Belief, moved: Array,
+        added: Array,
+    ) -> tuple[MomentumState, int | None, Leap | None]:  # fmt: skip
+        """Hold the readings' faults against a block; return who is guilty and what has leapt as well."""
+        columns, stand_in, suspects = self.columns, self.faults.stand_in, state.suspects
+        momentum, likeliest = columns.momentum, belief.chance.argmax()
+        robot = slice(columns.com.start, momentum.start)
+        known = np.concatenate([published, belief.mean[likeliest, robot]])
+        covariance = np.zeros((momentum.start, momentum.start))
+        covariance[columns.map, columns.map] = state.published.covariance
+        covariance[robot, robot] = belief.covariance[likeliest, robot, robot]
+        moved, added = moved[momentum, momentum], added[momentum]
+        suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
+        others, std = stand_in.others(state.faults.moments, state.faults.lost)
+        suspects, guilty, leap = self.suspects.weigh(
+            suspects, rows, known, covariance, others, std / self.setup.weight
+        )
+        suspects = self.suspects.follow(suspects, block.force, rows.at_end)
+        return state._replace(suspects=suspects), guilty, leap
+
+    def _convict(self, state: MomentumState, guilty: int) -> MomentumState:
+        """Put right what is wrong, and drop what was learnt of it."""
+        of, faults = self.suspects, state.faults
+        state = self._acquit(self.retract(state))
+        if guilty < of.out.stop:
+            return state._replace(faults=self.faults.lose(faults, guilty))
+        turned, kind = of.rewire(guilty)
+        return state._replace(faults=self.faults.rewire(faults, turned, kind), shift=turned @ state.shift)
+
+    def _shift(self, state: MomentumState, leap: Leap) -> MomentumState:
+        """Take a leap off the readings, as far as it was seen."""
+        columns, state = self.columns, self._acquit(self.retract(state))
+        by, open_to = leap.reading * self.setup.weight, leap.std**2
+        history, covariance = state.front.history.copy(), state.belief.covariance.copy()
+        history[:, : len(by)] -= by
+        at = np.arange(columns.drift.start, columns.drift.stop)
+        covariance[:, at, at] += open_to
+        return state._replace(
+            front=state.front._replace(history=history),
+            shift=state.shift + by,
+            belief=state.belief._replace(covariance=covariance),
+            drifted=state.drifted + np.array([0.0, (open_to / self._spread.unit**2).mean()]),
+        )
+
+    def _acquit(self, state: MomentumState) -> MomentumState:
+        """Let suspicions begin anew."""
+        return state._replace(suspects=state.suspects._replace(score=np.zeros(self.suspects.count)))
 
     def _begin_momentum(self, belief: Belief, rows: Rows) -> Belief:
         """Let the momentum begin with what is measured at the block's end."""
@@ -417,7 +479,7 @@ class MomentumFilter:
         """Apply the map, and say how sure it is."""
         setup, faults = self.setup, state.faults
         a, b = self._line(state)
-        c, d = a * np.asarray(setup.initial.scale), a * np.asarray(setup.initial.offset) + b
+        c, d = a * np.asarray(setup.initial.scale), a * (np.asarray(setup.initial.offset) - state.shift) + b
         force, ahead = (
             None if part is None else faults.spare @ (a * part + b) for part in (sample.force, sample.ahead)
         )

@@ -36,7 +36,7 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     """Return the covariance of (a, b) in F = a F0 + b, b in N, shape (2K, 2K).
 
     Args:
-        published: Scales, offsets, drift and centre of mass, shape (M,).
+        published: Scales, offsets and drift, shape (M,).
         covariance: Theirs, shape (M, M).
         columns: The unknowns.
         weight: W in N.

@@ -40,6 +40,7 @@ class Rows(NamedTuple):
         at_end: What was measured at the block's end, shape (C,).
         variance: Of what was measured, as stated, shape (C, C).
         walk: Variance that the block adds to the momentum at its end, shape (C, C).
+        crossed: The block's mean momentum by each channel's place and each channel's F0, shape (C, K, K).
         lasting: Variance of what acts for longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
         load: Mean vertical force in W as published.
@@ -54,6 +55,7 @@ class Rows(NamedTuple):
     at_end: Array
     variance: Array
     walk: Array
+    crossed: Array
     lasting: Array
     point: Array
     load: float
@@ -103,7 +105,7 @@ class Model:
 
         Args:
             block: The samples.
-            published: Scales, offsets, drift and centre of mass, about which forces are linear, shape (M,).
+            published: Scales, offsets and drift, about which forces are linear, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
                 shape (K,).
         """
@@ -157,6 +159,7 @@ class Model:
             at_end=each[-1],
             variance=variance,
             walk=change.T @ change,
+            crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
             lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
             point=point,
             load=load,

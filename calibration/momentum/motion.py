@@ -9,8 +9,9 @@ before. Velocity and angular momentum are then added up,
           L \leftarrow L + L' \Delta t - \frac{\Delta t}{T_L} L
 
 so that an accelerometer's bias does not grow: v_legs is what the centre of mass does relative to soles that
-stand, and the angular momentum of a robot on its feet comes back to zero. A log whose centre of mass does not
-move as its accelerations say is pulled no harder than an attitude that is off would.
+stand, and the angular momentum of a robot on its feet comes back to zero. Where legs contradict accelerations
+by more than a robot walks fast, they pull the less the more they do (Cauchy's weight): a log's centre of mass
+may be a constant. Of a robot in the air for longer than T_v nothing is added up.
 """
 
 from typing import NamedTuple
@@ -26,11 +27,9 @@ LEG_TIME = 1.0
 SPIN_TIME = 2.0
 """T_L in s: longer than a stride, in which the angular momentum comes back to where it was."""
 
-LARGEST_BIAS = 0.3
-"""Acceleration in m/s^2 that is believed to be an error, of an attitude that is off by two degrees."""
-
 FIRST_SPEED = 1.0
-"""Velocity in m/s that a robot begins with at most, a quick walk."""
+"""Velocity in m/s that a robot begins with, a quick walk: where legs and accelerations are further apart, one
+of them is wrong."""
 
 FASTEST = 20.0
 """Velocity in m/s, and angular momentum by the mass in m^2/s, that no robot on feet has."""
@@ -41,7 +40,6 @@ class MotionConstants(NamedTuple):
 
     leg_time: float = LEG_TIME
     spin_time: float = SPIN_TIME
-    largest_bias: float = LARGEST_BIAS
     first_speed: float = FIRST_SPEED
     fastest: float = FASTEST
 
@@ -56,6 +54,7 @@ class Track(NamedTuple):
         origin: Their origin in the fixed axes in m, shape (3,).
         velocity: Of the centre of mass in m/s, shape (3,).
         spin: Angular momentum by the mass in m^2/s, shape (3,).
+        adrift: Time in s since a foot stood and held the velocity, or it was measured.
     """
 
     motion: Array
@@ -64,11 +63,17 @@ class Track(NamedTuple):
     origin: Array
     velocity: Array
     spin: Array
+    adrift: float
 
     @classmethod
     def begin(cls, motion: Array) -> "Track":
         """Return that of a robot of which nothing is known."""
-        return cls(np.zeros_like(motion), 0, 0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        return cls(np.zeros_like(motion), 0, 0.0, np.zeros(3), np.zeros(3), np.zeros(3), LEG_TIME)
+
+    @property
+    def held(self) -> bool:
+        """Whether the velocity is of use: a robot may be in the air for as long as a step lasts."""
+        return self.adrift < LEG_TIME
 
 
 class Pose(NamedTuple):
@@ -94,7 +99,7 @@ def follow_momentum(track: Track, motion: Array, columns: MotionColumns, mass: f
     """Take in one sample that holds velocity and momentum, in axes that are fixed already."""
     velocity, spin = motion[columns.com_acceleration], motion[columns.angular_momentum_rate] / mass
     middle = motion if track.samples == 0 else 0.5 * (motion + track.motion)
-    track = Track(motion, track.samples + 1, 0.0, np.zeros(3), velocity, spin)
+    track = Track(motion, track.samples + 1, 0.0, np.zeros(3), velocity, spin, 0.0)
     return track, Pose(motion[columns.com], middle[columns.com], *columns.soles(middle))
 
 
@@ -115,27 +120,30 @@ def follow_accelerations(
         The motion, and the sample in the fixed axes.
     """
     sole, rotation = columns.soles(motion)
-    if track.samples == 0:
+    stands = bool(stance.any())
+    if not track.held:
         rest, com = np.zeros(3), motion[columns.com]
-        return Track(motion, 1, 0.0, rest, rest, rest), Pose(com, com, sole, rotation)
+        adrift = 0.0 if stands else LEG_TIME
+        return Track(motion, 1, 0.0, rest, rest, rest, adrift), Pose(com, com, sole, rotation)
     old_sole, old_rotation = columns.soles(track.motion)
     lowest = sole[:, 2] + old_sole[:, 2] == (sole[:, 2] + old_sole[:, 2]).min()
-    still = stance if stance.any() else lowest
+    still = stance if stands else lowest
     forward, old_forward = rotation[still, :, 0].sum(axis=0), old_rotation[still, :, 0].sum(axis=0)
     heading = track.heading + _angle(old_forward) - _angle(forward)
     old_R, R = _about_z(track.heading), _about_z(heading)
     origin = (old_sole[still] @ old_R.T + track.origin - sole[still] @ R.T).mean(axis=0)
     com = R @ motion[columns.com] + origin
     velocity = track.velocity + R @ motion[columns.com_acceleration] * dt
-    if stance.any():
+    if stands:
         by_legs = (com - (old_R @ track.motion[columns.com] + track.origin)) / dt
         # The first velocities are averaged: nothing was known before.
         share = max(1.0 / track.samples, dt / LEG_TIME)
-        limit = max(FIRST_SPEED / track.samples**2, LARGEST_BIAS * dt)
-        velocity = velocity + np.clip(share * (by_legs - velocity), -limit, limit)
+        off = by_legs - velocity
+        velocity = velocity + share * off / (1.0 + (off / FIRST_SPEED) ** 2)
     rate = R @ motion[columns.angular_momentum_rate] / mass
     spin = track.spin + (rate - track.spin / SPIN_TIME) * dt
-    track = Track(motion, track.samples + 1, heading, origin, velocity, spin)
+    adrift = 0.0 if stands else track.adrift + dt
+    track = Track(motion, track.samples + 1, heading, origin, velocity, spin, adrift)
     return track, Pose(com, com, sole @ R.T + origin, R @ rotation)
 
 

@@ -1,12 +1,15 @@
 r"""How bad the sensors are: the posterior under several priors, weighed by evidence.
 
 The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds what the data say: the information
-I = P^-1 - P0^-1, and i = P^-1 (x - x0). Under another prior D,
+I = P^-1 - P0^-1, and i = P^-1 (x - x0), of the map alone: the rest of the state has one prior, and is
+integrated out. Under another prior D,
 
     V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
 exactly so for sensors that stay as they are. What is handed out is the mixture of all of them. A mixture of
-modes may be wider than P0 in some direction: there the data say nothing.
+modes may be wider than P0 in some direction: there the data say nothing. What has drifted since the start has
+one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
+started.
 """
 
 from itertools import product
@@ -35,7 +38,7 @@ class Weighed(NamedTuple):
 
     Attributes:
         evidence: Logarithm of how much likelier the data are than under the wide prior, shape (J,).
-        mean: Scales, offsets, drift and centre of mass, shape (J, M).
+        mean: Scales, offsets and drift, shape (J, M).
         covariance: Theirs, shape (J, M, M).
         undetermined: Share of each scale's variance that the data have left, shape (J, K).
     """
@@ -55,13 +58,12 @@ class SeverityConstants(NamedTuple):
     """Constants of priors, by their names in C; module constants of such names say what they are.
 
     Attributes:
-        spread_scale, spread_offset, spread_com, unit: As of
+        spread_scale, spread_offset, unit: As of
             :class:`~surefoot.calibration.momentum.columns.Spread`.
     """
 
     spread_scale: Array
     spread_offset: Array
-    spread_com: Array
     unit: Array
     severities: tuple[float, ...] = SEVERITIES
     likely: tuple[float, ...] = LIKELY
@@ -80,7 +82,7 @@ class Severity:
 
     def __init__(self, columns: Columns, spread: Spread) -> None:
         self._columns, self._spread = columns, spread
-        self._start = first_mean(columns)[columns.weighed]
+        self._start = first_mean(columns)[columns.map]
         pairs = list(product(range(len(SEVERITIES)), repeat=2))
         self._of_scale, self._of_offset = (
             np.array([SEVERITIES[pair[part]] for pair in pairs]) ** 2 for part in (0, 1)
@@ -98,12 +100,11 @@ class Severity:
         Returns:
             Shape (S, M).
         """
-        spread, columns = self._spread, self._columns
+        spread = self._spread
         parts = (
             scale[:, None] * (spread.scale + drifted[0]),
             offset[:, None] * spread.offset,
-            offset[:, None] * drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2,
-            np.broadcast_to(spread.com, (len(scale), columns.com.stop - columns.com.start)),
+            np.ones((len(offset), 1)) * (drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2),
         )
         return np.concatenate(parts, axis=1)
 
@@ -111,7 +112,7 @@ class Severity:
     def constants(self) -> SeverityConstants:
         """Constants, by their names in C."""
         spread = self._spread
-        return SeverityConstants(spread.scale, spread.offset, spread.com, spread.unit)
+        return SeverityConstants(spread.scale, spread.offset, spread.unit)
 
     def evidence(self, mean: Array, covariance: Array, drifted: Array) -> Array:
         """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
@@ -141,9 +142,9 @@ class Severity:
 
     def _compare(self, mean: Array, covariance: Array, drifted: Array) -> "_Compared":
         """Hold all severities against the data; arguments as of :meth:`weigh`."""
-        of = self._columns.weighed
+        of = self._columns.map
         wide = np.array([WIDE**2])
-        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1] / WIDE**2]))[0])
+        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1]]))[0])
         # In standard deviations of the wide prior, which is 1 there.
         share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
         share = np.clip(share, LEAST_SHARE, None)

@@ -97,7 +97,7 @@ class Belief(NamedTuple):
 
 
 class Publication(NamedTuple):
-    """What is handed out: the posterior of scales, offsets, drift and centre of mass, M unknowns.
+    """What is handed out: the posterior of scales, offsets and drift, M unknowns.
 
     Attributes:
         mean: Shape (M,).
@@ -146,6 +146,26 @@ class Kept(NamedTuple):
     age: float
 
 
+class SuspectState(NamedTuple):
+    """What speaks against the readings; H suspects.
+
+    Attributes:
+        score: S, shape (H,).
+        before: Momentum measured at the last block's end, shape (C,).
+        error: Wrench that the last block left unexplained in W and W m, shape (C,).
+        noise: By how many times variances are larger than stated, shape (C,).
+        known: The unknowns before the momentum, from before anything spoke against a channel, shape (M,).
+        force: F0 of the samples of the last block, and more before it, in W, shape (n, K).
+    """
+
+    score: Array
+    before: Array
+    error: Array
+    noise: Array
+    known: Array
+    force: Array
+
+
 class MomentumState(NamedTuple):
     """All that the momentum filter remembers.
 
@@ -163,6 +183,8 @@ class MomentumState(NamedTuple):
         drifted: Variances that scales and zeros have drifted by since the start, shape (2,).
         noise: By how many times rows' variances are larger than stated, shape (C,).
         tare: What tares showed.
+        suspects: What speaks against the readings.
+        shift: By how much zeros have leapt together in N, which is taken off the readings, shape (K,).
         published: What is handed out.
         covariance: Covariance of (a, b) by it, b in N, shape (2K, 2K).
         kept: What was known some seconds ago.
@@ -182,6 +204,8 @@ class MomentumState(NamedTuple):
     drifted: Array
     noise: Array
     tare: TareState
+    suspects: SuspectState
+    shift: Array
     published: Publication
     covariance: Array
     kept: Kept

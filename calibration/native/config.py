@@ -20,6 +20,7 @@ from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import SlidingWindow
+from surefoot.names import page
 from surefoot.native import Library, c_header, required
 
 _METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3, "momentum": 4}
@@ -111,7 +112,7 @@ def constants_of(
     return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
 
 
-def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
+def c_source(setup: OnlineSetup, method: str = "momentum", **options: Any) -> str:
     """Return a header with the sizes and constants of one robot, for its controller.
 
     It declares ``sf_config robot``, and besides ``sf_momentum_config momentum``,
@@ -129,7 +130,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     """
     found = constants_of(required(installed()), method, setup, options)
     if found is None:
-        raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")
+        raise ValueError(f"The library is not made for such a robot; {page('native')} has its limits.")
     record, own, name = found.config, found.own, _OWN[found.number]
     sizes = {"CHANNELS": int(record["channels"]), "FEET": int(record["feet"]), "LAG": int(record["kept"])}
     if method == "moment":

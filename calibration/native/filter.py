@@ -85,7 +85,7 @@ class NativeFilter:
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: What it reads, shape (K,).
-        belief: The record of what the robot believes, as accelerations.
+        references: Records of what the robot believes, one for each kind of reference that is taken.
         estimate: The record of the last estimate.
         addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
     """
@@ -113,7 +113,8 @@ class NativeFilter:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
         self._dtype, self._leaves = state, frozenset(state.names or ())
         self._given = {kind: one for kind, one in given.items() if one is not None}
-        self.belief, self.estimate = self._given[Reference].record, Record(estimate)
+        self.references = {kind: one.record for kind, one in self._given.items()}
+        self.estimate = Record(estimate)
         self._filter = constants.filter(library)
         self.addresses = {
             "filter": self._filter.ctypes.data,

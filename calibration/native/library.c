@@ -1,12 +1,10 @@
 /* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_calibration.h"
-#include "surefoot_view.h"
-#include "surefoot_window.h"
-#ifndef SF_NO_LIBC /* no kernel has it */
 #include "surefoot_momentum.h"
 #include "surefoot_strapdown.h"
-#endif
+#include "surefoot_view.h"
+#include "surefoot_window.h"
 
 #include "library.h"
 
@@ -144,8 +142,8 @@ static const place places[] = {
     PLACE(tare_state, airborne, "whole"), PLACE(tare_state, count, "whole"), T_REAL(mean), T_REAL(scatter),
     T_REAL(offset),
 
-#ifndef SF_NO_LIBC
-    WHOLE_OF(momentum_config), WHOLE_OF(momentum_state),
+    WHOLE_OF(momentum_config), WHOLE_OF(momentum_state), WHOLE_OF(momentum_work),
+    {"momentum_work", "numbers", "", 0, sizeof(sf_momentum_work)}, /* of which nobody reads one */
 
     PLACE(momentum_config, components, "int"), PLACE(momentum_config, capacity, "int"),
     PLACE(momentum_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std),
@@ -154,22 +152,26 @@ static const place places[] = {
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),
     O_REAL(tare_drift), O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
     O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(tare_leap), O_REAL(largest_load),
-    O_REAL(largest_sum), O_REAL(spread_scale), O_REAL(spread_offset), O_REAL(spread_com), O_REAL(unit),
+    O_REAL(largest_sum), O_REAL(spread_scale), O_REAL(spread_offset), O_REAL(unit),
     O_REAL(severities), O_REAL(likely), O_REAL(wide), O_REAL(smallest_drift), O_REAL(least_share), O_REAL(most_load),
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
     O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance), O_REAL(gate),
-    O_REAL(leg_time), O_REAL(spin_time), O_REAL(largest_bias), O_REAL(first_speed), O_REAL(fastest),
+    O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
+    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
 
     FRONT_OF(momentum_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
-    IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"), FAULTS_OF(momentum_state),
+    IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"),
+    IN(track_adrift, track.adrift, "real"), FAULTS_OF(momentum_state),
     N_REAL(pending), N_REAL(before), PLACE(momentum_state, waiting, "whole"), PLACE(momentum_state, linked, "whole"),
     N_REAL(point), N_REAL(time), N_REAL(drifted), N_REAL(noise), IN(tare_reading, tare.reading, "real"),
     IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
-    IN(tare_followed, tare.followed, "whole"), KNOWN(, belief, published), N_REAL(covariance),
+    IN(tare_followed, tare.followed, "whole"), IN(suspects_score, suspects.score, "real"),
+    IN(suspects_before, suspects.before, "real"), IN(suspects_error, suspects.error, "real"),
+    IN(suspects_noise, suspects.noise, "real"), IN(suspects_known, suspects.known, "real"),
+    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published), N_REAL(covariance),
     KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
     IN(kept_age, age, "real"), PLACE(momentum_state, status, "whole"),
-#endif
 
     PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),
     PLACE(front, known, "whole"), PLACE(front, clean, "whole"),
@@ -200,7 +202,6 @@ static const place places[] = {
     PLACE(beliefs, clock, "double"), B_REAL(sum), B_WHOLE(parts), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
     B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
 
-#ifndef SF_NO_LIBC
     WHOLE_OF(strapdown_config), WHOLE_OF(momentum_beliefs),
 
     PLACE(strapdown_config, points, "int"), PLACE(strapdown_config, leg_time, "real"),
@@ -218,7 +219,6 @@ static const place places[] = {
     PLACE(momentum_beliefs, velocity, "real"), PLACE(momentum_beliefs, place, "real"),
     PLACE(momentum_beliefs, velocity_spin_bias, "real"), PLACE(momentum_beliefs, vertical_bias, "real"),
     PLACE(momentum_beliefs, velocities, "whole"),
-#endif
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
     IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),
@@ -260,10 +260,8 @@ LIBRARY_OF(places)
 EXPORTED int surefoot_fits(const sf_filter *f) {
     return f->method == MOMENT   ? sf_calibrator_fits(f->config)
            : f->method == WINDOW ? sf_window_fits(f->config, (const sf_window_config *)f->own)
-#ifndef SF_NO_LIBC
            : f->method == MOMENTUM ? sf_momentum_fits(f->config, (const sf_momentum_config *)f->own)
-#endif
-                                 : sf_robot_fits(f->config);
+                                   : sf_robot_fits(f->config);
 }
 #ifndef SF_NO_LIBC /* kernels call the headers themselves */
 /* Of which nothing is remembered; too large for the stacks of some threads. */

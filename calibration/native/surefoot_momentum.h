@@ -28,11 +28,12 @@
 
 #define SF_MODES 3
 #define SF_SEVERITIES 4 /* of scales, and as many of offsets */
-#define SF_WEIGHED (3 * SF_CHANNELS + 2)
-#define SF_STATES (SF_WEIGHED + 2 + 2 * SF_COMPONENTS)
+#define SF_WEIGHED (3 * SF_CHANNELS)
+#define SF_STATES (SF_WEIGHED + 4 + 2 * SF_COMPONENTS)
 #define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
-#define SF_REST (2 * SF_CHANNELS + 2) /* weighed unknowns that are no scales */
+#define SF_REST (2 * SF_CHANNELS) /* weighed unknowns that are no scales */
+#define SF_SUSPECTS (2 * SF_CHANNELS + SF_CHANNELS * (SF_CHANNELS - 1))
 
 /* Shares of a mixture that change no digit of it. */
 #define SF_LITTLE 1e-15
@@ -51,12 +52,13 @@ typedef struct {
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
-    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], spread_com[2], unit[SF_CHANNELS];
+    sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
-    sf_real leg_time, spin_time, largest_bias, first_speed, fastest;
+    sf_real leg_time, spin_time, first_speed, fastest;
+    sf_real sure, contrast, alike, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_momentum_config;
 
 /* Belief: what the modes hold, and how likely they are. */
@@ -84,8 +86,19 @@ typedef struct {
 typedef struct {
     sf_real motion[SF_MOTION];
     sf_whole samples;
-    sf_real heading, origin[3], velocity[3], spin[3];
+    sf_real heading, origin[3], velocity[3], spin[3], adrift;
 } sf_track;
+
+/* SuspectState */
+typedef struct {
+    sf_real score[SF_SUSPECTS], before[SF_COMPONENTS], error[SF_COMPONENTS], noise[SF_COMPONENTS];
+    sf_real known[SF_WEIGHED + 4], force[(SF_BLOCK + 2) * SF_CHANNELS];
+} sf_suspects;
+
+/* Leap */
+typedef struct {
+    sf_real reading[SF_CHANNELS], std[SF_CHANNELS];
+} sf_leap;
 
 /* MomentumState */
 typedef struct {
@@ -96,6 +109,8 @@ typedef struct {
     sf_whole waiting, linked;
     sf_real point[3], time, drifted[2], noise[SF_COMPONENTS];
     sf_tares tare;
+    sf_suspects suspects;
+    sf_real shift[SF_CHANNELS];
     sf_modes belief;
     sf_publication published;
     sf_real covariance[4 * SF_CHANNELS * SF_CHANNELS];
@@ -110,6 +125,7 @@ typedef struct {
     sf_real end[SF_COMPONENTS * SF_STATES], end_rest[SF_COMPONENTS];
     sf_real measured[SF_COMPONENTS], at_end[SF_COMPONENTS];
     sf_real variance[SF_COMPONENTS * SF_COMPONENTS], walk[SF_COMPONENTS * SF_COMPONENTS], lasting[SF_COMPONENTS];
+    sf_real crossed[SF_COMPONENTS * SF_CHANNELS * SF_CHANNELS];
     sf_real point[3], velocity[3], duration, height;
 } sf_momentum_rows;
 
@@ -126,6 +142,7 @@ typedef struct {
 typedef struct {
     sf_modes belief, mixed;
     sf_momentum_rows rows;
+    sf_leap leap;
     sf_compared compared[SF_MODES];
     sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED]; /* of priors */
     sf_real ahead[16]; /* logarithms of how likely severities are, and of their priors' determinants */
@@ -139,7 +156,7 @@ typedef struct {
 /* Where parts of the unknowns stand: scales from 0 on. */
 SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
 SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
-SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels + 2; }
+SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
 SF_API int sf_states(const sf_config *c, const sf_momentum_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
 
@@ -164,7 +181,10 @@ SF_API int sf_momentum_fits(const sf_config *c, const sf_momentum_config *m) {
 /* ------------------------------------------------------------------------------------------------- motion */
 
 /* Track.begin */
-SF_API void sf_track_begin(sf_track *s) { memset(s, 0, sizeof *s); }
+SF_API void sf_track_begin(const sf_momentum_config *m, sf_track *s) {
+    memset(s, 0, sizeof *s);
+    s->adrift = m->leg_time;
+}
 
 /* Of a sample: where the robot was while it was taken. Pose. */
 typedef struct {
@@ -179,7 +199,7 @@ SF_API void sf_follow_momentum(const sf_config *c, sf_track *s, const sf_real *m
         middle[i] = s->samples == 0 ? motion[i] : (sf_real)0.5 * (motion[i] + s->motion[i]);
     sf_copy(s->motion, motion, R);
     s->samples++;
-    s->heading = 0;
+    s->heading = s->adrift = 0;
     for (int k = 0; k < 3; k++) {
         s->origin[k] = 0;
         s->velocity[k] = motion[SF_ACCELERATION + k];
@@ -204,10 +224,12 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     const sf_real *sole = sf_position(motion, 0), *rotation = sf_rotation(c, motion, 0);
     sf_copy(pose->sole, sole, 3 * F);
     sf_copy(pose->rotation, rotation, 9 * F);
-    if (s->samples == 0) {
-        sf_track_begin(s);
+    for (int foot = 0; foot < F; foot++) standing = standing || stance[foot];
+    if (s->adrift >= m->leg_time) {
+        sf_track_begin(m, s);
         sf_copy(s->motion, motion, sf_motion(c));
         s->samples = 1;
+        if (standing) s->adrift = 0;
         sf_copy(pose->end, motion + SF_COM, 3);
         sf_copy(pose->com, motion + SF_COM, 3);
         return;
@@ -216,7 +238,6 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     sf_real least = 0, forward[2] = {0, 0}, before[2] = {0, 0}, heading, origin[3] = {0, 0, 0}, com[3], turned[3];
     for (int foot = 0; foot < F; foot++) {
         sf_real height = sole[3 * foot + 2] + old_sole[3 * foot + 2];
-        standing = standing || stance[foot];
         least = foot ? sf_min(least, height) : height;
     }
     for (int foot = 0; foot < F; foot++) {
@@ -240,16 +261,16 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
     for (int k = 0; k < 3; k++) com[k] += origin[k], s->velocity[k] += turned[k] * dt;
     if (standing) {
         sf_real n = (sf_real)s->samples, share = sf_max(1 / n, dt / m->leg_time);
-        sf_real limit = sf_max(m->first_speed / (n * n), m->largest_bias * dt);
         sf_about_z(turned, s->heading, s->motion + SF_COM);
         for (int k = 0; k < 3; k++) {
-            sf_real pull = share * ((com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k]);
-            s->velocity[k] += sf_max(sf_min(pull, limit), -limit);
+            sf_real off = (com[k] - (turned[k] + s->origin[k])) / dt - s->velocity[k];
+            s->velocity[k] += share * off / (1 + (off / m->first_speed) * (off / m->first_speed));
         }
     }
     sf_about_z(turned, heading, motion + SF_RATE);
     for (int k = 0; k < 3; k++) s->spin[k] += (turned[k] / c->mass - s->spin[k] / m->spin_time) * dt;
     s->samples++;
+    s->adrift = standing ? 0 : s->adrift + dt;
     s->heading = heading;
     sf_copy(s->origin, origin, 3);
     for (int foot = 0; foot < F; foot++) {
@@ -347,7 +368,7 @@ SF_API void sf_measured_variance(const sf_config *c, const sf_momentum_config *m
             out->variance[i * C + k] = noise[6 * sf_component(i) + sf_component(k)] / (c->gravity * c->gravity);
 }
 
-/* Model.rows. published: scales, offsets, drift and centre of mass; lasting: variance of each channel's force that
+/* Model.rows. published: scales, offsets and drift; lasting: variance of each channel's force that
    lasts, in W^2. */
 SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m, const sf_real *samples, int n,
                                 const sf_real *published, const sf_real *lasting, sf_momentum_work *w) {
@@ -367,6 +388,7 @@ SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m,
     memset(out->mean, 0, (size_t)(C * N) * sizeof(sf_real));
     memset(out->end, 0, (size_t)(C * N) * sizeof(sf_real));
     memset(out->walk, 0, (size_t)(C * C) * sizeof(sf_real));
+    memset(out->crossed, 0, (size_t)(C * K * K) * sizeof(sf_real));
     memset(out->measured, 0, (size_t)C * sizeof(sf_real));
     memset(out->velocity, 0, sizeof out->velocity);
     out->height = 0;
@@ -392,7 +414,10 @@ SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m,
                 }
                 pulls[which * C + r] += by_share * pull;
             }
-            for (int i = 0; i < K; i++) weighted[r * K + i] += unit[r * K + i] * (dt / T);
+            for (int i = 0; i < K; i++) {
+                weighted[r * K + i] += unit[r * K + i] * (dt / T);
+                sf_add(out->crossed + (r * K + i) * K, share[0] * unit[r * K + i], row, K);
+            }
         }
         for (int which = 0; which < 2; which++) shares[which] += share[which];
         /* Chips have clocks of their own: what a channel changes by is an error of its own. */
@@ -450,26 +475,30 @@ SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m,
     sf_measured_variance(c, m, arm, out);
 }
 
+/* Model.move of a momentum: go on to a point o that has moved by `step` in m, H <- H - step x P. */
+SF_API void sf_move_momentum(const sf_config *c, const sf_momentum_config *m, const sf_real step[3],
+                             const sf_real *velocity, sf_real *p) {
+    int shear = m->components == 6;
+    p[1] += -step[1] * p[0] + step[2] * (shear ? p[4] : velocity[1] / c->gravity);
+    p[2] += step[0] * p[0] - step[2] * (shear ? p[3] : velocity[0] / c->gravity);
+    if (shear) p[5] += step[1] * p[3] - step[0] * p[4];
+}
+
 /* Model.move, and what it does to the modes: go on to a point o that has moved by `step` in m. */
 SF_API void sf_momentum_move(const sf_config *c, const sf_momentum_config *m, const sf_real step[3],
                              const sf_real *velocity, sf_modes *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
-    /* H <- H - step x P */
     struct {
         int to, from;
         sf_real by;
     } moves[6] = {{1, 0, -step[1]}, {2, 0, step[0]}, {1, 4, step[2]}, {2, 3, -step[2]}, {5, 4, -step[0]}, {5, 3, step[1]}};
     for (int j = 0; j < SF_MODES; j++) {
-        sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N;
+        sf_real *P = s->covariance + j * N * N;
+        sf_move_momentum(c, m, step, velocity, s->mean + j * N + at);
         for (int k = 0; k < (C == 6 ? 6 : 2); k++) {
             int to = at + moves[k].to, from = at + moves[k].from;
-            mean[to] += moves[k].by * mean[from];
             sf_add(P + to * N, moves[k].by, P + from * N, N);
             for (int i = 0; i < N; i++) P[i * N + to] += moves[k].by * P[i * N + from];
-        }
-        if (C == 3) {
-            mean[at + 1] += step[2] * velocity[1] / c->gravity;
-            mean[at + 2] -= step[2] * velocity[0] / c->gravity;
         }
     }
 }
@@ -687,17 +716,15 @@ SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_
         sf_real unit = m->unit[i] * m->unit[i];
         w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted[0] / square));
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
-        w->std[2 * K + i] = sf_sqrt(square * (drifted[1] / square) * unit + least);
+        w->std[2 * K + i] = sf_sqrt(drifted[1] * unit + least);
     }
-    for (int i = 0; i < 2; i++) w->std[3 * K + i] = sf_sqrt(m->spread_com[i]);
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
         for (int i = 0; i < M; i++) {
             int k = i % K;
             sf_real variance = i < K       ? by * (m->spread_scale[k] + drifted[0])
                                : i < 2 * K ? by * m->spread_offset[k]
-                               : i < 3 * K ? by * drifted[1] * (m->unit[k] * m->unit[k]) + least
-                                           : m->spread_com[i - 3 * K];
+                                           : drifted[1] * (m->unit[k] * m->unit[k]) + least;
             inverse[i] = w->std[i] * w->std[i] / variance;
             of[i >= K][l] -= sf_log(inverse[i]);
         }
@@ -1113,7 +1140,7 @@ SF_API void sf_momentum_estimate(const sf_config *c, const sf_momentum_config *m
         force[i] = a[i] * F0[i] + b[i];
         moved[i] = a[i] * sample->change[i];
         out->scale[i] = a[i] * c->scale[i];
-        out->offset[i] = a[i] * c->offset[i] + b[i];
+        out->offset[i] = a[i] * (c->offset[i] - s->shift[i]) + b[i];
         out->flags[i] = sample->flags[i] | s->status;
     }
     for (int i = 0; i < K; i++) {
@@ -1282,7 +1309,7 @@ SF_API void sf_copy_known(const sf_config *c, const sf_momentum_config *m, sf_kn
 
 /* MomentumFilter._break: forget the samples that wait, and what the momentum is. */
 SF_API void sf_break(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
-    sf_track_begin(&s->track);
+    sf_track_begin(m, &s->track);
     memset(s->pending, 0, (size_t)(m->capacity * sf_waiting(c)) * sizeof(sf_real));
     s->waiting = -1;
     s->linked = 0;
@@ -1333,6 +1360,10 @@ SF_API void sf_momentum_init(const sf_config *c, const sf_momentum_config *m, sf
     memset(s->point, 0, sizeof s->point);
     memset(s->drifted, 0, sizeof s->drifted);
     memset(&s->tare, 0, sizeof s->tare);
+    memset(&s->suspects, 0, sizeof s->suspects);
+    memset(s->shift, 0, sizeof s->shift);
+    for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
+    for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
     s->time = s->age = 0;
@@ -1409,25 +1440,290 @@ SF_API void sf_follow_noise(const sf_momentum_config *m, const sf_momentum_rows 
     }
 }
 
-/* The part of MomentumFilter._learn that takes rows in; returns a flag of what forbids it, or 0. */
+/* ---------------------------------------------------------------------------------------------- suspects */
+
+/* Places of suspects: channels that are out, flipped ones behind, pairs straight, and pairs crossed. */
+SF_API int sf_pairs_of_cells(const sf_config *c) {
+    int n = 0;
+    for (int i = 0; i < c->channels; i++) n += c->cells[i];
+    return n * (n - 1) / 2;
+}
+SF_API int sf_suspects_of(const sf_config *c) { return 2 * c->channels + 2 * sf_pairs_of_cells(c); }
+
+/* The channels that a suspect is about. */
+SF_API void sf_suspected(const sf_config *c, int suspect, int both[2]) {
+    int K = c->channels, pair = suspect - 2 * K;
+    both[0] = both[1] = suspect % K;
+    if (pair < 0) return;
+    pair %= sf_pairs_of_cells(c);
+    for (int i = 0; i < K; i++)
+        for (int j = i + 1; c->cells[i] && j < K; j++)
+            if (c->cells[j] && pair-- == 0) both[0] = i, both[1] = j;
+}
+
+/* The logarithm of the likelihood of an innovation, by the covariance S and what else is unsure of it: of each channel
+   a variance, which acts by `reach`. */
+SF_API sf_real sf_evidence(const sf_momentum_config *m, const sf_real *S, const sf_real *e, const sf_real *reach, int K,
+                           const sf_real *std) {
+    int C = m->components;
+    sf_real L[SF_COMPONENTS * SF_COMPONENTS], x[SF_COMPONENTS], size = 0;
+    sf_copy(L, S, C * C);
+    for (int i = 0; std && i < K; i++)
+        for (int r = 0; std[i] != 0 && r < C; r++)
+            for (int k = 0; k < C; k++) L[r * C + k] += reach[r * K + i] * std[i] * (reach[k * K + i] * std[i]);
+    sf_copy(x, e, C);
+    if (!sf_cholesky(L, C)) return (sf_real)NAN;
+    sf_solve(L, C, x, 1);
+    for (int r = 0; r < C; r++) size += sf_log(L[r * C + r]);
+    return (sf_real)-0.5 * sf_dot(e, x, C) - size;
+}
+
+/* Suspects._error: what is left unexplained of rows that are linear about scales and drift `about`. */
+SF_API void sf_unexplained(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows,
+                           const sf_real *before, const sf_real *about, const sf_real *known, sf_real *e) {
+    int K = c->channels, N = sf_states(c, m);
+    for (int r = 0; r < m->components; r++) {
+        const sf_real *H = rows->mean + r * N;
+        sf_real explained = rows->mean_rest[r] + sf_dot(H + 3 * K, known + 3 * K, 4);
+        for (int i = 0; i < K; i++) {
+            explained += H[K + i] * (about[i] * about[2 * K + i]) + rows->crossed[(r * K + i) * K + i] * known[i];
+            explained += H[K + i] * (known[K + i] + known[i] * known[2 * K + i]);
+        }
+        e[r] = rows->measured[r] - before[r] - explained;
+    }
+}
+
+/* Suspects._changes of one suspect, which is taken off an error. */
+SF_API void sf_less_suspect(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows,
+                            const sf_suspects *s, const sf_real *others, int suspect, sf_real *e) {
+    int K = c->channels, N = sf_states(c, m), pairs = sf_pairs_of_cells(c), both[2], i, j;
+    const sf_real *a = s->known;
+    sf_suspected(c, suspect, both);
+    i = both[0], j = both[1];
+    for (int r = 0; r < m->components; r++) {
+        const sf_real *X = rows->crossed + r * K * K, *reach = rows->mean + r * N + K;
+        sf_real change = 0, sign = suspect < 2 * K + pairs ? 1 : -1;
+        for (int l = 0; suspect < K && l < K; l++) {
+            sf_real zero = s->known[K + l] + a[l] * s->known[2 * K + l], by = others[i * K + l] - (l == i);
+            change += by * (X[i * K + l] * a[l] + reach[i] * zero);
+        }
+        if (suspect >= K && suspect < 2 * K) change = -2 * a[i] * X[i * K + i];
+        if (suspect >= 2 * K)
+            change = sign * (a[i] * X[i * K + j] + a[j] * X[j * K + i]) - a[i] * X[i * K + i] - a[j] * X[j * K + j];
+        e[r] -= change;
+    }
+}
+
+/* Suspects._find_leap: the step of readings that explains an error best; returns whether there is one that does so better
+   than `least`. */
+SF_API int sf_find_leap(const sf_config *c, const sf_momentum_config *m, const sf_suspects *s, const sf_real *S,
+                        const sf_real *reach, const sf_real *e, sf_real least, sf_leap *leap) {
+    int K = c->channels, C = m->components, found = 0;
+    sf_real most = least, std[SF_CHANNELS], acts[SF_CHANNELS], step[SF_CHANNELS], left[SF_COMPONENTS];
+    for (int at = 0; at < m->capacity; at++) {
+        const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
+        for (int i = 0; i < K; i++) {
+            std[i] = 0;
+            step[i] = now[i] - old[i];
+            for (int t = 0; t < m->capacity; t++)
+                if (t > at + 1 || t < at - 1) std[i] = sf_max(std[i], sf_fabs(s->force[(t + 2) * K + i] - s->force[t * K + i]));
+        }
+        for (int of = -1; of < c->feet; of++) {
+            sf_real before = 0, after = 0, mean = 0, unlike = 0, count = 0, evidence;
+            sf_copy(left, e, C);
+            for (int i = 0; i < K; i++) {
+                sf_real leaps = of < 0 || c->foot_of_channel[i] == of, force = leaps * s->known[i];
+                acts[i] = sf_fabs(force) * std[i];
+                before += leaps * sf_fabs(old[i]), after += leaps * sf_fabs(now[i]);
+                mean += leaps * step[i], count += leaps;
+                for (int r = 0; r < C; r++) left[r] += reach[r * K + i] * (force * step[i]);
+            }
+            mean /= count;
+            for (int i = 0; i < K; i++)
+                if (of < 0 || c->foot_of_channel[i] == of) unlike += sf_fabs(step[i] - mean) / count;
+            if (!(after < m->alike * before || unlike < m->alike * sf_fabs(mean))) continue;
+            evidence = sf_evidence(m, S, left, reach, K, acts);
+            if (!(evidence > most)) continue;
+            most = evidence, found = 1;
+            for (int i = 0; i < K; i++) {
+                int leaps = of < 0 || c->foot_of_channel[i] == of;
+                leap->reading[i] = leaps ? step[i] : 0;
+                leap->std[i] = leaps ? std[i] : 0;
+            }
+        }
+    }
+    return found;
+}
+
+/* Suspects.weigh: hold all suspects against a block; returns who is guilty, -1 for nobody, -2 for a leap. `known` are
+   the unknowns before the momentum, `map` the covariance of what is handed out, P that of the likeliest mode. */
+SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf_suspects *s,
+                             const sf_channel_faults *faults, const sf_momentum_rows *rows, const sf_real *known,
+                             const sf_real *map, const sf_real *P, sf_leap *leap) {
+    int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c);
+    int count = sf_suspects_of(c), best = 0, about[2], other_about[2];
+    sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
+    sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
+    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_others(c, faults, others, others_std);
+    sf_unexplained(c, m, rows, s->before, known, known, e);
+    sf_unexplained(c, m, rows, s->before, known, s->known, before);
+    for (int r = 0; r < C; r++) {
+        const sf_real *H = rows->mean + r * N;
+        sf_copy(reach + r * K, H + K, K);
+        for (int i = 0; i < M; i++) along[i] = sf_dot(map + i * M, H, M);
+        for (int i = 0; i < 4; i++) by_robot[i] = sf_dot(P + (3 * K + i) * N + 3 * K, H + 3 * K, 4);
+        for (int k = 0; k < C; k++) {
+            const sf_real *row = rows->mean + k * N;
+            S[r * C + k] = 2 * rows->variance[r * C + k] + rows->walk[r * C + k] + sf_dot(row, along, M) +
+                           sf_dot(row + 3 * K, by_robot, 4);
+            S[r * C + k] *= sf_sqrt(s->noise[r]) * sf_sqrt(s->noise[k]);
+        }
+        S[r * C + r] += H[at + C + r] * H[at + C + r] * sf_wrench_variance(m, rows, 0, r);
+    }
+    /* Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on the robot's body,
+       up to its height away from its centre of mass. */
+    nothing = sf_evidence(m, S, e, reach, K, 0);
+    for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
+    for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
+    lasting = sf_evidence(m, other, far, reach, K, 0);
+    sf_copy(other, S, C * C);
+    for (int r = 0; r < C; r++) {
+        sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
+        for (int k = 0; k < C; k++) other[r * C + k] += rows->mean[r * N + at - 2] * rows->mean[k * N + at - 2];
+        other[r * C + r] += arm * arm;
+    }
+    unknown = sf_evidence(m, other, e, reach, K, 0);
+    innocent = sf_max(sf_max(nothing, lasting), unknown);
+    if (!sf_finite(innocent)) return -1;
+    least = unknown + m->contrast;
+    for (int suspect = 0; suspect < count; suspect++) {
+        sf_real std[SF_CHANNELS] = {0}, score;
+        int shown = 0;
+        if (suspect < 2 * K && !c->cells[suspect % K]) continue;
+        sf_copy(far, before, C);
+        sf_less_suspect(c, m, rows, s, others, suspect, far);
+        if (suspect < K) std[suspect] = others_std[suspect] / c->weight;
+        score = sf_evidence(m, S, far, reach, K, suspect < K ? std : 0);
+        least = sf_max(least, score);
+        score -= innocent;
+        for (int r = 0; r < C; r++) {
+            sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 || (r > 2 && r < 5) ? 1 : rows->height);
+            shown = shown || sf_fabs(before[r] - far[r]) > m->least_error * arm;
+        }
+        score = s->score[suspect] + (shown ? score : sf_min(score, 0));
+        s->score[suspect] = score > 0 ? score : 0;
+        most = sf_max(most, s->score[suspect]);
+    }
+    if (most < m->contrast) {
+        sf_copy(s->known, known, at);
+        for (int r = 0; r < C; r++) {
+            sf_real surprise = sf_min(e[r] * e[r] / S[r * C + r], m->suspect_surprise);
+            s->noise[r] = sf_clip(s->noise[r] * (1 + m->suspect_share * (surprise - 1)), m->suspect_noise[0], m->suspect_noise[1]);
+        }
+    }
+    for (int r = 0; r < C; r++) s->error[r] = e[r] / rows->mean[r * N + at + C + r];
+    if (unknown == innocent && sf_find_leap(c, m, s, S, reach, before, least, leap)) return -2;
+    /* To put a channel right is preferred to losing it. */
+    for (int suspect = 1; suspect < count; suspect++)
+        if (s->score[suspect] - (suspect < K) * m->contrast > s->score[best] - (best < K) * m->contrast) best = suspect;
+    sf_suspected(c, best, about);
+    for (int suspect = 0; suspect < count; suspect++) {
+        int related = 0;
+        sf_suspected(c, suspect, other_about);
+        for (int i = 0; i < 4; i++) related = related || about[i / 2] == other_about[i % 2];
+        if (!related) rival = sf_max(rival, s->score[suspect] - (suspect < K) * m->contrast);
+    }
+    return s->score[best] - (best < K) * m->contrast > sf_max(m->sure, rival + m->contrast) ? best : -1;
+}
+
+/* Suspects.follow: note what was measured at a block's end, and what was read in it. */
+SF_API void sf_follow_suspects(const sf_config *c, const sf_momentum_config *m, sf_suspects *s, const sf_real *samples,
+                               int n, const sf_real *momentum) {
+    int K = c->channels, wide = sf_waiting(c);
+    sf_copy(s->before, momentum, m->components);
+    memmove(s->force, s->force + n * K, (size_t)((m->capacity + 2 - n) * K) * sizeof(sf_real));
+    for (int t = 0; t < n; t++) sf_copy(s->force + (m->capacity + 2 - n + t) * K, samples + t * wide, K);
+}
+
+/* MomentumFilter._suspect: hold the readings' faults against the block of w->rows. */
+SF_API int sf_suspect(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, int n, const sf_real step[3],
+                      const sf_real *published, int likeliest, sf_momentum_work *w) {
+    int K = c->channels, N = sf_states(c, m), M = sf_weighed(c), guilty;
+    sf_real known[SF_WEIGHED + 4], rest[3] = {0, 0, 0};
+    sf_move_momentum(c, m, step, w->rows.velocity, s->suspects.before);
+    sf_move_momentum(c, m, step, rest, s->suspects.error);
+    sf_copy(known, published, M);
+    sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4);
+    guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
+                               w->belief.covariance + likeliest * N * N, &w->leap);
+    sf_follow_suspects(c, m, &s->suspects, s->pending, n, w->rows.at_end);
+    return guilty;
+}
+
+/* MomentumFilter._convict and _shift: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
+SF_API void sf_convict(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, int guilty,
+                       const sf_leap *leap) {
+    int K = c->channels, N = sf_states(c, m), both[2];
+    memset(s->suspects.score, 0, sizeof s->suspects.score);
+    sf_momentum_retract(c, m, s);
+    if (guilty < 0) {
+        sf_real open = 0;
+        for (int i = 0; i < K; i++) {
+            sf_real variance = leap->std[i] * leap->std[i], by = leap->reading[i] * c->weight;
+            for (int t = 0; t <= c->kept; t++) s->front.history[t * 2 * K + i] -= by;
+            s->shift[i] += by;
+            for (int j = 0; j < SF_MODES; j++) s->belief.covariance[j * N * N + (2 * K + i) * (N + 1)] += variance;
+            open += variance / (m->unit[i] * m->unit[i]);
+        }
+        s->drifted[1] += open / (sf_real)K;
+        return;
+    }
+    sf_suspected(c, guilty, both);
+    if (guilty < K) {
+        int fresh[SF_CHANNELS] = {0}, kind[SF_CHANNELS] = {0};
+        fresh[guilty] = 1, kind[guilty] = SF_DEAD;
+        sf_lose(c, &s->faults, fresh, kind);
+        return;
+    }
+    sf_real row[SF_CHANNELS], sign = guilty < 2 * K || guilty >= 2 * K + sf_pairs_of_cells(c) ? -1 : 1;
+    sf_real *one = s->faults.wiring + both[0] * K, *two = s->faults.wiring + both[1] * K, shift = s->shift[both[0]];
+    s->faults.altered = 1;
+    sf_copy(row, one, K);
+    for (int j = 0; j < K; j++) one[j] = sign * two[j];
+    s->shift[both[0]] = sign * s->shift[both[1]];
+    s->faults.kind[both[0]] ^= guilty < 2 * K ? SF_FLIPPED : SF_SWAPPED;
+    if (both[0] == both[1]) return;
+    for (int j = 0; j < K; j++) two[j] = sign * row[j];
+    s->shift[both[1]] = sign * shift;
+    s->faults.kind[both[1]] ^= SF_SWAPPED;
+}
+
+/* The part of MomentumFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
 SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
-                        sf_real *nis) {
-    int C = m->components, N = sf_states(c, m), likeliest = 0, good;
+                        int n, const sf_real *published, int *rejected, sf_real *nis) {
+    int follows = s->linked && s->track.adrift < m->leg_time;
+    int C = m->components, N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_momentum_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
-    if (!s->linked) {
-        sf_begin_momentum(c, m, rows, belief);
-        good = sf_weigh(c, m, belief, w);
-    } else {
-        sf_real step[3], ahead, before[SF_MODES], after[SF_MODES], size;
-        sf_taught taught;
+    if (follows) {
+        sf_real step[3], ahead;
         for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];
         sf_momentum_move(c, m, step, rows->velocity, belief);
         for (int j = 1; j < SF_MODES; j++)
             if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
         ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
-        if (sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration) return SF_REJECTED;
+        guilty = sf_suspect(c, m, s, n, step, published, likeliest, w);
+        if (guilty != -1) return -3 - guilty;
+        *rejected = sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration;
+    }
+    if (!follows || *rejected) {
+        sf_begin_momentum(c, m, rows, belief);
+        good = sf_weigh(c, m, belief, w);
+    } else {
+        sf_real before[SF_MODES], after[SF_MODES], size;
+        sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
         good = sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; j < SF_MODES; j++)
@@ -1444,6 +1740,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_mome
         if (good) sf_follow_noise(m, rows, &taught, belief->chance[0], s->noise);
     }
     if (!good) return SF_SINGULAR;
+    if (!s->linked) sf_follow_suspects(c, m, &s->suspects, s->pending, n, rows->at_end);
     sf_momentum_publish(c, belief->chance, w, &w->published);
     if (!sf_all_finite(w->published.mean, sf_weighed(c))) return SF_SINGULAR;
     sf_copy_modes(c, m, &s->belief, belief);
@@ -1453,7 +1750,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_mome
 /* MomentumFilter._learn: learn from the block that is full; how its innovation compares, and how many rows it had. */
 SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
                               sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting, held = 0, missing = 0, out = 0;
+    int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting, held = 0, missing = 0, out = 0, rejected = 0;
     sf_real duration = 0, lost[SF_CHANNELS], published[SF_WEIGHED], product[SF_CHANNELS];
     sf_tares tare;
     for (int t = 0; t < n; t++) duration += s->pending[t * wide + sf_at_dt(c)];
@@ -1487,9 +1784,15 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
         } else {
             sf_open_product(c, m, s, &tare, product);
             sf_momentum_rows_of(c, m, s->pending, n, published, product, w);
-            if (good) flag = sf_take_rows(c, m, s, w, nis);
+            if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
+            if (flag < 0) {
+                *nis = (sf_real)NAN;
+                sf_copy(s->before, s->pending + (n - 1) * wide, wide);
+                sf_convict(c, m, s, -3 - flag, &w->leap);
+                return;
+            }
             missing = flag != 0;
-            s->linked = !flag;
+            s->linked = !flag && s->track.adrift < m->leg_time;
             s->status = flag;
         }
         if (!out && !missing) {
@@ -1498,11 +1801,11 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
             sf_map_covariance(c, &s->published, s->covariance);
             sf_copy(s->point, w->rows.point, 3);
             s->tare = tare;
-            s->status = held ? SF_HELD : 0;
+            s->status = rejected ? SF_REJECTED : held ? SF_HELD : 0;
             *nis_rows = (sf_real)m->components;
         } else *nis = (sf_real)NAN;
     }
-    sf_rest(c, m, s, w, n, duration, !missing && !out && !held);
+    sf_rest(c, m, s, w, n, duration, !missing && !out && !s->status);
     sf_copy(s->before, s->pending + (n - 1) * wide, wide);
     memset(s->pending, 0, (size_t)(m->capacity * wide) * sizeof(sf_real));
     s->waiting = 0;
@@ -1553,6 +1856,7 @@ SF_API int sf_momentum_step(const sf_config *c, const sf_momentum_config *m, sf_
     sf_sample sample;
     sf_check(c, &s->front, raw, reference, 0, dt, &sample);
     sf_fault_sample(c, &s->faults, s->published.mean, sample.force, sample.read, kinds);
+    for (int i = 0; i < K; i++) sample.force[i] -= s->shift[i];
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));
     if (!sample.sound || sample.gap) sf_break(c, m, s);

@@ -10,15 +10,40 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, train, view
+from surefoot.experiments.cli import calibrate, compare, demo, evaluate, instrument, sweep, train, view
+from surefoot.experiments.cli.console import INTERRUPTED
+from surefoot.names import page
 
 
 class _InOrder(TyperGroup):
-    """Shows commands in this order, groups among them."""
+    """Shows commands in this order, groups among them; an interruption ends any of them in one line."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
-        return ["demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay"]
+        return [
+            "demo",
+            "view",
+            "compare",
+            "check",
+            "twin",
+            "calibrate",
+            "train",
+            "evaluate",
+            "sweep",
+            "replay",
+        ]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except (KeyboardInterrupt, ImportError) as error:
+            # Modules in C that are interrupted while they are imported say "initialization failed".
+            causes = error, error.__cause__, error.__context__
+            if not any(isinstance(cause, KeyboardInterrupt) for cause in causes):
+                raise
+            typer.echo("Stopped.", err=True)
+            raise typer.Exit(INTERRUPTED) from None
 
 
 app = typer.Typer(
@@ -26,11 +51,12 @@ app = typer.Typer(
     cls=_InOrder,
     help="Honest models of the sensors that biped robots stand on, and calibrators that undo their errors.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
+for look in (instrument.check, instrument.twin):
+    app.command(epilog=f"Kinds of logs: {page('check')}")(look)
 for command in (demo.demo, view.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
     app.command()(command)
 

@@ -7,6 +7,7 @@ import typer
 from typer import Argument, Option
 
 from surefoot.experiments.cli.console import Json, Paths, fail, one_line_errors, show
+from surefoot.names import page
 
 Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
 Accept = Annotated[
@@ -18,12 +19,12 @@ Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits 
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
 
 
-@app.command()
+@app.command(epilog=f"The table: {page('log-format')}")
 def walk(
-    log: Annotated[Path, Argument(help="A log, .parquet, .csv or a ROS bag; docs/log-format.md.")],
+    log: Annotated[Path, Argument(help="A log: .parquet, .csv or a ROS bag.")],
     method: Annotated[
-        str, Option(help="moment, window, quasi-static, tare, none, or module:name")
-    ] = "moment",
+        str, Option(help="momentum, moment, window, quasi-static, tare, none, or module:name")
+    ] = "momentum",
     start: Annotated[
         str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
     ] = None,
@@ -55,14 +56,14 @@ def walk(
     show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 
-@app.command()
+@app.command(epilog=f"The table: {page('weights')}")
 def weights(
     weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
     out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
     accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2; docs/weights.md)."""
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
     _check_reason(accept)
@@ -72,9 +73,9 @@ def weights(
     show([result.table], {"map": result.path}, notices=result.notices, as_json=as_json)
 
 
-@app.command()
+@app.command(epilog=f"The table: {page('in-situ-log')}")
 def ft(
-    logs: Annotated[Paths, Argument(help="A log, or one file a set; docs/in-situ-log.md.")] = None,
+    logs: Annotated[Paths, Argument(help="A log, or one file a set.")] = None,
     config: Annotated[Path | None, Option(help="TOML; by default the one beside the first log.")] = None,
     sample: Annotated[bool, Option("--sample", help="Calibrate surefoot's own sample.")] = False,
     raw: Annotated[str | None, Option(help="Columns of the channels, separated by commas.")] = None,

@@ -21,6 +21,8 @@ CONTROLLERS = (
 REFUSED = 3
 """Exit code where data do not determine, or contradict, what was asked; 2 is for what cannot be read."""
 
+INTERRUPTED = 130  # as shells say of a process that Ctrl-C ended
+
 Names = list[str] | None
 Numbers = list[float] | None
 Paths = list[Path] | None
@@ -31,9 +33,7 @@ Feeds = Annotated[
     ),
 ]
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
-Json = Annotated[
-    bool, Option("--json", help="Print tables and paths as JSON, and nothing else; docs/log-format.md.")
-]
+Json = Annotated[bool, Option("--json", help="Print tables and paths as JSON, and nothing else.")]
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
 
 
@@ -51,7 +51,7 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
     except KeyboardInterrupt:
         kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
         typer.echo(f"Stopped.{kept}", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     except (ValueError, FileNotFoundError) as error:
         from surefoot.calibration.results import CalibrationRefused
 

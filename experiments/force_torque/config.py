@@ -8,26 +8,23 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, StrictBool, model_validator
 
-from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel
 from surefoot.calibration.in_situ import InSituOptions
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.icub import read_matrix
+from surefoot.experiments.logs import mapping
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be
 from surefoot.experiments.logs.table import LogError
 from surefoot.files import read_toml
+from surefoot.names import page
 
-SI = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY,
-    "rad/s": 1.0, "deg/s": float(np.pi / 180.0), "degC": 0.0, "K": -273.15,
-}  # fmt: skip
+SI = mapping.SI | {"degC": 0.0, "K": -273.15}
 """What each unit is worth in SI: a factor, for temperatures what is added."""
 Axes = tuple[str, str, str]
 Place = Annotated[Floats, array_of(3)]
 Range = Annotated[tuple[Number, Number], must_be("[lowest, highest]", lambda ends: ends[0] < ends[1])]
 Scales = Annotated[Floats, array_of(6), must_be("positive N and N m", lambda scale: (scale > 0).all())]
 Matrix = Annotated[Floats, array_of(6, None), must_be("of 6 channels or more", lambda C: C.shape[1] >= 6)]
-Character = Annotated[str, Field(min_length=1, max_length=1)]
 Rotation = Annotated[
     Floats,
     array_of(3, 3),
@@ -65,13 +62,6 @@ class Units(Settings):
     def of_raw(self) -> str:
         """What tables call the unit of the channels."""
         return "counts" if self.raw == "count" else "N, N m"
-
-
-class Csv(Settings):
-    """How a CSV file is written; ``None``: as its first lines show."""
-
-    separator: Character | None = None
-    decimal: Character | None = None
 
 
 class Accelerometer(Settings):
@@ -159,7 +149,7 @@ class InSituConfig(Settings):
 
     columns: Columns = Columns()
     units: Units = Units()
-    csv: Csv = Csv()
+    csv: mapping.Csv = mapping.Csv()
     accelerometer: Accelerometer = Accelerometer()
     sensor: Sensor = Sensor()
     factory: Factory = Factory()
@@ -202,7 +192,7 @@ def config_beside(log: Path) -> InSituConfig:
 def read_config(path: Path) -> InSituConfig:
     """Read the TOML file, and the factory matrix that it names; LogError if it is none, or is wrong."""
     if not path.is_file():
-        raise LogError(f"{path}: no such file; see docs/in-situ-log.md for what it holds.")
+        raise LogError(f"{path}: no such file; {page('in-situ-log')} says what it holds.")
     config = InSituConfig.read(read_toml(path, LogError), path.name)
     factory, sensor = config.factory, config.sensor
     if factory.file is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.bag import is_bag, read_bag
-from surefoot.experiments.logs.table import LogError, LogTable, read_table
+from surefoot.experiments.logs.table import LogError, LogTable, listed, read_table
 
 _VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
 _SCALARS = {"time": "time_s", "set": "set", "temperature": "temperature_degC", "added_mass": "added_mass_kg"}
@@ -27,8 +27,6 @@ _PURPOSES = {
 
 WRENCH = (*(f"force_{axis}_N" for axis in "xyz"), *(f"torque_{axis}_Nm" for axis in "xyz"))
 """Names of the channels that are a driver's wrench."""
-
-_LISTED = 24  # columns of the file that a message names
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +111,8 @@ def read_samples(
 
 def _found(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
-    names = ", ".join(f"'{name}'" for name in table.names[:_LISTED])
-    names += f" and {len(table.names) - _LISTED} more" if len(table.names) > _LISTED else ""
-    names += (
-        " (if the separator is none of ',', ';' and tab, say csv.separator)" if len(table.names) == 1 else ""
-    )
-    cure = f"there are {names}. Name yours under [columns] in the TOML file, or on the command line."
+    cure = f"there are {listed(table.names)}. Name yours under [columns] in the TOML file, or on the command "
+    cure += "line."
     defaults: dict[str, Any] = {
         key: tuple(f"{key}_{axis}_{unit}" for axis in "xyz") for key, unit in _VECTORS.items()
     }
@@ -133,9 +127,9 @@ def _found(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Colu
     for key, default in defaults.items():
         given = getattr(columns, key)
         wanted = default if given is None else given
-        listed = (wanted,) if isinstance(wanted, str) else wanted
-        if wanted and (given or key in needed or any(name in table for name in listed)):
-            table.require(listed, cure, _PURPOSES.get(key, key.replace("_", " ")))
+        names = (wanted,) if isinstance(wanted, str) else wanted
+        if wanted and (given or key in needed or any(name in table for name in names)):
+            table.require(names, cure, _PURPOSES.get(key, key.replace("_", " ")))
             found[key] = wanted
     if "gravity" in found and "specific_force" in found:
         raise LogError(

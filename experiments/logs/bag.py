@@ -115,7 +115,7 @@ class Bag(NamedTuple):
                 values[name] = _onto(rows, one, name)
                 if not np.isfinite(values[name]).any() and not name.startswith("raw_"):
                     raise LogError(
-                        f"{self.file}: topics do not overlap: {rows.reach}, and {one.reach}; their clocks "
+                        f"{self.file}: no overlap in time: {rows.reach}, and {one.reach}; their clocks "
                         "differ or they were not recorded together. Give offsets_s in the mapping file."
                     )
         whole = np.all([np.isfinite(v) for k, v in values.items() if not k.startswith("raw_")], axis=0)

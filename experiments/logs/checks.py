@@ -1,17 +1,32 @@
 """What a log of a walk must hold before a calibrator sees it."""
 
+import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.reference import Reference
-from surefoot.experiments.logs.table import LogError, LogTable
+from surefoot.experiments.logs.table import LogError, LogTable, listed
+from surefoot.names import page
 
-LISTED = "docs/log-format.md lists every column and its unit."
+LISTED = f"{page('log-format')} lists every column and its unit."
+
+OF_USE = re.compile(r"(raw|reference|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
+"""Columns of a walk; others may hold anything."""
 
 FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
+
+
+def naming_cure(table: LogTable) -> str:
+    """Return what is said of missing columns: where they are listed, and how columns get their names."""
+    others = [name for name in table.names if not OF_USE.fullmatch(name)]
+    file = Path(table.file)
+    if not others or file.suffix.lower() not in (".csv", ".parquet"):
+        return LISTED
+    return f"there are {listed(others)}: name them under [columns] in {file.stem}.toml. {LISTED}"
 
 
 def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, NDArray[np.float64]]:
@@ -19,7 +34,7 @@ def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict
 
     ``cure`` is said besides of missing columns.
     """
-    table.require(names, f"{LISTED} {cure}".rstrip())
+    table.require(names, f"{naming_cure(table)} {cure}".rstrip())
     values = {name: table.numbers(name, flags=True) for name in names}
     for name, column in values.items():
         at, is_raw = f"{table.file}: column '{name}'", name.startswith("raw_")

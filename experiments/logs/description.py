@@ -75,8 +75,10 @@ def _foot(given: Any) -> FootLayout:
 
 def _map(given: Any) -> Parameters:
     try:
-        return Parameters(*(np.asarray(given[key], dtype=np.float64) for key in _MAP))
-    except (KeyError, TypeError) as error:
+        scale = np.asarray(given["scale_N_per_count"], dtype=np.float64)
+        offset = given.get("offset_N", np.full(scale.shape, np.nan))
+        return Parameters(scale, np.asarray(offset, dtype=np.float64))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"is no map, {type(error).__name__} {error}") from None
 
 
@@ -89,11 +91,11 @@ class Description(Settings):
     format_version: Literal[1]
     layout: Annotated[FeetLayout, PlainValidator(_layout)]
     mass_kg: Positive  # as the robot assumes it
-    nominal: Annotated[Parameters, PlainValidator(_map)]
+    nominal: Annotated[Parameters, PlainValidator(_map)]  # offsets may be left out: read in the air
     calibrated: Annotated[Parameters, PlainValidator(_map)] | None = Field(
         None, validation_alias=AliasChoices("calibrated", "bench")
     )
-    dt_s: Positive  # nominal time between rows
+    dt_s: Positive = np.nan  # nominal time between rows; by default their median
     lag_samples: Annotated[int, Field(ge=0)] = 0
     seed: int | None = None  # of a simulated walk
     about: dict[str, Any] = Field(default_factory=dict)
@@ -102,7 +104,8 @@ class Description(Settings):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         channels = self.layout.channels
-        for values in (*self.nominal, *(self.calibrated or ())):
+        unread = np.isnan(self.nominal.offset).all()
+        for values in (*self.nominal[: 1 if unread else 2], *(self.calibrated or ())):
             if values.shape != (channels,) or not np.isfinite(values).all():
                 raise ValueError(f"a map needs {channels} finite scales and offsets, one a channel")
         if self.motion is None and "lag_samples" not in self.model_fields_set:

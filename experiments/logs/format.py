@@ -7,7 +7,9 @@ calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing u
 """
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
-from surefoot.experiments.logs.checks import check_columns, check_reference, check_time
+from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     PHASES,
     columns_of,
@@ -37,9 +39,11 @@ from surefoot.experiments.logs.columns import (
 )
 from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts
 from surefoot.experiments.logs.description import Description, describe
+from surefoot.experiments.logs.mapping import TableMapping, merge
 from surefoot.experiments.logs.motion import read_motion
-from surefoot.experiments.logs.table import LogError, LogTable, read_table
+from surefoot.experiments.logs.table import LogError, LogTable
 from surefoot.files import atomic_path, parse_json, read_text, write_text
+from surefoot.names import page
 
 METADATA_KEY = b"surefoot"
 MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
@@ -72,10 +76,28 @@ class Log:
     seed: int | None = None  # of a simulated walk
     truth: LogTruth | None = None  # what the simulator knew
     about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
+    turned: Mapping[str, Callable[[], Reference]] = field(default_factory=dict)
+    """References with one joint's sign turned round, by the joint: of logs whose references were made."""
 
     def __len__(self) -> int:
         """The number of samples, N."""
         return len(self.time)
+
+    def __repr__(self) -> str:
+        """What it is of, on one line."""
+        feet = ", ".join(foot.name for foot in self.layout.feet)
+        span = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self) else "empty"
+        more = ", with truth" * (self.truth is not None)
+        return (
+            f"Log({len(self)} samples of {self.layout.channels} channels ({feet}), {span} at "
+            f"{1.0 / self.dt:g} Hz, {self.mass:g} kg{more})"
+        )
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with the columns of the table, one row a sample."""
+        import pandas as pd
+
+        return pd.DataFrame(columns_of(self))
 
 
 def write_log(log: Log, path: str | Path) -> Path:
@@ -109,20 +131,35 @@ def read_log(
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
     A ROS bag is read as well, with its ``.json`` and the mapping file ``topics``, by default
-    ``.topics.toml`` beside it. Two rows may be ``max_gap`` s apart; with infinity gaps are left for a
+    ``.topics.toml`` beside it. A ``.toml`` beside a table has names and units of its columns, and further
+    tables. Two rows may be ``max_gap`` s apart; with infinity gaps are left for a
     calibrator to flag, which then keeps what it learnt and starts its filters again. With ``feet_alone`` a
     log may lack all references: insoles, plates and boards know nothing of a robot. Raises LogError, which
     names file, column and cure, if the file is not there or no log, a column is missing or holds what it must
     not, or time leaps.
     """
     path = Path(path)
-    moved = None
+    mapping = TableMapping() if is_bag(path) else TableMapping.beside(path)
+    tables, bag, moved = [], None, None
     if is_bag(path):
         bag = read_bag(path, None if topics is None else Path(topics))
-        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
     else:
-        table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")
-    description = Description.read(_description(path, table), f"{path.name}: the description")
+        tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
+        bag = merge(tables) if len(tables) > 1 else None
+    if bag is None:
+        table = tables[0]
+    else:
+        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+    told = _description(path, tables[0].data.schema.metadata if tables else None)
+    description = Description.read(told, f"{path.name}: the description")
+    beside = description.motion is not None and description.motion.table
+    if beside:
+        moved = mapping.read_mapped(path.parent / beside, "motion.table gives its path from the log.")
+        tables.append(moved)
+    mapping.check_units(tables)
+    if np.isnan(description.dt_s):
+        table.require(["time_s"], LISTED)
+        description = description.model_copy(update={"dt_s": table.step})
     facts = description.facts()
     layout = description.layout
     has_truth = any(name.startswith("truth_") for name in table.names)
@@ -140,17 +177,37 @@ def read_log(
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
     else:
-        reference, about = _made_reference(path, table, moved or table, description, time)
+        made = _made_reference(path, table, moved or table, description, time)
+        reference, about, facts["turned"] = made
         facts["about"] = facts["about"] | about
     if table.notices:
         facts["about"] = facts["about"] | {"notices": table.notices}
+    raw = stack(values, counts[1:])
+    if np.isnan(facts["nominal"].offset).any():
+        facts["nominal"] = _tared(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
     return Log(
         time=time,
-        raw=stack(values, raw_names_of(layout)),
+        raw=raw,
         reference=reference,
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )
+
+
+def _tared(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
+    """Return a map with the offsets that make channels read nothing while their foot swings."""
+    offset = np.full(layout.channels, np.nan)
+    for i, name in enumerate(raw_names_of(layout)):
+        foot = int((layout.wrench_map[:, :, i] != 0.0).any(axis=1).argmax())
+        hanging = raw[swing[:, foot], i]
+        if not np.isfinite(hanging).any():
+            raise LogError(
+                f"{file}: the description's nominal has no 'offset_N', and the {layout.feet[foot].name} foot "
+                f"is never surely in the air, where it could be read; lift it, or give for '{name}' minus "
+                "scale times what the channel reads unloaded."
+            )
+        offset[i] = -nominal.scale[i] * np.nanmedian(hanging)
+    return Parameters(nominal.scale, offset)
 
 
 ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
@@ -179,7 +236,8 @@ def _reference_of_feet(
         down = stack(flags, names) > 0.5
         stance, swing, source = down[:, :feet], down[:, feet:], "as the log says"
     else:
-        load = sole_wrenches(facts["nominal"].force(raw), layout)[..., 2]
+        scale, offset = facts["nominal"]
+        load = sole_wrenches(scale * raw + np.nan_to_num(offset), layout)[..., 2]
         stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
         facts, source = facts | {"lag": 0}, FELT
     up = np.tile((0.0, 0.0, GRAVITY), (n, 1))
@@ -199,9 +257,13 @@ def _reference_of_feet(
 
 
 def _made_reference(
-    path: Path, table: LogTable, moved: LogTable, description: Description, time: NDArray[np.float64]
-) -> tuple[Reference, dict[str, Any]]:
-    """Return references that are made of joints and IMU, and where they come from."""
+    path: Path,
+    table: LogTable,
+    moved: LogTable,
+    description: Description,
+    time: NDArray[np.float64],
+) -> tuple[Reference, dict[str, Any], dict[str, Callable[[], Reference]]]:
+    """Return references made of joints and IMU, where they come from, and :attr:`Log.turned`."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(
@@ -217,8 +279,6 @@ def _made_reference(
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
     model = load_model(facts, path.name)
-    if facts.table is not None:
-        moved = read_table(facts.table, "motion.table gives its path from the log.")
     motion = read_motion(moved, facts, model.joint_names)
     check_spin(motion, model, moved.file)
     reference = make_reference(time, motion, facts, model, description.mass_kg)
@@ -227,25 +287,34 @@ def _made_reference(
             f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
             f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
         )
-    stance, swing, source = contacts(table, (feet[0].name, feet[1].name), reference, dt)
-    about = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
-    return reference._replace(stance=stance, swing=swing), about
+    names = feet[0].name, feet[1].name
+    stance, swing, source = contacts(table, names, reference, dt)
+    about: dict[str, Any] = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
+
+    def turned(joint: str) -> Reference:
+        found = make_reference(time, motion.turn(joint_names.index(joint)), facts, model, description.mass_kg)
+        down, up, _ = contacts(table, names, found, dt)
+        return found._replace(stance=down, swing=up)
+
+    joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
+    made: dict[str, Callable[[], Reference]] = {name: partial(turned, name) for name in legs}
+    return reference._replace(stance=stance, swing=swing), about, made
 
 
-def _description(path: Path, table: LogTable) -> Any:
-    """Return what lies in the schema of a Parquet file, or beside a CSV file."""
-    side, text = path, (table.data.schema.metadata or {}).get(METADATA_KEY)
+def _description(path: Path, metadata: Any) -> Any:
+    """Return what lies in the metadata of a Parquet file, or beside a CSV file."""
+    side, text = path, (metadata or {}).get(METADATA_KEY)
     if path.suffix != ".parquet":
         side = path.with_suffix(".json")
         if not side.is_file():
             raise LogError(
                 f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
-                "calibrations (see docs/log-format.md)."
+                f"calibrations; {page('log-format')} shows one."
             )
         text = read_text(side, LogError)
     elif text is None:
         raise LogError(
             f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
-            "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
+            f"write the log with surefoot.experiments.write_log, or as {page('log-format')} says."
         )
     return parse_json(text, f"{side.name}: the description", LogError)

@@ -23,6 +23,8 @@ from surefoot.sensors.transport.link import Packet
 
 _IMU = "surefoot_imu"
 
+POSTURES, MOVES = 8, 1e-3  # postures that are looked at; move of a sole in m, or of its axes, that counts
+
 _NOT_NEEDED = (
     "geoms", "tendons", "actuators", "sensors", "equalities", "excludes", "keys", "skins", "meshes",
     "hfields", "textures", "materials",
@@ -53,6 +55,20 @@ class LogModel:
         if self._right_first:
             return com, momentum, sites[[0, 2, 1]], axes[[3, 4, 5, 0, 1, 2]]
         return com, momentum, sites, axes
+
+    def moving_soles(self, joint: Floats) -> list[str]:
+        """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
+        still = np.zeros(len(self.joint_names)), np.zeros(3)
+        found = []
+        for i, name in enumerate(self.joint_names):
+            for posture in joint[:: max(len(joint) // POSTURES, 1)]:
+                turned = posture.copy()
+                turned[i] *= -1.0
+                places = [np.vstack(self.evaluate(one, *still)[2:]).copy() for one in (posture, turned)]
+                if np.abs(places[0] - places[1]).max() > MOVES:
+                    found.append(name)
+                    break
+        return found
 
 
 def load_model(facts: MotionFacts, file: str) -> LogModel:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.experiments.logs.checks import LISTED, check_increasing
+from surefoot.experiments.logs.checks import check_increasing, naming_cure
 from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
@@ -38,6 +38,12 @@ class Motion(NamedTuple):
     accelerometer: NDArray[np.float64]  # specific force in m/s^2, IMU axes, shape (M, 3)
     gyroscope: NDArray[np.float64]  # in rad/s, IMU axes, shape (M, 3)
 
+    def turn(self, joint: int) -> "Motion":
+        """Return it with the sign of one joint turned round."""
+        angles = self.joint.copy()
+        angles[:, joint] *= -1.0
+        return self._replace(joint=angles)
+
 
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
     """Return joints (the model's, in order) and IMU of a table, without rows that lack one; or LogError."""
@@ -47,7 +53,10 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
         raise LogError(f"{file}: motion.held_rad names {unknown}; the model's hinges are {list(joints)}.")
     measured = [name for name in joints if name not in facts.held_rad]
     names = [*(f"joint_{name}_rad" for name in measured), *ACCELEROMETER, *GYROSCOPE]
-    values = {name: table.numbers(name) for name in table.require(["time_s", *names], LISTED)}
+    without = any(f"joint_{name}_rad" not in table for name in measured)
+    held = " A joint without a column is held at an angle by motion.held_rad." if without else ""
+    table.require(["time_s", *names], naming_cure(table) + held)
+    values = {name: table.numbers(name) for name in ("time_s", *names)}
     check_increasing(values["time_s"], file, repeats=True)
     for name in names:
         if not np.isfinite(values[name]).any():
@@ -63,8 +72,8 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     values = _rows_within(values, limits, file)
     packet = values.get(PACKET)
     number, time, period = _clock(values["time_s"], packet, facts, file)
-    held = {f"joint_{name}_rad": np.full(len(time), angle) for name, angle in facts.held_rad.items()}
-    joint = stack(values | held, [f"joint_{name}_rad" for name in joints])
+    still = {f"joint_{name}_rad": np.full(len(time), angle) for name, angle in facts.held_rad.items()}
+    joint = stack(values | still, [f"joint_{name}_rad" for name in joints])
     force, spin = stack(values, ACCELEROMETER), stack(values, GYROSCOPE)
     return Motion(number, time, period, joint, force, spin)
 

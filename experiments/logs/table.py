@@ -13,7 +13,7 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-_SHOWN = 4  # missing columns that a message names
+_SHOWN, _LISTED = 4, 24  # missing columns, and columns of a file, that a message names
 
 _KINDS = {
     b"\x89PNG": "is a PNG picture",
@@ -31,6 +31,14 @@ _NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that no line
 
 class LogError(ValueError):
     """A log that cannot be used; the message names the file, the column and the cure."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the names of columns as a message has them."""
+    shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
+    shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    alone = " (if the separator is none of ',', ';' and tab, say csv.separator)"
+    return shown + alone if len(names) == 1 else shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +82,9 @@ class LogTable:
         kind = column.type
         if pa.types.is_null(kind):
             return np.full(len(self), np.nan)
+        if pa.types.is_timestamp(kind):  # a date and a time of day: seconds since 1970
+            column = column.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64())
+            return 1e-9 * LogTable(self.file, pa.table({name: column})).numbers(name)
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
             # Times in nanoseconds since 1970 are larger than floats hold exactly; 0.3 microseconds do.
             column = column.cast(pa.float64(), safe=False)

@@ -1,5 +1,7 @@
-"""What is shown while one waits: on the standard error, and nothing where that is no terminal."""
+"""What is shown while one waits, on the standard error: bars; where that is no terminal, a line at times."""
 
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -9,13 +11,36 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
 Item = TypeVar("Item")
+
+
+EVERY = 60.0  # s between two lines in place of bars: a log of an hour stays one page
+
+
+class _Bars(Progress):
+    """Bars; where they are not shown, a line of text now and then."""
+
+    def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
+        super().__init__(*columns, **options)
+        self._said = time.monotonic()
+
+    def update(self, task_id: TaskID, **changes: Any) -> None:
+        """Update a task, and say how far it is if nothing was said for a while."""
+        super().update(task_id, **changes)
+        if self.disable and time.monotonic() - self._said >= EVERY:
+            self._said = time.monotonic()
+            task = self.tasks[self.task_ids.index(task_id)]
+            more = f", {said}" if (said := task.fields.get("said")) else ""
+            left = "" if task.time_remaining is None else f", {task.time_remaining:.0f} s left"
+            print(f"{task.description}: {task.completed:g} of {task.total:g}{more}{left}", file=sys.stderr)
 
 
 def bars(*beside: str, **options: Any) -> Progress:
@@ -28,13 +53,16 @@ def bars(*beside: str, **options: Any) -> Progress:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    return Progress(*columns, **_terminal(), **options)
+    return _Bars(*columns, **_terminal(), **options)
 
 
 def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
     """Yield items one by one behind a bar that is gone at the end."""
     with bars(transient=True) as shown:
-        yield from shown.track(items, description=what)
+        task = shown.add_task(what, total=len(items))
+        for item in items:
+            yield item
+            shown.update(task, advance=1)
 
 
 @contextmanager

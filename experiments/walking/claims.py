@@ -165,9 +165,9 @@ def _legs_cross(reference: Reference) -> bool:
     return bool(np.nanmedian(np.einsum("ni,ni->n", left, apart)) < 0.0)
 
 
-def thirds(claims: Claims) -> list[Claims]:
-    """Return the first, the middle and the last part of a log."""
-    edges = np.linspace(0, len(claims.raw), 4).astype(int)
+def parts_of(claims: Claims, count: int = 3) -> list[Claims]:
+    """Return a log in so many parts of one length, in order."""
+    edges = np.linspace(0, len(claims.raw), count + 1).astype(int)
     return [_cut(claims, slice(first, end)) for first, end in pairwise(edges)]
 
 

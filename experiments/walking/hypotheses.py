@@ -6,7 +6,7 @@ a log is for :func:`~surefoot.experiments.walking.claims.fit_claims` to say.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import combinations, permutations
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 
-DELAY = "feet late or early"
+DELAY, JOINT = "feet late or early", "joint sign"
 LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
 LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
 POUND = 0.45359237  # in kg
@@ -47,6 +48,22 @@ def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
     yield from _sizes(layout)
     yield from _times()
     yield from _beliefs()
+
+
+def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
+    """Yield a wrong sign of each joint of a log whose references were made of joints."""
+    for name, make in log.turned.items():
+        yield Hypothesis(
+            JOINT,
+            f"the joint '{name}' has the other sign",
+            f"turn the sign of column 'joint_{name}_rad' round",
+            partial(_remake, make=cache(make)),
+        )
+
+
+def _remake(claims: Claims, make: Callable[[], Reference]) -> Claims:
+    late = len(make().com) - len(claims.raw)  # made references are not late
+    return replace(claims, reference=Reference(*(np.asarray(part)[late:] for part in make())))
 
 
 def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:

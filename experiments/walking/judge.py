@@ -28,9 +28,9 @@ from surefoot.experiments.walking.claims import (
     condense,
     fit_claims,
     fit_parts,
-    thirds,
+    parts_of,
 )
-from surefoot.experiments.walking.hypotheses import DELAY, Hypothesis, hypotheses
+from surefoot.experiments.walking.hypotheses import DELAY, JOINT, Hypothesis, hypotheses, joint_hypotheses
 
 ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
 HINT = 1e3  # odds from which it is a notice
@@ -71,14 +71,20 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):
-        claims = claims_of(log, initial, _length(log))
+        claims = claims_of(log, initial, length_of(log))
         parts = condense(claims)
         plain = fit_parts(parts)
         if plain.rows == 0:
             return Verdict(tuple(far), (), plain)
-        explanations = _explain(claims, parts, plain, list(hypotheses(log.layout)))
+        tried = list(hypotheses(log.layout))
+        explanations = _explain(claims, parts, plain, tried)
         broken = _broken(claims, parts, raw_names_of(log.layout))
         found = _decide(claims, plain, explanations, broken)
+        joints = list(joint_hypotheses(log))
+        # A joint's sign takes its time: all references are made again.
+        if joints and found and not (found[0].refuses and found[0].contradicts):
+            explanations = _explain(claims, parts, plain, [*tried, *joints])
+            found = _decide(claims, plain, explanations, broken)
     if far and found and found[0].contradicts:
         far = []
     return Verdict((*far, *found), tuple(explanations), plain)
@@ -105,7 +111,7 @@ def _check_layout(log: Log) -> list[Finding]:
     return []
 
 
-def _length(log: Log) -> float:
+def length_of(log: Log) -> float:
     """Return the length of a foot in m."""
     places = [foot.position_cell_sole for foot in log.layout.feet]
     known = [float(np.ptp(one[:, :2], axis=0).max()) for one in places if one is not None]
@@ -116,8 +122,10 @@ def _explain(claims: Claims, parts: list[Claims], plain: Fit, tried: list[Hypoth
     """Fit the log, condensed to ``parts``, by each hypothesis; return the likeliest by falling likelihood."""
 
     def mend(one: Hypothesis) -> list[Claims]:
-        # All but delays may as well be undone in the means of blocks.
-        return condense(one.undo(claims)) if one.kind == DELAY else [one.undo(part) for part in parts]
+        # All but what changes times or postures may as well be undone in the means of blocks.
+        return (
+            condense(one.undo(claims)) if one.kind in (DELAY, JOINT) else [one.undo(part) for part in parts]
+        )
 
     # One prior is enough to see which are worth a closer look.
     rough = [fit_parts(mend(one), widths=WIDTHS[-1:]).evidence for one in tried]
@@ -184,7 +192,7 @@ def _decide(
         cure = _sentence(other.hypothesis.cure)
         return [Finding(other.hypothesis.kind, reason, cure, plain.worst, SOUND, refuses=False)]
     if plain.worst > SOUND:
-        parts = [fit for one in thirds(claims) if (fit := fit_claims(one)).rows]
+        parts = [fit for one in parts_of(claims) if (fit := fit_claims(one)).rows]
         refuses = plain.worst > GROSS and all(fit.worst > SOUND for fit in parts)
         reason = (
             f"Readings, layout, mass and motion contradict each other ({seen}), and no single mistake that "
@@ -209,7 +217,7 @@ def _percent(probability: float) -> str:
 
 def _everywhere(claims: Claims, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis is likelier than the log as it is in each third of it that says anything."""
-    mended = zip(thirds(claims), thirds(hypothesis.undo(claims)), strict=True)
+    mended = zip(parts_of(claims), parts_of(hypothesis.undo(claims)), strict=True)
     fits = [(fit_claims(one), fit_claims(other)) for one, other in mended]
     return all(other.evidence > one.evidence for one, other in fits if one.rows and other.rows)
 

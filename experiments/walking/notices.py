@@ -52,8 +52,8 @@ def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
         raise LogError(
             f"{file}: by the {start} map the feet carry {high:.4g} N where they carry most, {given}: "
             f"{ratio:.3g} times as much. {near[0] if near else ''}"
-            "Give scale_N_per_count and offset_N in newtons, mass_kg in kilograms, and a log in which the "
-            "robot stands on its feet."
+            "Give scale_N_per_count and offset_N in newtons (without offset_N it is read while a foot "
+            "swings), mass_kg in kilograms, and a log in which the robot stands on its feet."
         )
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.refusals import pass_or_refuse
-from surefoot.experiments.logs.table import LogError, read_table
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
@@ -34,7 +35,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at what cannot be
     read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
-    weighings = _read(path)
+    weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
     findings, out_of_line = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
@@ -63,8 +64,10 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     return CalibratedCells(out, table, notices)
 
 
-def _read(path: Path) -> Weighings:
-    table = read_table(path, "give a CSV of weighings, one a row.")
+def read_weighings(path: Path) -> Weighings:
+    """Read a table of weighings; LogError if it is none."""
+    mapping = TableMapping.beside(path)
+    table = mapping.read_mapped(path, "give a CSV of weighings, one a row.", mapping.columns)
     units = {"load_kg": GRAVITY, "load_N": 1.0}
     given = [name for name in units if name in table]
     if len(given) != 1:

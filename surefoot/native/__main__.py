@@ -1,17 +1,26 @@
-"""Compile all libraries of this package, for who installed without a compiler."""
+"""Compile all libraries of this package, for who installed without a compiler; or say where headers are."""
 
 import sys
+from argparse import ArgumentParser
+from collections.abc import Sequence
 from pathlib import Path
 
-from surefoot.native.build import sources_below
+from surefoot.native.build import SHARED, Sources, sources_below
 
 
-def main() -> str | None:
-    """Compile them and say where they are; return what went wrong."""
-    package, checkout = Path(__file__).parents[1:3]
-    # An unpacked sdist has no links: its packages lie side by side.
-    linked = any(sources_below(package)) or not (checkout / "setup.py").is_file()
-    for sources in sources_below(package if linked else checkout):
+def main(arguments: Sequence[str] = ()) -> str | None:
+    """Do what arguments say, by default compile the libraries; return what went wrong."""
+    parser = ArgumentParser(prog="python -m surefoot.native", description=__doc__)
+    parser.add_argument("--include", action="store_true", help="print the folders of headers as -I options")
+    parser.add_argument("--cmakedir", action="store_true", help="print the folder of surefoot-config.cmake")
+    wanted = parser.parse_args(arguments)
+    if wanted.include:
+        print(" ".join(f"-I{folder}" for folder in (*(one.folder for one in _sources()), SHARED)))
+    if wanted.cmakedir:
+        print(SHARED)
+    if wanted.include or wanted.cmakedir:
+        return None
+    for sources in _sources():
         problem = sources.compile()
         if problem:
             return f"Not compiled, {sources.name}: {problem}."
@@ -19,5 +28,13 @@ def main() -> str | None:
     return None
 
 
+def _sources() -> list[Sources]:
+    """Return the sources of all libraries."""
+    package, checkout = Path(__file__).parents[1:3]
+    # An unpacked sdist has no links: its packages lie side by side.
+    linked = any(sources_below(package)) or not (checkout / "setup.py").is_file()
+    return list(sources_below(package if linked else checkout))
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

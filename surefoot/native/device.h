@@ -13,7 +13,7 @@
 #pragma nv_diag_suppress 177, 222 /* functions that a kernel does not call; infinity is meant */
 #else
 #define SF_API static inline
-extern "C" double expm1(double);
+extern "C" double expm1(double), log1p(double);
 SF_API double fmin(double a, double b) { return b < a || a != a ? b : a; }
 SF_API double fmax(double a, double b) { return b > a || a != a ? b : a; }
 #endif

@@ -50,6 +50,7 @@ def move(
     *,
     walking: bool = True,
     lifted: Floats | None = None,
+    aside: tuple[float, float] = (0.0, 0.0),
 ) -> Motion:
     """Walk in place, or sway on both feet.
 
@@ -59,6 +60,7 @@ def move(
         errors: Of sensors and beliefs.
         walking: Whether feet are lifted in turn, half a second each.
         lifted: Share of the weight that somebody carries at each sample, shape (N,).
+        aside: Where from the centre of mass in m.
     """
     errors, rng = errors or Errors(), np.random.default_rng([11, seed])
     n = round(seconds / DT)
@@ -76,7 +78,7 @@ def move(
     torque = np.diff(about, axis=0, prepend=about[:1]) / DT + np.cross(middle, (0.0, 0.0, GRAVITY))
     if lifted is not None:
         force[:, 2] -= lifted * GRAVITY
-        torque -= np.cross(middle, lifted[:, None] * (0.0, 0.0, GRAVITY))
+        torque -= np.cross(middle + np.array([*aside, 0.0]), lifted[:, None] * (0.0, 0.0, GRAVITY))
     cop = np.column_stack([-torque[:, 1], torque[:, 0]]) / force[:, 2:]
     soles = np.tile([[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]], (n, 1, 1))
     step = (time // 0.5).astype(int) % 4

@@ -18,6 +18,7 @@ from surefoot.calibration.momentum.config import MomentumConfig
 from surefoot.calibration.momentum.filter import MomentumFilter
 
 STATED = Errors.stated()
+ACCUSED = Flag.LOST | Flag.SWAPPED | Flag.FLIPPED | Flag.DEAD | Flag.STUCK
 
 
 def calibrated(log, **options):
@@ -94,14 +95,25 @@ def test_nothing_is_learnt_from_a_robot_that_is_held(share):
     assert held[round(6.5 / DT) : round(11.5 / DT)].mean() > 0.5
     assert not held[: round(6.0 / DT)].any()
     assert not held[round(13.5 / DT) :].any()
-    accused = Flag.LOST | Flag.SWAPPED | Flag.FLIPPED | Flag.DEAD | Flag.STUCK
-    assert not (estimate.flags & accused).any()
+    assert not (estimate.flags & ACCUSED).any()
 
 
 def test_a_load_that_stays_is_no_error_of_the_cells():
     log = move(2, 16.0, STATED, lifted=-lifted(0.1, 6.0, 1e9, 16.0))
     estimate = calibrated(log)
     assert rmse(estimate, log, 10.0) < 1.5 * rmse(estimate, log, 4.0, 6.0)
+
+
+def test_a_load_at_the_side_moves_the_centre_of_mass_and_not_the_cells():
+    log = move(2, 16.0, STATED, walking=False, lifted=-lifted(0.1, 8.0, 1e9, 16.0), aside=(0.1, -0.2))
+    estimate = calibrated(log)
+    position = np.concatenate([foot.position_cell_sole for foot in LAYOUT.feet])
+    sole = log.reference.position_sole[0].repeat(4, axis=0)
+    cop, truth = (
+        force @ (position + sole) / force.sum(axis=1)[:, None] for force in (estimate.force, log.force)
+    )
+    off = np.linalg.norm((cop - truth)[:, :2], axis=1)
+    assert off[round(12.0 / DT) :].mean() < off[round(4.0 / DT) : round(8.0 / DT)].mean() + 0.002
 
 
 def test_zeros_that_leap_are_tared_at_the_next_swing():
@@ -111,6 +123,40 @@ def test_zeros_that_leap_are_tared_at_the_next_swing():
     estimate = calibrated(log._replace(raw=raw))
     assert rmse(estimate, log, 8.0) < 0.008
     assert not (estimate.flags & (Flag.LOST | Flag.SWAPPED)).any()
+
+
+def spoilt(log, kind, at):
+    """Readings with a fault of all or of two cells from a sample on."""
+    raw, empty = log.raw.copy(), -NOMINAL.offset / NOMINAL.scale
+    read = raw[at:] - empty
+    raw[at:] = (
+        empty
+        + {
+            "tared": read - read[0],
+            "stepped": read + 0.06 * WEIGHT / NOMINAL.scale,
+            "swapped": (read * NOMINAL.scale)[:, [0, 2, 1, *range(3, 8)]] / NOMINAL.scale,
+            "flipped": read * np.where(np.arange(8) == 5, -1.0, 1.0),
+        }[kind]
+    )
+    return log._replace(raw=raw)
+
+
+@pytest.mark.parametrize(("kind", "walking"), [("tared", True), ("tared", False), ("stepped", True)])
+def test_zeros_that_leap_together_are_put_back_and_accuse_nobody(kind, walking):
+    log = move(6, 14.0, STATED, walking=walking)
+    estimate = calibrated(spoilt(log, kind, round(8.03 / DT)))
+    assert rmse(estimate, log, 10.0) < 1.2 * rmse(calibrated(log), log, 10.0)
+    assert not (estimate.flags & ACCUSED).any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "flag", "cells"), [("swapped", Flag.SWAPPED, (1, 2)), ("flipped", Flag.FLIPPED, (5,))]
+)
+def test_exchanged_and_flipped_cells_are_found_and_put_right(kind, flag, cells):
+    log = move(6, 16.0, STATED)
+    estimate = calibrated(spoilt(log, kind, round(8.03 / DT)))
+    assert ((estimate.flags[-1] & ACCUSED) == np.where(np.isin(np.arange(8), cells), flag, 0)).all()
+    assert rmse(estimate, log, 13.0) < 1.2 * rmse(calibrated(log), log, 13.0)
 
 
 def test_the_others_are_tared_while_a_channel_is_lost_and_it_comes_back():

@@ -83,7 +83,7 @@ def test_rows_are_the_derivatives_of_what_acts(layout):
     rng = np.random.default_rng(1)
     x = first_mean(columns) + 0.03 * rng.normal(size=columns.size)
     x[columns.com], x[columns.mass], x[columns.delay] = 0.0, 0.0, 0.0
-    rows = made.rows(samples, x[columns.weighed], np.zeros(layout.channels))
+    rows = made.rows(samples, x[columns.map], np.zeros(layout.channels))
 
     def both(x):
         momenta = momentum_of(samples, layout, rows.point, x, columns)
@@ -102,7 +102,7 @@ def test_rows_are_the_derivatives_of_what_acts(layout):
 
 def test_a_delay_shifts_what_is_measured():
     columns, samples = Columns.of(LAYOUT), block()
-    rows = Model(setup(), CONFIG, columns).rows(samples, first_mean(columns)[columns.weighed], np.zeros(8))
+    rows = Model(setup(), CONFIG, columns).rows(samples, first_mean(columns)[columns.map], np.zeros(8))
     momenta = momentum_of(samples, LAYOUT, rows.point, first_mean(columns), columns)
     slope = momenta[-1] / samples.duration
     velocity = samples.velocity.mean(axis=0)
@@ -130,7 +130,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
     """One linear row after another, on a wide prior and on each prior itself; then weighed by hand."""
     columns, rng = Columns.of(LAYOUT), np.random.default_rng(3)
     spread = Spread.of(setup(), CONFIG)
-    severity, of = Severity(columns, spread), columns.weighed
+    severity, of = Severity(columns, spread), columns.map
     H = np.zeros((6, columns.size))
     H[:, of] = rng.normal(size=(6, of.stop)) * np.sqrt(first_variance(columns, spread, CONFIG)[of])
     y, R = 0.5 * rng.normal(size=6), 0.01 * np.eye(6)
@@ -145,7 +145,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
         likelihood = -0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1])
         return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
 
-    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
+    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted * np.array([1.0 / 25.0, 1.0]))[0]
     mean, covariance, widely = posterior(wide)
     found = severity.weigh(mean[None], covariance[None], drifted)
     means, covariances, chances = [], [], []
@@ -175,13 +175,13 @@ def test_without_data_all_is_undetermined():
     assert found.evidence[0] == pytest.approx(0.0, abs=1e-9)
     found = found.publish(np.ones(1))
     np.testing.assert_allclose(found.undetermined, 1.0)
-    np.testing.assert_allclose(found.mean, first_mean(columns)[columns.weighed])
+    np.testing.assert_allclose(found.mean, first_mean(columns)[columns.map])
 
 
 def test_modes_keep_their_chance_and_what_they_know():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     mean, variance = first_mean(columns), first_variance(columns, spread, CONFIG)
-    rows = Model(setup(), CONFIG, columns).rows(block(), mean[columns.weighed], np.zeros(8))
+    rows = Model(setup(), CONFIG, columns).rows(block(), mean[columns.map], np.zeros(8))
     covariances = []
     for mode in MODES:
         variance[columns.wrench] = wrench_variance(mode, rows)

@@ -18,6 +18,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.episodes.episode import failed_row
 from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -85,6 +86,12 @@ def log() -> Log:
     )
 
 
+@pytest.fixture(scope="session")
+def walks() -> dict[str, Log]:
+    """Give a walk of 16 s from a bad start and from calibrated cells."""
+    return record_walk(0.04, 11, 16.0)
+
+
 @pytest.fixture
 def invented(monkeypatch):
     """Episodes that take no time, and a note of each that was run."""
@@ -136,6 +143,7 @@ class RecordedWalk:
             part = values[:, getattr(where, sensor)]
             columns |= {f"{sensor}_{axis}_{unit}": part[:, i] for i, axis in enumerate("xyz")}
         self.motion = pd.DataFrame(columns)
+        self.model = env.beliefs.model
         self.force = np.array(force)
         self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
         self.description = {

@@ -22,6 +22,7 @@ from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.logs.motion import count_rows, even_times
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import standard_deviations
+from surefoot.names import page
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
 
@@ -302,7 +303,7 @@ BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "two clocks that do not overlap": (
         change("# Proposed", '[offsets_s]\n"/imu" = 1000.0\n# Proposed'),
-        "{bag}: topics do not overlap: '/joint_states' from ",
+        "{bag}: no overlap in time: '/joint_states' from ",
     ),
     "joints and feet that do not overlap": (
         change("# Proposed", '[offsets_s]\n"/joint_states" = 100.0\n"/imu" = 96.3\n# Proposed'),
@@ -316,8 +317,8 @@ BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no description": (
         lambda path: path.with_suffix(".json").unlink(),
-        "{bag}: the description walk.json is not beside it; it holds layout, mass and calibrations (see "
-        "docs/log-format.md).",
+        "{bag}: the description walk.json is not beside it; it holds layout, mass and calibrations; "
+        f"{page('log-format')} shows one.",
     ),
     "no bag": (
         lambda path: path.unlink() if path.is_file() else shutil.rmtree(path),

@@ -167,7 +167,8 @@ def test_agreement_does_not_see_where_the_level_frame_lies(log: Log) -> None:
 
 WEIGHT = "and mass_kg = 5.3 weighs 51.99 N"
 ADVICE = (
-    "Give scale_N_per_count and offset_N in newtons, mass_kg in kilograms, and a log in which the robot "
+    "Give scale_N_per_count and offset_N in newtons (without offset_N it is read while a foot swings), "
+    "mass_kg in kilograms, and a log in which the robot "
     "stands on its feet."
 )
 UNITS = {

@@ -5,6 +5,7 @@ import dataclasses
 import importlib.util
 import io
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from surefoot.experiments.study.tables import Table
 RUNNER = CliRunner()
 
 
-COMMANDS = ("demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay")
+COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay")
 
 
 def test_version_and_help() -> None:
@@ -89,7 +90,7 @@ def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path, undrawn: N
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.moment.parquet").is_file()
+    assert (tmp_path / "new" / "walk.momentum.parquet").is_file()
 
 
 def test_calibrating_from_weights(tmp_path: Path) -> None:
@@ -178,6 +179,52 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) 
             then("writing")
         words = {word for word in ("counting", "3/3", "writing") if word in seen.getvalue()}
         assert words == ({"counting", "3/3", "writing"} if terminal else set())
+
+
+def test_without_a_terminal_a_line_is_said_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    with progress.bars("{task.fields[said]}") as shown:
+        task = shown.add_task("Episodes", total=3, said="")
+        for done in range(1, 4):
+            shown.update(task, advance=1, said=f"{done} fell")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.rpartition(", ")[0] or line for line in lines][1:] == [
+        "Episodes: 2 of 3, 2 fell",
+        "Episodes: 3 of 3, 3 fell",
+    ]
+    assert lines[0].startswith("Episodes: 1 of 3, 1 fell")
+
+
+@pytest.mark.parametrize("module", ["typer", "mujoco._specs", "surefoot.experiments.episodes.run"])
+def test_an_interruption_ends_in_one_line(tmp_path: Path, module: str) -> None:
+    """Ctrl-C comes when a module is about to be imported, of Python or of C, before or in the command."""
+    code = (
+        "import os, signal, sys\n"
+        "from surefoot.__main__ import main\n"
+        "def heard(event, given):\n"
+        f"    if event == 'import' and given[0] == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.addaudithook(heard)\n"
+        f"sys.argv = ['surefoot', 'sweep', '--out', {str(tmp_path)!r}]\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stderr, done.stdout) == ("Stopped.\n", "")
+    # CPython may end by the signal itself, which a shell calls 130 as well.
+    assert done.returncode in (130, -signal.SIGINT)
+
+
+def test_shells_complete_commands() -> None:
+    script = RUNNER.invoke(app, ["--show-completion", "bash"], prog_name="surefoot").stdout
+    assert "_SUREFOOT_COMPLETE=complete_bash" in script
+    asked = {"_SUREFOOT_COMPLETE": "complete_bash", "COMP_WORDS": "surefoot calibrate w", "COMP_CWORD": "2"}
+    assert RUNNER.invoke(app, [], prog_name="surefoot", env=asked).stdout.split() == ["walk", "weights"]
+
+
+def test_help_names_the_address_of_a_page() -> None:
+    shown = RUNNER.invoke(app, ["calibrate", "weights", "--help"]).stdout
+    assert f"/blob/v{surefoot.__version__}/docs/weights.md" in "".join(shown.split())
 
 
 def fails(arguments: list[str], message: str) -> None:

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from surefoot.calibration import CalibrationRefused, Reference
 from surefoot.experiments import record_walk, write_log
 from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.format import Log, LogError, read_log
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import calibrate_log
@@ -37,12 +38,6 @@ def _spoilers() -> dict[str, tuple[str, Callable[..., Log]]]:
 
 SPOILERS = _spoilers()
 RUNNER = CliRunner()
-
-
-@pytest.fixture(scope="module")
-def walks() -> dict[str, Log]:
-    """Give a walk of 16 s from a bad start and from calibrated cells."""
-    return record_walk(0.04, 11, 16.0)
 
 
 @pytest.fixture(scope="module")
@@ -245,8 +240,7 @@ class TestFeetAlone:
         with pytest.raises(LogError) as refused:
             read_log(path)
         assert str(refused.value).endswith(
-            "docs/log-format.md lists every column and its unit. Feet alone, without references, can be "
-            "calibrated by --method tare or none."
+            f"{LISTED} Feet alone, without references, can be calibrated by --method tare or none."
         )
 
 

@@ -15,9 +15,12 @@ from typer.testing import CliRunner
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.logs.motion import count_rows
+from surefoot.experiments.walking.judge import judge_log
+from surefoot.experiments.walks.replay import starting_map
 
 NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 MOTION = ("joint_", "accelerometer_", "gyroscope_")
@@ -53,6 +56,18 @@ def recorded(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> An
         recorded_walk.log, recorded_walk.motion, path, recorded_walk.description
     )
     return recorded_walk
+
+
+@pytest.mark.parametrize("joint", ["RHipRoll", "LAnklePitch"])
+def test_a_joint_of_the_wrong_sign_is_named(recorded: Any, tmp_path: Path, joint: str) -> None:
+    name = f"joint_{joint}_rad"
+    motion = recorded.motion.assign(**{name: -recorded.motion[name]})
+    log = read_log(write_motion(recorded.log, motion, tmp_path / "walk.csv", recorded.description))
+    assert not {"HeadYaw", "LElbowRoll"} & set(log.turned)
+    found = judge_log(log, starting_map(log)).findings[0]
+    assert (found.name, found.refuses) == ("joint sign", True)
+    assert f"the joint '{joint}' has the other sign" in found.reason
+    assert found.cure == f"Turn the sign of column '{name}' round."
 
 
 @pytest.mark.slow
@@ -329,7 +344,8 @@ def _scaled(prefix: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame
 BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "no column": (
         lambda t: t.drop(columns="joint_left_hip_rad"),
-        "missing column joint_left_hip_rad; docs/log-format.md lists every column and its unit.",
+        f"missing column joint_left_hip_rad; {LISTED} A joint without a column is held at an angle by "
+        "motion.held_rad.",
     ),
     "never a number": (
         lambda t: t.assign(joint_left_hip_rad=np.nan),

@@ -1,10 +1,14 @@
 """Libraries in C: what is said of one that is missing or wrong."""
 
+import shutil
 import subprocess
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from surefoot.calibration.native import NATIVE
+from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
+from surefoot.calibration.native import NATIVE, c_source
 from surefoot.native import Sources, __main__, build, compiler
 from surefoot.native.__main__ import main
 from surefoot.native.library import say_once
@@ -85,3 +89,37 @@ def test_packages_side_by_side_are_found_in_an_sdist_alone(sdist, monkeypatch, t
     monkeypatch.setattr(Sources, "compile", lambda self: None)
     assert main() is None
     assert ("surefoot_calibration" in capsys.readouterr().out) is sdist
+
+
+def test_it_says_where_the_headers_are(capsys):
+    assert main(["--include"]) is None
+    folders = [Path(option.removeprefix("-I")) for option in capsys.readouterr().out.split()]
+    headers = {path.name for folder in folders for path in folder.glob("*.h")}
+    assert {"surefoot_calibration.h", "surefoot_beliefs.h", "surefoot_sensors.h", "library.h"} <= headers
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None or compiler() is None, reason="needs cmake and a compiler")
+def test_cmake_finds_the_headers(tmp_path, capsys):
+    """A program with robot.h, as a wheel's user would build it."""
+    initial = Parameters(np.full(8, 2e-5), np.zeros(8))
+    setup = OnlineSetup(layout=nao_shoe_layout(), mass=5.3, initial=initial)
+    (tmp_path / "robot.h").write_text(c_source(setup))
+    program = (
+        '#include <stdio.h>\n#include "robot.h"\nint main(void) { printf("%d", robot.channels); return 0; }'
+    )
+    (tmp_path / "main.c").write_text(program)
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.10)\nproject(mine C)\nfind_package(surefoot REQUIRED CONFIG)\n"
+        "add_executable(mine main.c)\ntarget_link_libraries(mine PRIVATE surefoot::surefoot m)\n"
+    )
+    main(["--cmakedir"])
+    folder = capsys.readouterr().out.strip()
+    build_folder = str(tmp_path / "build")
+    commands = (
+        ["cmake", "-S", str(tmp_path), "-B", build_folder, f"-Dsurefoot_DIR={folder}"],
+        ["cmake", "--build", build_folder],
+    )
+    for command in commands:
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert subprocess.run([f"{build_folder}/mine"], capture_output=True, text=True).stdout == "8"

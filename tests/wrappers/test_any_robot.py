@@ -307,7 +307,7 @@ def keep_falling(env: gym.Env[Any, Any], steps: int) -> None:
 
 
 def test_who_learns_nothing_is_told_why_once() -> None:
-    env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True))
+    env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True), "moment")
     with pytest.warns(UserWarning, match="SelfCalibration has learnt nothing in 1[0-9] s") as told:
         keep_falling(env, 900)
     text = str(told[0].message)

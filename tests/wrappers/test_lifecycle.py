@@ -94,8 +94,6 @@ def stood(files) -> SelfCalibration:
 
 def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(stood) -> None:
     env = stood
-    while env.calibrator.state.due:
-        steps(env, 1)
     learnt = env.estimate
     assert np.abs(learnt.offset - env.env.instruments.nominal.offset).max() > 0.1
     _, info = env.reset()

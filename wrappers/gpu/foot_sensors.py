@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
+from surefoot.names import page
 from surefoot.robot.sensing.device import FootDevice, first_steps, foot_device
 from surefoot.robot.streams import SENSOR_STREAM, device_streams
 from surefoot.sensors import Fault, LoadCells, parse_fault, scaled
@@ -254,7 +255,7 @@ class FootSensorsModule(BatchModule):
         if device is None:
             raise ValueError(
                 "There is no kernel for such sensors, which FootSensors reads in Python: cells that average "
-                "('settling') without a clock ('rate'), or of more mechanics than docs/native.md allows."
+                f"('settling') without a clock ('rate'), or of more mechanics than {page('native')} allows."
             )
         return device
 

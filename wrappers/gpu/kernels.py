@@ -5,7 +5,7 @@ for: the table in ``library.c``, compiled for the CPU, tells where their fields 
 """
 
 # Warp reads types of arguments that mypy does not know.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator, valid-type"
+# mypy: disable-error-code="arg-type, no-untyped-def, untyped-decorator, valid-type"
 
 import ctypes
 from collections.abc import Sequence
@@ -30,6 +30,12 @@ SOURCES = MappingProxyType({"calibration": CALIBRATION.sources, "sensors": SENSO
 ARRAYS = 9
 """Arrays that a kernel is given."""
 
+WARP = 32
+"""Threads of a block: one warp, so that a few thousand robots are spread over all multiprocessors."""
+
+THREADS = 256
+"""Threads of a large kernel that a GPU's multiprocessor runs at once: each takes 255 of 65,536 registers."""
+
 Bytes = wp.array2d[wp.uint8]
 
 
@@ -39,7 +45,8 @@ class Kernel:
     Args:
         package: Whose headers, a key of :data:`SOURCES`.
         headers: Those that are needed.
-        body: What a thread does, in C. It has the number ``robot`` and what :meth:`launch` is given.
+        body: What is done for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
+            what :meth:`launch` is given.
         fits: Functions of ``library.c`` that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
         single: Whether its numbers are floats rather than doubles.
@@ -77,7 +84,7 @@ class Kernel:
 
     def launch(
         self, robots: int, arrays: Sequence[Tensor], what: int = 0, rows: int = 0, count: int = 0,
-        dt: float = 0.0, span: float = 0.0,
+        dt: float = 0.0, span: float = 0.0, workers: int | None = None,
     ) -> None:  # fmt: skip
         """Run it for all robots on the stream that torch uses.
 
@@ -93,13 +100,17 @@ class Kernel:
             count: The third.
             dt: The first time in s.
             span: The second.
+            workers: How many threads share the robots; by default each has its own.
         """
         device = arrays[0].device
         shared = [wp.from_torch(array.view(torch.uint8).reshape(len(array), -1)) for array in arrays]
         shared += shared[:1] * (ARRAYS - len(shared))
         stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
-        inputs = [what, rows, count, dt, span, *shared]
-        wp.launch(self._steps, robots, inputs, device=wp.device_from_torch(device), stream=stream)
+        workers = workers or robots
+        inputs = [robots, workers, what, rows, count, dt, span, *shared]
+        wp.launch(
+            self._steps, workers, inputs, device=wp.device_from_torch(device), stream=stream, block_dim=WARP
+        )
 
     @property
     def module(self) -> Any:
@@ -116,6 +127,13 @@ def kernel(*given: Any) -> Kernel:
     return Kernel(*given)
 
 
+def threads_at_once(device: torch.device) -> int:
+    """Return how many threads of a large kernel a device runs at once: on a CPU one after the other."""
+    if device.type != "cuda":
+        return 1
+    return THREADS * torch.cuda.get_device_properties(device).multi_processor_count
+
+
 def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
     """Return a kernel of Warp in a module of its own; nothing is compiled yet."""
 
@@ -123,16 +141,20 @@ def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
     def step(
         what: int, rows: int, count: int, dt: wp.float64, span: wp.float64, config: Bytes, state: Bytes,
         own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes, other: Bytes, rest: Bytes,
-        robot: int,
+        robot: int, worker: int,
     ): ...  # fmt: skip
 
     def steps(
-        what: int, rows: int, count: int, dt: wp.float64, span: wp.float64, config: Bytes, state: Bytes,
-        own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes, other: Bytes, rest: Bytes,
+        robots: int, workers: int, what: int, rows: int, count: int, dt: wp.float64, span: wp.float64,
+        config: Bytes, state: Bytes, own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes,
+        other: Bytes, rest: Bytes,
     ):  # fmt: skip
-        step(
-            what, rows, count, dt, span, config, state, own, given, more, found, marks, other, rest, wp.tid()
-        )
+        worker = wp.tid()
+        for robot in range(worker, robots, workers):
+            step(
+                what, rows, count, dt, span, config, state, own, given, more, found, marks, other, rest,
+                robot, worker,
+            )  # fmt: skip
 
     folders = [folder.resolve() for folder in (SHARED, SOURCES[package].folder)]
     preamble = "\n".join([*lines, ""])

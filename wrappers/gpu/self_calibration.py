@@ -1,60 +1,93 @@
 """Calibrators for thousands of robots at once: readings and beliefs in, calibrated forces out, on the device.
 
-    calibrator = SelfCalibrationModule(layout, "moment", env.num_envs, env.device, mass=35.0,
+    calibrator = SelfCalibrationModule(layout, "momentum", env.num_envs, env.device, mass=35.0,
                                        dt=env.step_dt, lag=0, initial=feet.nominal)
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
 A step is one kernel of the headers in ``calibration/native/``, a robot a thread; nothing is copied to the
-host.
+host. Its numbers are doubles, whatever the dtype of tensors: filters need them.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
+from surefoot.calibration import (
+    Estimate,
+    FeetLayout,
+    MomentumReference,
+    OnlineSetup,
+    Parameters,
+    Reference,
+    online_method,
+)
+from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.momentum.filter import MomentumFilter
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.calibration.state import check_leaves
-from surefoot.names import plain_name
+from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
-from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of, views
-from surefoot.wrappers.gpu.kernels import kernel
+from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, views
+from surefoot.wrappers.gpu.kernels import kernel, threads_at_once
 
 _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
 """What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,
 or to take back, if its robot is marked."""
 
+_HEADERS = "surefoot_calibration", "surefoot_beliefs", "surefoot_momentum", "surefoot_window"
 
-_HEADERS = "surefoot_calibration", "surefoot_beliefs", "surefoot_window"
+
+def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
+    """Return how large the momentum filter's arrays are, besides those of any method."""
+    own = MomentumFilter(setup, MomentumConfig(**options)).constants[0]._asdict()
+    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"]}
+
+
+def _moment_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
+    """Return the same of the moment filter, for any options of the usual sizes."""
+    sensors = [sensor for foot in setup.layout.feet for sensor in foot.sensors]
+    six_axis = any(sensor.six_axis for sensor in sensors)
+    return {"CELLS": setup.layout.channels, "KINDS": 6 if six_axis else 3, "SENSORS": len(sensors)}
 
 
 class _Steps(NamedTuple):
-    """A method in C: its state, what it works in, its own constants, and calls of its functions."""
+    """A method in C: its state, what it works in, its own constants, calls of its functions, its sizes."""
 
     state: str
     work: str
     own: str
     step: str
     retract: str = ""
+    sizes: Callable[[OnlineSetup, dict[str, Any]], dict[str, int]] = lambda setup, options: {}
 
 
 _WINDOW = _Steps(
     "sf_window_state",
     "sf_window_work",
     "sf_window_config",
-    "sf_window_step(c, m, s, work, raw, &belief.reference, imu, (sf_real)dt, out)",
+    "sf_window_step(c, m, s, work, raw, &belief.reference, imu, dt, out)",
 )
 _STEPS = {
     "moment": _Steps(
         "sf_state",
         "sf_work",
         "char",
-        "sf_calibrator_step_with(c, s, work, raw, &belief.reference, (sf_real)dt, out)",
+        "sf_calibrator_step_with(c, s, work, raw, &belief.reference, dt, out)",
         "sf_calibrator_retract_with(c, s, work)",
+        _moment_sizes,
+    ),
+    "momentum": _Steps(
+        "sf_momentum_state",
+        "sf_momentum_work",
+        "sf_momentum_config",
+        "sf_momentum_step(c, m, s, work, raw, &belief.reference, dt, out)",
+        "sf_momentum_retract(c, m, s)",
+        _block_sizes,
     ),
     "window": _WINDOW,
     "quasi-static": _WINDOW,
@@ -62,18 +95,16 @@ _STEPS = {
         "sf_tare_state",
         "char",
         "sf_tare_config",
-        "sf_tare_step(c, m, s, raw, &belief.reference, (sf_real)dt, out)",
+        "sf_tare_step(c, m, s, raw, &belief.reference, dt, out)",
     ),
-    "none": _Steps(
-        "sf_front", "char", "char", "sf_uncorrected_step(c, s, raw, &belief.reference, (sf_real)dt, out)"
-    ),
+    "none": _Steps("sf_front", "char", "char", "sf_uncorrected_step(c, s, raw, &belief.reference, dt, out)"),
 }
 
 _BODY = """
     const sf_config *c = (const sf_config *)config.data;
     const {own} *m = (const {own} *)rest.data;
     {state} *s = ({state} *)state.data + robot;
-    {work} *work = ({work} *)own.data + (own.shape[0] > 1 ? robot : 0);
+    {work} *work = ({work} *)own.data + worker;
     if (what & 12) {{
         if (!((const unsigned char *)given.data)[robot]) return;
         if (what & 4) *s = *(const {state} *)more.data;
@@ -117,7 +148,7 @@ class SelfCalibrationModule(BatchModule):
     Args:
         layout: How the channels make up the feet's wrenches.
         method: A key of :data:`~surefoot.calibration.online.METHODS` that comes with this package.
-        num_envs: Number N of robots.
+        num_envs: Number N of robots, one by default.
         device: Where everything is.
         dtype: Of readings and estimates, ``float32`` or ``float64``.
         mass: Mass of the robots as they believe it, in kg.
@@ -142,8 +173,8 @@ class SelfCalibrationModule(BatchModule):
     def __init__(
         self,
         layout: FeetLayout,
-        method: str,
-        num_envs: int,
+        method: str = "momentum",
+        num_envs: int = 1,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
         *,
@@ -160,71 +191,91 @@ class SelfCalibrationModule(BatchModule):
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
         self._options = dict(sorted(options.items()))
-        self._limits = online_method(self.method, self.setup, **options).limits
+        self._limits = dict(online_method(self.method, self.setup, **options).limits)
         if self.method not in _STEPS:
             raise ValueError(
                 f"Method {self.method!r} has no kernel; methods that have one: {', '.join(_STEPS)}."
             )
-        steps, sizes = _STEPS[self.method], _sizes(layout, self.setup.lag)
+        steps = _STEPS[self.method]
+        sizes = {
+            "CHANNELS": layout.channels,
+            "LAG": max(8, self.setup.lag),
+            **steps.sizes(self.setup, options),
+        }
         body, fits = _BODY.format(**steps._asdict()), ("surefoot_fits",)
-        self._kernel = kernel("calibration", _HEADERS, body, fits, sizes, DTYPES[dtype])
+        self._kernel = kernel("calibration", _HEADERS, body, fits, tuple(sizes.items()), False)
         library = self._kernel.library
         native = native_filter(library, self.method, self.setup, options)
         fresh = None if native is None else native.pack(native.constants.like)
         if native is None or fresh is None:
             raise ValueError(
-                f"There is no kernel of {self.method!r} with the options {self._options}; docs/native.md has "
-                "its limits."
+                f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
+                f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
-        own = native.constants.own
-        self._config, self._fresh = self._record(native.constants.config), self._record(fresh.record)
-        self._own = self._config if own is None else self._record(own)
-        # On a CPU robots come one after the other, and nothing is remembered in what they work in.
-        working = num_envs if self.device.type == "cuda" else 1
+        constants = native.constants
+        self._config, self._fresh = self._record(constants.config), self._record(fresh.record)
+        self._own = self._config if constants.own is None else self._record(constants.own)
+        # Nothing is remembered in what they work in: robots that wait for a thread share it.
+        self._workers = min(num_envs, threads_at_once(self.device))
         size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
-        self._work = self._nothing(working, size)
-        self._beliefs, estimate = (
-            self._nothing(num_envs, library.places[name][""][2]) for name in ("belief", "estimate")
-        )
+        self._work = self._nothing(self._workers, size)
+        given = native.references
+        self._beliefs = {kind: self._record(record, num_envs) for kind, record in given.items()}
+        estimate = self._nothing(num_envs, library.places["estimate"][""][2])
         self._state = self._kept("state", self._fresh.expand(num_envs, -1))
         self._estimate = self._kept("estimate", estimate)
         self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
-        self._layouts = native.belief.dtype, fresh.record.dtype, native.estimate.now.dtype
+        self._kinds = {kind: record.dtype for kind, record in given.items()}
+        self._layouts = fresh.record.dtype, native.estimate.now.dtype
         self._view()
-        self._certain = native.certain
-        self._talks = None if native.constants.matrix is None else self._scales(native.constants.config)
+        self._covariance = constants.covariance
+        certain = constants.covariance is not None
+        self._untold = (
+            *(() if constants.contact else ("undetermined", "contact_probability")),
+            *(() if certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
+        )
+        self._talks = None if constants.matrix is None else self._scales(constants.config)
 
-    def forward(self, counts: Tensor, reference: Reference, step: int | None = None) -> Estimate:
+    def forward(
+        self, counts: Tensor, reference: Reference | MomentumReference, step: int | None = None
+    ) -> Estimate:
         """Take in one sample of all robots.
 
         Args:
             counts: Readings, shape (N, K); NaN where no sample arrived.
-            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...).
+            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...); method ``"momentum"``
+                takes a :class:`~surefoot.calibration.MomentumReference` as well.
             step: Number of the simulation step, if the module has no ``counter``.
 
         Returns:
             The calibrated sample, the caller's own.
 
         Raises:
-            TypeError: If readings or a field are no tensor.
+            TypeError: If readings or a field are no tensor, or the method takes no such reference.
             ValueError: If a shape or a device is not the module's.
         """
-        counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels).contiguous()
-        for name, believed in self._believed.items():
-            believed.copy_(self._belief(name, getattr(reference, name), believed.shape))
+        counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels)
+        kind = type(reference)
+        if kind not in self._believed:
+            names = " or a ".join(taken.__name__ for taken in self._believed)
+            raise TypeError(f"'reference' must be a {names}, got {kind.__name__}.")
+        believed = self._believed[kind]
+        for name, values in reference._asdict().items():
+            if name in believed:
+                believed[name].copy_(self._belief(name, values, believed[name].shape))
         advances = self._begins(step)
         if advances or self._asked:
-            self._run(_ADVANCE * advances + _FROZEN * self.frozen, counts, self._beliefs)
+            told = _ADVANCE * advances + _FROZEN * self.frozen
+            self._run(told, counts.double().contiguous(), self._beliefs[kind])
             self._asked = False
-        one: dict[str, Any] = views(self._estimate.clone(), self._layouts[2])
-        if not self._certain:
-            one |= dict.fromkeys(("force_std", "cop_covariance", "nis", "nis_rows"))
-        else:
-            one["covariance"] = self._learnt["learnt"].clone()
+        one: dict[str, Any] = {name: self._copy(part) for name, part in self._found.items()}
+        one |= dict.fromkeys(self._untold)
+        if self._covariance is not None:
+            one["covariance"] = self._copy(self._learnt[self._covariance])
         if self._talks is not None:
             to, origin = self._talks
             one["matrix"] = counts.new_zeros((*counts.shape, counts.shape[-1]))
-            one["matrix"][:, to, origin] = self._learnt["given"][:, : len(to)]
+            one["matrix"][:, to, origin] = self._copy(self._learnt["given"][:, : len(to)])
         return Estimate(**{name: one.get(name) for name in Estimate._fields})
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
@@ -276,7 +327,7 @@ class SelfCalibrationModule(BatchModule):
             ValueError: If it is of another calibrator, or holds what no state can; nothing is changed.
         """
         if getattr(state.get("state"), "shape", None) == self._state.shape:
-            saved = views(state["state"], self._layouts[1])
+            saved = views(state["state"], self._layouts[0])
             leaves = {name: part.cpu().numpy() for name, part in saved.items()}
             check_leaves(leaves, self._limits, "The saved state is none to go on with")
         self._restore(self._kernel, state, self._identity())
@@ -287,12 +338,18 @@ class SelfCalibrationModule(BatchModule):
         self._view()  # copies of views see nothing of what they were views of
 
     def _view(self) -> None:
-        self._believed = views(self._beliefs, self._layouts[0])
-        self._learnt = views(self._state, self._layouts[1])
+        self._believed = {kind: views(self._beliefs[kind], layout) for kind, layout in self._kinds.items()}
+        self._learnt = views(self._state, self._layouts[0])
+        self._found = views(self._estimate, self._layouts[1])
 
     def _run(self, what: int, given: Tensor, more: Tensor) -> None:
         given_to = self._config, self._state, self._work, given, more, self._estimate, self._starting
-        self._kernel.launch(self.num_envs, (*given_to, self._waiting, self._own), what, dt=self.dt)
+        arrays = *given_to, self._waiting, self._own
+        self._kernel.launch(self.num_envs, arrays, what, dt=self.dt, workers=self._workers)
+
+    def _copy(self, part: Tensor) -> Tensor:
+        """Return numbers of a kernel as the caller's own."""
+        return part.to(self.dtype if part.is_floating_point() else part.dtype, copy=True)
 
     def _nothing(self, rows: int, size: int) -> Tensor:
         return torch.zeros((rows, size), dtype=torch.uint8, device=self.device)
@@ -329,19 +386,4 @@ class SelfCalibrationModule(BatchModule):
             "initial": repr([[float(value) for value in part] for part in setup.initial]),
             "num_envs": self.num_envs,
             "dt": self.dt,
-            "dtype": str(self.dtype),
         }
-
-
-def _sizes(layout: FeetLayout, lag: int) -> tuple[tuple[str, int], ...]:
-    """Return how large the arrays are: for these feet, and for any options of the methods' usual sizes."""
-    six_axis = any(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
-    sizes = {
-        "CHANNELS": layout.channels,
-        "CELLS": layout.channels,
-        "FEET": len(layout.feet),
-        "KINDS": 6 if six_axis else 3,
-        "LAG": max(8, lag),
-        "SENSORS": sum(len(foot.sensors) for foot in layout.feet),
-    }
-    return tuple(sizes.items())

@@ -1,0 +1,256 @@
+r"""What can be wrong with the readings themselves, held against each other by evidence.
+
+Channels may be out, turned, or exchanged. Each of these suspects changes the forces of a block by what is
+known, so each has a likelihood of its own. It is compared with the best of three innocent causes (nothing is
+wrong, what acted in the last block still acts, something unknown acts) and summed up from where it began to
+be better (Page's test, 1954),
+
+    S <- max(0, S + log p(block | suspect) - log p(block | innocent))
+
+Exchanged channels spoil what is learnt and tared of them, so suspects are judged by the unknowns from before.
+The momentum at a block's start is what was measured there: what a filter made of wrong readings is not used.
+
+All zeros of a foot or of the robot may also **leap** together: somebody tares it as it stands, and all read
+nothing; or its supply steps, and all step alike. Steps of the readings that look so are tried as such a leap,
+as soon as a block asks for something unknown. A load that is put on within a sample does not look so.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array, in_a_row
+from surefoot.calibration.estimate import Flag
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.momentum.columns import Columns, first_mean
+from surefoot.calibration.momentum.model import Rows, force_and_wrench
+from surefoot.calibration.momentum.modes import FREE, wrench_variance
+from surefoot.calibration.momentum.state import SuspectState
+
+SURE = 21.0
+"""Logarithmic evidence from which on a suspect is guilty: one of eighty in a thousand hours of blocks."""
+
+CONTRAST = 4.6
+"""The same against the next suspect of other channels, from which on something seems wrong, and of a leap,
+which was seen: a hundred to one."""
+
+ALIKE = 0.05
+"""Share of what channels read before that they read after a tare at most, and share of a step by which they
+step unlike: within two samples loads change by a twentieth."""
+
+LEAST_ERROR = 0.02
+"""Mean force in W, or torque in W times the height, that a fault changes in a block that may speak for it:
+ten times what is left out of a robot that nobody touches."""
+
+SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
+"""How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
+is believed; and the squared surprise of which more counts no more (three standard deviations)."""
+
+
+class SuspectConstants(NamedTuple):
+    """Constants of suspects, by their names in C; module constants of such names say what they are."""
+
+    sure: float = SURE
+    contrast: float = CONTRAST
+    alike: float = ALIKE
+    least_error: float = LEAST_ERROR
+    suspect_share: float = SUSPECT_SHARE
+    suspect_noise: tuple[float, float] = SUSPECT_NOISE
+    suspect_surprise: float = SUSPECT_SURPRISE
+
+
+class Leap(NamedTuple):
+    """Zeros that have leapt together.
+
+    Attributes:
+        reading: By how much, as readings show it, in W, shape (K,).
+        std: How far that may be off in W, shape (K,).
+    """
+
+    reading: Array
+    std: Array
+
+
+class Suspects:
+    """The suspects of one setup.
+
+    Args:
+        layout: The feet.
+        cells: Channels that are cells under one plate (bool), shape (K,): others are not suspected.
+        columns: The unknowns.
+
+    Attributes:
+        count: Number of suspects, H.
+        out, flipped, straight, crossed: Their places among these.
+    """
+
+    def __init__(self, layout: FeetLayout, cells: Array, columns: Columns) -> None:
+        K, index = layout.channels, np.flatnonzero(cells)
+        self._columns = columns
+        self._first, self._second = (index[part] for part in np.triu_indices(len(index), 1))
+        pairs = len(self._first)
+        self.out, self.flipped, self.straight, self.crossed = in_a_row(K, K, pairs, pairs)
+        self.count = self.crossed.stop
+        self._together = np.vstack(
+            [np.ones(K), layout.foot_of_channel == np.arange(len(layout.feet))[:, None]]
+        )
+        pair = np.zeros((pairs, K))
+        pair[np.arange(pairs), self._first] = pair[np.arange(pairs), self._second] = 1.0
+        about = np.vstack([np.eye(K), np.eye(K), pair, pair])
+        self._related = about @ about.T > 0.0
+        # To put a channel right is preferred to losing it.
+        self._handicap = np.where(np.arange(self.count) < self.out.stop, CONTRAST, 0.0)
+        self._possible = np.concatenate([cells, cells, np.ones(2 * pairs, dtype=bool)])
+
+    def init(self, capacity: int) -> SuspectState:
+        """Return the state of readings that nothing speaks against, for blocks of so many samples."""
+        columns = self._columns
+        C, K = columns.components, self.out.stop
+        known = first_mean(columns)[: columns.momentum.start]
+        zero = np.zeros(C)
+        return SuspectState(np.zeros(self.count), zero, zero, np.ones(C), known, np.zeros((capacity + 2, K)))
+
+    def weigh(
+        self,
+        state: SuspectState,
+        rows: Rows,
+        known: Array,
+        covariance: Array,
+        others: Array,
+        others_std: Array,
+    ) -> tuple[SuspectState, int | None, Leap | None]:
+        """Hold all suspects against a block.
+
+        Args:
+            state: What is known.
+            rows: The block.
+            known: The unknowns before the momentum, about which rows are linear, shape (M,).
+            covariance: Theirs, shape (M, M).
+            others: How each force follows from the others of its foot, shape (K, K).
+            others_std: How far that is off in W, shape (K,).
+
+        Returns:
+            The state, who is guilty, and what has leapt.
+        """
+        columns = self._columns
+        H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
+        e, e_before = (self._error(state, rows, known, one) for one in (known, state.known))
+        larger = np.sqrt(state.noise)
+        S = (2.0 * rows.variance + rows.walk + H @ covariance @ H.T) * np.outer(larger, larger)
+        span = rows.mean[:, columns.wrench].max(axis=0)
+        S = S + np.diag(span**2 * wrench_variance(FREE, rows))
+        changes = self._changes(rows.crossed, reach, state.known, others)
+        off = e_before[:, None] - changes
+        each = np.where(self._possible, _evidence(S, off), -np.inf)
+        for k in np.flatnonzero(self._possible[self.out]):
+            extra = np.outer(reach[:, k], reach[:, k]) * others_std[k] ** 2
+            each[k] = _evidence(S + extra, off[:, [k]])[0]
+        # Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on
+        # the robot's body, up to its height away from its centre of mass.
+        arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
+        shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
+        arm[0] = 0.0
+        weight = rows.mean[:, columns.mass]
+        nothing = _evidence(S, e[:, None])[0]
+        lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
+        unknown = _evidence(S + weight @ weight.T + np.diag(arm**2), e[:, None])[0]
+        innocent = max(nothing, lasting, unknown)
+        gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
+        score = np.maximum(state.score + gain, 0.0)
+        noise, before = state.noise, state.known
+        if score.max() < CONTRAST:
+            before = known
+            surprise = np.minimum(e**2 / np.diagonal(S), SUSPECT_SURPRISE)
+            noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
+        least = max(unknown + CONTRAST, each.max())
+        leap = self._find_leap(state, S, reach, e_before, least) if unknown == innocent else None
+        state = state._replace(score=score, noise=noise, error=e / span, known=before)
+        return state, self._find_guilty(score), leap
+
+    def follow(self, state: SuspectState, force: Array, momentum: Array) -> SuspectState:
+        """Note what was measured at a block's end, and what was read in it.
+
+        Args:
+            state: What is known.
+            force: F0 of the block in W, shape (n, K).
+            momentum: Measured at its end, shape (C,).
+        """
+        return state._replace(before=momentum, force=np.vstack([state.force, force])[len(force) :])
+
+    def rewire(self, guilty: int) -> tuple[Array, Array]:
+        """Return the signed permutation that puts channels right (K, K), and flags that turn (K,)."""
+        K = self.out.stop
+        turned, kind = np.eye(K), np.zeros(K, dtype=np.int64)
+        if guilty < self.straight.start:
+            channel = guilty - self.flipped.start
+            turned[channel, channel] = -1.0
+            kind[channel] = int(Flag.FLIPPED)
+        else:
+            crossed = guilty >= self.crossed.start
+            pair = guilty - (self.crossed if crossed else self.straight).start
+            both = [self._first[pair], self._second[pair]]
+            turned[both] = (-1.0 if crossed else 1.0) * turned[both[::-1]]
+            kind[both] = int(Flag.SWAPPED)
+        return turned, kind
+
+    def _find_guilty(self, score: Array) -> int | None:
+        score = score - self._handicap
+        best = int(score.argmax())
+        rival = float(np.where(self._related[best], 0.0, score).max())
+        return best if score[best] > max(SURE, rival + CONTRAST) else None
+
+    def _find_leap(self, state: SuspectState, S: Array, reach: Array, e: Array, least: float) -> Leap | None:
+        """Find the step of readings that explains an error best, and better than ``least``."""
+        a, found, most = state.known[self._columns.scale], None, least
+        # Readings are brought to one moment, between two of each channel's.
+        before, after = np.abs(state.force[:-2]), np.abs(state.force[2:])
+        steps = state.force[2:] - state.force[:-2]
+        for at, step in enumerate(steps):
+            apart = np.abs(np.arange(len(steps)) - at) > 1
+            std = np.abs(steps[apart]).max(axis=0, initial=0.0)
+            for together in self._together:
+                mean = together @ step / together.sum()
+                unlike = np.abs(step - mean) @ together / together.sum()
+                tared = after[at] @ together < ALIKE * before[at] @ together
+                if not (tared or unlike < ALIKE * abs(mean)):
+                    continue
+                force = together * a
+                S_leap = S + (reach * (force * std) ** 2) @ reach.T
+                evidence = _evidence(S_leap, (e + reach @ (force * step))[:, None])[0]
+                if evidence > most:
+                    found, most = Leap(together * step, together * std), evidence
+        return found
+
+    def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:
+        """Return what is left unexplained of rows that are linear about ``about``, shape (C,)."""
+        columns = self._columns
+        robot = slice(columns.com.start, columns.momentum.start)
+        a, reach = known[columns.scale], rows.mean[:, columns.offset]
+        weight = rows.mean_rest + reach @ (about[columns.scale] * about[columns.drift])
+        force = np.einsum("ckk->ck", rows.crossed) @ a + reach @ _zero(known, columns)
+        error: Array = rows.measured - state.before - weight - force - rows.mean[:, robot] @ known[robot]
+        return error
+
+    def _changes(self, crossed: Array, reach: Array, known: Array, others: Array) -> Array:
+        """Return what suspects change of the mean momentum, shape (C, H)."""
+        columns, i, j = self._columns, self._first, self._second
+        a, zero = known[columns.scale], _zero(known, columns)
+        own = a * np.einsum("ckk->ck", crossed)
+        by_others = np.einsum("ckl,l,kl->ck", crossed, a, others) + reach * (others @ zero)
+        to_i, to_j = a[i] * crossed[:, i, j], a[j] * crossed[:, j, i]
+        both = own[:, i] + own[:, j]
+        lost = by_others - own - reach * zero
+        return np.hstack([lost, -2.0 * own, to_i + to_j - both, -to_i - to_j - both])
+
+
+def _zero(known: Array, columns: Columns) -> Array:
+    """Return b + a u in W, shape (K,)."""
+    zero: Array = known[columns.offset] + known[columns.scale] * known[columns.drift]
+    return zero
+
+
+def _evidence(S: Array, e: Array) -> Array:
+    """Return the logarithms of likelihoods of innovations, shapes (C, C) and (C, H) to (H,)."""
+    chi2 = (e * np.linalg.solve(S, e)).sum(axis=0)
+    logarithm: Array = -0.5 * (chi2 + np.linalg.slogdet(S)[1])
+    return logarithm

@@ -1,0 +1,251 @@
+"""Check any log without calibrating: what it holds, what is wrong with it, and what would settle it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.calibration import Parameters, Reference
+from surefoot.calibration.in_situ import KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.force_torque.log import InSituLog
+from surefoot.experiments.instrument.channels import ChannelFacts, Wrong, facts_of, find_wrong
+from surefoot.experiments.instrument.recording import Recording, read_recording
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.study.page import Words
+from surefoot.experiments.study.progress import working
+from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import Verdict as Mark
+from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
+from surefoot.experiments.walking.hypotheses import Hypothesis
+from surefoot.experiments.walking.judge import HINT, SOUND, Verdict, judge_log, length_of
+from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.weights.calibrate import read_weighings
+from surefoot.experiments.weights.judge import judge_weighings
+
+PARTS = 6  # of a log, each of which is judged to say since when it contradicts itself
+ONSET = 0.2  # s to which the moment is told: two blocks of a fit
+
+_settle = Words("instrument", "settle")
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A log, what its channels show, and what is wrong with it, what refuses first."""
+
+    recording: Recording
+    facts: list[ChannelFacts]
+    wrong: tuple[Wrong, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong that a command would refuse."""
+        return not any(one.finding.refuses for one in self.wrong)
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """What is wrong, and the channels."""
+        return (wrong_table(self), channel_table(self))
+
+
+def check_log(path: Path, topics: Path | None = None) -> Checked:
+    """Check a log; LogError if it cannot be read at all."""
+    with working("reading the log") as then:
+        recording = read_recording(path, topics)
+        then("looking at the channels")
+        facts = facts_of(recording)
+        then("judging the log")
+        wrong = [*_judge(recording, path), *find_wrong(recording, facts)]
+    return Checked(recording, facts, tuple(sorted(wrong, key=lambda one: not one.finding.refuses)))
+
+
+def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
+    """Yield what the judge of the log's own command says."""
+    read = recording.read
+    if recording.refusal:
+        reason, cure = recording.refusal.removeprefix(f"{recording.file}: "), ""
+        yield Wrong(Finding("unreadable", f"{reason[0].upper()}{reason[1:]}", cure))
+    elif recording.kind == "weighings":
+        found, _ = judge_weighings(read_weighings(path))
+        yield from (Wrong(one, settle=settled_by(one.name)) for one in found)
+    elif isinstance(read, Log):
+        yield from _judge_walk(recording, read)
+    elif isinstance(read, InSituLog):
+        yield from _judge_sets(read)
+
+
+def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
+    initial = starting_map(log)
+    known = set(recording.notices)
+    for notice in log_notices(log, ""):
+        if notice not in known:
+            text = notice.removeprefix(": ")
+            yield Wrong(Finding("notice", f"{text[0].upper()}{text[1:]}", refuses=False))
+    try:
+        check_weight(log, "nominal", initial, "")
+    except LogError as error:
+        text = str(error).removeprefix(": ")
+        yield Wrong(Finding("weight", f"{text[0].upper()}{text[1:]}"), settle=settled_by("mass"))
+        return
+    if log.about.get("feet_alone"):
+        return
+    verdict = judge_log(log, initial)
+    row, size = _first_bad(log, initial, verdict), (len(log) - log.lag) // PARTS
+    # What began on the way is clearer where it has begun, which may be in the middle of a part.
+    late = [judge_log(_from(log, start), initial) for start in (row, row + size) if row]
+    named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
+    clear = next(named, verdict)
+    if row and clear.findings[0].contradicts:
+        row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
+    since = f"about {log.time[row]:.3g} s" if row else "all along"
+    for one in clear.findings:
+        yield Wrong(one, since, settled_by(one.name))
+
+
+def _onset(claims: Claims, hypothesis: Hypothesis, row: int, size: int) -> int:
+    """Return the row around a part's first from which on undoing a mistake mends a log best."""
+    undone = hypothesis.undo(claims)
+    if undone.initial is not claims.initial or undone.wrench_map is not claims.wrench_map:
+        return row  # nothing that a log's rows hold
+    rows = np.arange(max(row - size, 1), row + 2 * size, max(round(ONSET / claims.dt), 1))
+    return int(rows[np.argmax([fit_claims(_mixed(claims, undone, one)).evidence for one in rows.tolist()])])
+
+
+def _mixed(claims: Claims, undone: Claims, row: int) -> Claims:
+    """Return claims of which the rows from one on are those of others."""
+    pairs = zip(claims.reference, undone.reference, strict=True)
+    reference = Reference(*(np.concatenate([np.asarray(a)[:row], np.asarray(b)[row:]]) for a, b in pairs))
+    return replace(claims, raw=np.concatenate([claims.raw[:row], undone.raw[row:]]), reference=reference)
+
+
+def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
+    """Return the row from which on a log contradicts itself, to a part of it; 0 if all along."""
+    if not verdict.findings:
+        return 0
+    claims = claims_of(log, initial, length_of(log))
+    fits = [fit_claims(part) for part in parts_of(claims, PARTS)]
+    bad = [fit.rows > 0 and fit.worst > SOUND for fit in fits]
+    mended = [one for one in verdict.explanations if one.hypothesis.kind == verdict.findings[0].name]
+    if mended:
+        # A part that fits as well with a mistake undone, as standing does with most, does not tell.
+        undone = [fit_claims(part).evidence for part in parts_of(mended[0].hypothesis.undo(claims), PARTS)]
+        bad = [fit.evidence < other + np.log(HINT) for fit, other in zip(fits, undone, strict=True)]
+    first = bad.index(True) if True in bad else 0
+    return round(first * (len(log) - log.lag) / PARTS)
+
+
+def _from(log: Log, row: int) -> Log:
+    """Return the rest of a log."""
+    reference = Reference(*(np.asarray(part)[row:] for part in log.reference))
+    return replace(log, time=log.time[row:], raw=log.raw[row:], reference=reference, truth=None, turned={})
+
+
+def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
+    config = log.config
+    mass, std = config.limb.mass_kg, config.limb.mass_std_kg
+    try:
+        fit = calibrate_in_situ(
+            log.fitted,
+            factory_matrix=config.factory.matrix,
+            limb=None if mass is None or std is None else KnownLimb(mass, std),
+            options=config.fit.options(config.sensor),
+            refuse=False,
+        )
+    except CalibrationRefused as refusal:
+        yield Wrong(Finding("sets", refusal.reason, refusal.cure))
+        return
+    for one in fit.refusals:
+        yield Wrong(Finding("sets", one.reason, one.cure), settle=settled_by("sets"))
+    for text in fit.warnings:
+        yield Wrong(Finding("notice", text, refuses=False))
+
+
+def settled_by(kind: str) -> str:
+    """Return the shortest motion or reading that tells whether a mistake of a kind was made."""
+    try:
+        return _settle(kind.replace(" ", "-"))
+    except KeyError:
+        return ""
+
+
+def wrong_table(checked: Checked) -> Table:
+    """Return what is wrong with a log, a row each."""
+    rows = tuple(
+        (
+            Mark.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
+            one.finding.name,
+            one.since,
+            f"{one.finding.reason} {one.finding.cure}".strip(),
+            one.settle or "–",
+        )
+        for one in checked.wrong
+    )
+    columns = ("", "what", "since", "what is seen, and what to do", "what would settle it")
+    title = "What is wrong" if rows else "Nothing is wrong that can be seen"
+    return Table("wrong", title, columns, rows)
+
+
+def channel_table(checked: Checked) -> Table:
+    """Return what the channels show, a row each."""
+    recording = checked.recording
+    unit = "counts" if recording.scale is None else "N"
+    rows = []
+    for i, one in enumerate(checked.facts):
+        scale = 1.0 if recording.scale is None else abs(float(recording.scale[i]))
+        sign = 1.0 if recording.scale is None else float(np.sign(recording.scale[i]))
+        rate = 1.0 / one.noise.interval if np.isfinite(one.noise.interval) else np.nan
+        rows.append(
+            (
+                one.name.removeprefix("raw_").removesuffix("_count"),
+                f"{100 * one.missing:.3g} %",
+                f"{one.low:.10g} to {one.high:.10g}",
+                number(one.step),
+                f"{100 * one.repeats:.3g} %" if np.isfinite(one.repeats) else "–",
+                number(rate),
+                number(scale * one.noise.white),
+                number(scale * one.noise.walk * np.sqrt(60.0)),
+                number(60.0 * scale * one.slope * sign),
+            )
+        )
+    columns = (
+        "channel", "missing", "range (counts)", "step", "repeats", "rate (Hz)",
+        f"noise ({unit})", f"random walk ({unit}/√min)", f"drift ({unit}/min)",
+    )  # fmt: skip
+    where = "unloaded" if recording.unloaded.any() else "quietest"
+    note = f"Noise and random walk by the Allan deviation where channels are {where}."
+    return Table("channels", "Channels", columns, tuple(rows), note)
+
+
+def words_of(checked: Checked) -> str:
+    """Return what is wrong as lines of text."""
+    lines = []
+    for one in checked.wrong:
+        kind = "Wrong" if one.finding.refuses else "Note"
+        settle = f" What would settle it: {one.settle}" if one.settle else ""
+        lines.append(f"{kind} ({one.since}): {one.finding.reason} {one.finding.cure}".rstrip() + settle)
+    lines.append("Sound, as far as can be seen." if checked.sound else "Not sound.")
+    return "\n".join(lines)
+
+
+def facts_table(one: Recording) -> Table:
+    """Return what a log is."""
+    rows = [
+        ("file", one.file),
+        ("kind", one.kind),
+        ("samples", str(len(one.raw))),
+        ("channels", str(len(one.names))),
+    ]
+    if one.timed:
+        steps = np.diff(one.time)
+        step = float(np.median(steps))
+        near = steps[np.abs(steps - step) < 0.5 * step]
+        rows.append(("time", f"{one.time[0]:.9g} to {one.time[-1]:.9g} s"))
+        rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * near.std():.2g} ms"))
+    if isinstance(one.read, Log):
+        rows.append(("mass", f"{one.read.mass:.4g} kg"))
+        rows.append(("contacts", str(one.read.about.get("contacts", "as the log says"))))
+    return Table("log", "The log", ("what", ""), tuple(rows))

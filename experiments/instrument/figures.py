@@ -1,0 +1,43 @@
+"""Figures of a checked log: every channel over time, and Allan deviations."""
+
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.experiments.instrument.check import Checked
+from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, logarithmic, name_axes
+
+POINTS = 600  # pieces of a log of which the least and the largest reading are drawn
+
+
+def draw_channels(path: Path, checked: Checked) -> Path:
+    """Draw the range of each channel in each of some hundred pieces of the log."""
+    recording = checked.recording
+    rows = np.array_split(np.arange(len(recording.raw)), min(POINTS, len(recording.raw)))
+    time = recording.time if recording.timed else np.arange(len(recording.raw), dtype=float)
+    middle = np.array([time[part].mean() for part in rows])
+    with figure_at(path, 10.0, 1.0 + 0.9 * len(recording.names)) as figure:
+        grid = grid_of(figure, len(recording.names), 1, sharex=True)
+        for axes, name, raw in zip(grid[:, 0], recording.names, recording.raw.T, strict=True):
+            whole = [part[np.isfinite(raw[part])] for part in rows]
+            ends = np.array([(raw[p].min(), raw[p].max()) if len(p) else (np.nan, np.nan) for p in whole])
+            axes.fill_between(middle, *ends.T, linewidth=0.8, color="#0072B2")
+            axes.set_title(name, loc="left", fontsize=8)
+        name_axes(grid, "time (s)" if recording.timed else "row", *[""] * len(recording.names))
+    return path
+
+
+def draw_allan(path: Path, checked: Checked) -> Path | None:
+    """Draw Allan deviations; ``None`` where no channel rests."""
+    curves = [one for one in checked.facts if len(one.curve.tau) > 1]
+    if not curves:
+        return None
+    with figure_at(path, 7.0, 4.2) as figure:
+        axes = grid_of(figure, 1, 1)[0, 0]
+        for one in curves:
+            axes.plot(one.curve.tau, one.curve.deviation, marker=".", label=one.name)
+        logarithmic(axes)
+        logarithmic(axes, "averaged over (s)")
+        axes.set_ylabel("Allan deviation (counts)")
+        legend_below(figure, axes, columns=3)
+    return path

@@ -1,0 +1,108 @@
+"""Whether a preset behaves as a recording does: both under the same loads, by independent numbers."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import ks_2samp
+
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.instrument.noise import FEWEST, Stretch, conversions, rests, step_of
+from surefoot.experiments.instrument.recording import Recording
+from surefoot.experiments.instrument.response import AFTER
+from surefoot.sensors import LoadCells
+from surefoot.sensors.devices.load_cells import load_cells
+
+SLOWER = 0.02  # share of repeated rows from which a chip is slower than the rows
+LONGEST = 12_000  # rows of a recording over which a preset is run
+SUMMED = 16  # conversions of a sum that shows drift
+
+
+def constant_stretches(
+    recording: Recording, scale: Floats, values: Floats | None = None
+) -> list[tuple[Stretch, float, float]]:
+    """Return conversions under constant loads in N, with the load and the N of a step of the converter.
+
+    ``values`` are readings in counts without some of their errors.
+    """
+    found: list[tuple[Stretch, float, float]] = []
+    read = recording.raw if values is None else values
+    for i, raw in enumerate(recording.raw.T):
+        step = step_of(raw) * scale[i]
+        if recording.load is None:
+            parts = rests(recording.time, raw, recording.unloaded[:, i])
+            found += [(Stretch(one.time, one.value * scale[i]), 0.0, step) for one in parts]
+            continue
+        rows, _ = conversions(recording.time, raw)
+        load = recording.load[:, i]
+        edges = [0, *(np.flatnonzero(np.diff(load) != 0.0) + 1), len(load)]
+        for start, end in pairwise(edges):
+            wait = AFTER if start else 0.0
+            inside = rows[(rows >= start) & (rows < end)]
+            inside = inside[recording.time[inside] >= recording.time[start] + wait]
+            if len(inside) >= FEWEST:
+                part = Stretch(recording.time[inside], read[inside, i] * scale[i])
+                found.append((part, abs(float(load[start])), step))
+    return found
+
+
+def simulate(recording: Recording, cells: LoadCells, periods: Floats, seed: int = 0) -> Recording:
+    """Return what cells read under the loads of a recording; chips of known periods in s keep them."""
+    rows = slice(0, LONGEST)
+    time, K = recording.time[rows], len(recording.names)
+    load = np.zeros((len(time), K)) if recording.load is None else recording.load[rows]
+    signs = cells.polarity if len(cells.polarity) == K else (cells.polarity[0],)
+    mechanics = replace(cells.mechanics, mounting_warp_std=0.0, mounting_common_std=0.0)
+    device = load_cells(replace(cells, channels=K, polarity=signs, mechanics=mechanics))
+    rng = np.random.default_rng(seed)
+    state, read = device.init((K,), rng), np.empty((len(time), K))
+    state = state._replace(period=np.where(np.isfinite(periods), periods, state.period))
+    dt = float(np.median(np.diff(time)))
+    for row, (now, step) in enumerate(zip(load, np.diff(time, prepend=time[0] - dt), strict=True)):
+        read[row], state = device.apply(now[None], state, rng, float(step))
+    unloaded = recording.unloaded[rows]
+    loads = None if recording.load is None else load
+    return replace(recording, time=time, raw=read, load=loads, unloaded=unloaded, read=None)
+
+
+def compare(
+    recording: Recording, cells: LoadCells, periods: Floats, size: Floats
+) -> tuple[tuple[str, float], ...]:
+    """Return the probability that twin and log are as different as they are by chance, of several sides."""
+    rows = slice(0, LONGEST)
+    load = None if recording.load is None else recording.load[rows]
+    raw, still = recording.raw[rows], recording.unloaded[rows]
+    log = replace(recording, time=recording.time[rows], raw=raw, load=load, unloaded=still)
+    twin = simulate(recording, cells, periods)
+    seen = [_features(log, size), _features(twin, np.full(len(size), 1.0 / cells.counts_per_newton))]
+    found = []
+    for name in seen[0]:
+        a, b = (one[name] for one in seen)
+        if min(len(a), len(b)) >= FEWEST:
+            found.append((name, float(ks_2samp(a, b, method="asymp").pvalue)))
+    return tuple(found)
+
+
+def _features(recording: Recording, scale: Floats) -> dict[str, Floats]:
+    """Return independent numbers that show noise, drift and clock."""
+    noise, drift, runs = [], [], []
+    for one, _, _ in constant_stretches(recording, scale):
+        # Every second difference of neighbours shares no noise with the next.
+        noise.append(np.diff(one.value)[::2])
+        whole = len(one.value) // SUMMED * SUMMED
+        means = one.value[:whole].reshape(-1, SUMMED).mean(axis=1)
+        drift.append(np.diff(means)[::2])
+    for raw in recording.raw.T:
+        rows, repeats = conversions(recording.time, raw)
+        if repeats >= SLOWER:
+            # Lateness beats with the rows: runs of one length follow each other.
+            runs.append(np.diff(rows[::8])[::2].astype(float))
+    names = (
+        "noise: differences of conversions",
+        f"drift: differences of means of {SUMMED}",
+        "clock: rows of 8 conversions",
+    )
+    parts = (noise, drift, runs)
+    return {
+        name: np.concatenate(part) if part else np.zeros(0) for name, part in zip(names, parts, strict=True)
+    }

@@ -1,0 +1,143 @@
+r"""What a channel at rest says: its conversions, its noise and its drift.
+
+The Allan deviation over :math:`m` conversions of length :math:`\tau_0` (IEEE 952),
+
+.. math:: \sigma^2(m \tau_0) = \tfrac12 \langle (\bar y_{k+1} - \bar y_k)^2 \rangle,
+
+of means over m conversions, falls as :math:`\sigma_n / \sqrt m` for white noise and rises as
+:math:`q \sqrt{\tau / 3}` for a random walk of density q per square root of a second.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from surefoot.experiments.arrays import Floats
+
+FEWEST = 16  # samples of a stretch at rest: shorter ones show no more than their own slope
+BLOCK = 0.5  # s in which a channel rests or does not
+QUIET = 3.0  # spread of a block in that of the quietest ones up to which a channel rests in it
+WHITE = 0.3  # least ratio of von Neumann of a block at rest: white noise has 1, a slope 0
+ROUNDING = 1.0 / 12.0  # variance of rounding in steps squared
+
+
+class Stretch(NamedTuple):
+    """Conversions of one channel at rest, in order."""
+
+    time: Floats  # in s, shape (n,)
+    value: Floats  # in counts, shape (n,)
+
+
+class Allan(NamedTuple):
+    """Allan deviations of a channel."""
+
+    tau: Floats  # in s, shape (T,)
+    deviation: Floats  # in counts, shape (T,)
+    pairs: Floats  # independent differences behind each, shape (T,)
+
+
+class Noise(NamedTuple):
+    """White noise and random walk of a channel."""
+
+    white: float  # std of one conversion in counts, without its rounding
+    walk: float  # density of the random walk in counts per sqrt(s)
+    interval: float  # s between conversions
+
+
+def conversions(time: Floats, raw: Floats) -> tuple[NDArray[np.intp], float]:
+    """Return the rows in which a new value came, and the share of rows that repeat the one before.
+
+    A channel that is so quiet that its conversions are alike repeats as well: whether repeats are of a slow
+    chip is for its noise to say.
+    """
+    there = np.flatnonzero(np.isfinite(raw))
+    if len(there) < 2:
+        return there, 0.0
+    fresh = np.concatenate([[True], np.diff(raw[there]) != 0.0])
+    return there[fresh], float(1.0 - fresh[1:].mean())
+
+
+def step_of(raw: Floats) -> float:
+    """Return the smallest step between two readings: the unit of the converter, or of what rounded it."""
+    values = np.unique(raw[np.isfinite(raw)])
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-9 * max(np.abs(values).max(initial=0.0), 1e-300)]
+    return float(gaps.min()) if len(gaps) else float("nan")
+
+
+def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretch]:
+    """Return the stretches in which a channel carries nothing or, if none is known, is quietest.
+
+    A row that repeats the one before is no new conversion, unless nothing else ever comes.
+    """
+    rows, repeats = conversions(time, raw)
+    if repeats > 0.9:
+        rows = np.flatnonzero(np.isfinite(raw))
+    if len(rows) < FEWEST:
+        return []
+    t, y = time[rows], raw[rows]
+    still = unloaded[rows] if unloaded.any() else _quiet(t, y)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    found = [Stretch(t[a:b], y[a:b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [one for one in found if len(one.time) >= FEWEST]
+
+
+def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
+    """Return where a channel is about as quiet as it ever is."""
+    size = max(FEWEST // 2, round(BLOCK / float(np.median(np.diff(time)))))
+    blocks = len(value) // size
+    if blocks < 2:
+        return np.ones(len(value), dtype=bool)
+    parts = value[: blocks * size].reshape(blocks, size)
+    spread = parts.std(axis=1)
+    quiet = spread <= QUIET * max(float(np.quantile(spread, 0.1)), np.sqrt(ROUNDING))
+    quiet &= (np.diff(parts, axis=1) ** 2).mean(axis=1) >= 2.0 * WHITE * spread**2
+    # Two quiet blocks at different loads are two rests.
+    jump = np.abs(np.diff(parts.mean(axis=1))) > QUIET * np.maximum(spread[1:], spread[:-1])
+    found = np.repeat(quiet, size)
+    found[size * (np.flatnonzero(jump) + 1)] = False
+    return np.concatenate([found, np.zeros(len(value) - len(found), dtype=bool)])
+
+
+def allan(stretches: Sequence[Stretch]) -> Allan:
+    """Return the overlapping Allan deviations of all stretches together, at octaves of conversions."""
+    longest = max((len(one.value) for one in stretches), default=0)
+    taus, deviations, pairs = [], [], []
+    interval = _interval(stretches) if stretches else float("nan")
+    for m in 2 ** np.arange(0, max(int(np.log2(max(longest / 3, 1))), 0) + 1):
+        squares, count, independent = 0.0, 0, 0.0
+        for one in stretches:
+            if len(one.value) < 2 * m + 1:
+                continue
+            sums = np.concatenate([[0.0], np.cumsum(one.value - one.value[0])])
+            means = (sums[m:] - sums[:-m]) / m
+            difference = means[m:] - means[:-m]
+            squares, count = squares + float(difference @ difference), count + len(difference)
+            independent += len(one.value) / m - 1.0
+        if count and independent >= 2.0:
+            taus.append(m * interval)
+            deviations.append(np.sqrt(0.5 * squares / count))
+            pairs.append(independent)
+    return Allan(*(np.array(part, dtype=np.float64) for part in (taus, deviations, pairs)))
+
+
+def _interval(stretches: Sequence[Stretch]) -> float:
+    steps = np.concatenate([np.diff(one.time) for one in stretches])
+    return float(steps.mean())
+
+
+def noise_of(curve: Allan) -> Noise:
+    """Fit white noise and a random walk to Allan variances, weighed by how well each is known."""
+    if not len(curve.tau):
+        return Noise(float("nan"), float("nan"), float("nan"))
+    interval = float(curve.tau[0])
+    variance = np.maximum(curve.deviation**2, 1e-300)
+    A = np.column_stack([interval / curve.tau, curve.tau / 3.0 * (1.0 + 0.5 * (interval / curve.tau) ** 2)])
+    # The spread of a variance is itself times sqrt(2 / pairs).
+    weight = np.sqrt(curve.pairs / 2.0) / variance
+    size = np.linalg.norm(A * weight[:, None], axis=0)
+    found = nnls(A * weight[:, None] / size, variance * weight)[0] / size
+    return Noise(float(np.sqrt(found[0])), float(np.sqrt(found[1])), interval)

@@ -1,0 +1,137 @@
+"""Any log as counts over time: a walk, sets of a six-axis sensor, weighings, a bag, or bare channels."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.force_torque.config import config_beside
+from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
+from surefoot.experiments.logs.bag import is_bag, read_bag
+from surefoot.experiments.logs.columns import raw_names_of
+from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
+from surefoot.experiments.logs.mapping import TableMapping
+from surefoot.experiments.logs.table import LogError, LogTable, listed, read_table
+from surefoot.files import read_toml
+
+LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
+"""Columns of the load that every cell bears, and what one is in N."""
+
+CHANNEL = re.compile(r"raw_(.+)_count")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """N samples of K channels."""
+
+    file: str
+    kind: str  # "walk", "feet alone", "six-axis sensor", "weighings" or "channels"
+    names: tuple[str, ...]  # of the channels
+    time: Floats  # in s, shape (N,); NaN where nothing says it
+    raw: Floats  # in counts, shape (N, K); NaN where no sample arrived
+    unloaded: NDArray[np.bool_]  # where a channel surely carries nothing, shape (N, K)
+    load: Floats | None = None  # known load of each channel in N, shape (N, K)
+    scale: Floats | None = None  # nominal N per count with its sign, shape (K,)
+    read: Log | InSituLog | None = None  # what its own command makes of it
+    refusal: str = ""  # why its own command cannot read it
+    notices: tuple[str, ...] = ()
+
+    @property
+    def timed(self) -> bool:
+        """Whether samples have times."""
+        return bool(len(self.time) > 1 and np.isfinite(self.time).all())
+
+
+def read_recording(path: Path, topics: Path | None = None) -> Recording:
+    """Read a log for what it is; LogError if it is no readable table or holds no channel.
+
+    A log of which the command of its kind would say that it cannot be read is a recording all the same, with
+    the reason, as long as its channels can be found.
+    """
+    if is_bag(path):
+        bag = read_bag(path, topics)
+        return _walk(path, bag.table(lambda name: name.startswith("raw_")), topics)
+    if _is_in_situ(path):
+        return _six_axis(path)
+    mapping = TableMapping.beside(path)
+    table = mapping.read_mapped(
+        path, "give a log, or a table with time_s and raw_<channel>_count.", mapping.columns
+    )
+    if METADATA_KEY in (table.data.schema.metadata or {}) or path.with_suffix(".json").is_file():
+        return _walk(path, table, topics)
+    loads = [name for name in LOADS if name in table]
+    if loads and "time_s" not in table:
+        return _channels(table, "weighings", loads)
+    return _channels(table, "channels", loads)
+
+
+def _is_in_situ(path: Path) -> bool:
+    """Whether a file, or what lies beside it, speaks of a six-axis sensor and gravity."""
+    beside = path.with_suffix(".toml")
+    if beside.is_file() and set(read_toml(beside, LogError)) - set(TableMapping.model_fields):
+        return True
+    names = read_table(path, "give a log.").names
+    return any(name.startswith(("specific_force_", "gravity_")) for name in names)
+
+
+def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
+    read: Log | None = None
+    refusal = ""
+    try:
+        read = read_log(path, float("inf"), topics, feet_alone=True)
+    except LogError as error:
+        refusal = str(error)
+    if read is None:
+        found = _channels(table, "walk", [])
+        return Recording(**{**vars(found), "refusal": refusal})
+    foot = (read.layout.wrench_map != 0.0).any(axis=1).argmax(axis=0)
+    return Recording(
+        file=path.name,
+        kind="feet alone" if read.about.get("feet_alone") else "walk",
+        names=tuple(raw_names_of(read.layout)),
+        time=read.time,
+        raw=read.raw,
+        unloaded=np.asarray(read.reference.swing)[:, foot],
+        scale=np.asarray(read.nominal.scale),
+        read=read,
+        notices=tuple(read.about.get("notices", ())),
+    )
+
+
+def _six_axis(path: Path) -> Recording:
+    log = read_in_situ_log(path, config_beside(path))
+    parts = log.sets
+    raw = np.concatenate([one.raw for one in parts])
+    times = [np.full(len(one.raw), np.nan) if one.time is None else one.time for one in parts]
+    return Recording(
+        file=path.name,
+        kind="six-axis sensor",
+        names=log.channels,
+        time=np.concatenate(times),
+        raw=raw,
+        unloaded=np.zeros(raw.shape, dtype=bool),
+        read=log,
+        notices=log.notices,
+    )
+
+
+def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
+    names = tuple(name for name in table.names if CHANNEL.fullmatch(name))
+    if not names:
+        raise LogError(
+            f"{table.file}: holds no column 'raw_<channel>_count'; there are {listed(table.names)}. Name "
+            f"yours under [columns] in {Path(table.file).stem}.toml."
+        )
+    raw = table.stacked(names)
+    time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
+    load: Floats | None = None
+    if loads:
+        one = table.numbers(loads[0]) * LOADS[loads[0]]
+        load = np.repeat(one[:, None], len(names), axis=1)
+    unloaded = np.zeros(raw.shape, dtype=bool) if load is None else load == 0.0
+    return Recording(table.file, kind, names, time, raw, unloaded, load, notices=table.notices)

@@ -1,0 +1,263 @@
+"""The preset of load cells that behave as a recording does, with intervals, and whether they do."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.instrument.likeness import SLOWER, compare, constant_stretches
+from surefoot.experiments.instrument.noise import FEWEST, conversions, step_of
+from surefoot.experiments.instrument.recording import Recording
+from surefoot.experiments.instrument.response import Response, respond
+from surefoot.experiments.instrument.wander import SURE, Interval, Wander, normal_interval, wander_of
+from surefoot.experiments.study.tables import Table, Verdict, number
+from surefoot.files import write_text
+from surefoot.sensors import LoadCells
+from surefoot.sensors.stages.mechanics import Mechanics
+from surefoot.sensors.transport.wire import Wire
+
+ROUND = 1e-6  # by which a step may miss a count
+LATE = 1.05  # rows by which a conversion may be seen late, jitter of the rows included
+ITERATIONS = 20  # of counting a chip's conversions
+UNLIKE = 0.01  # probability below which a test tells twin and log apart, over all tests
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an instrument, with its interval."""
+
+    name: str
+    unit: str
+    value: Interval
+    of: str = "all channels"
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """What a recording says of its instrument."""
+
+    recording: Recording
+    preset: LoadCells
+    parameters: tuple[Parameter, ...]
+    likeness: tuple[tuple[str, float], ...]  # what was compared, and the probability of so large a difference
+    notes: tuple[str, ...]
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """The instrument, and how much its twin is like it."""
+        return (parameter_table(self), likeness_table(self))
+
+    @property
+    def alike(self) -> bool:
+        """Whether no test tells twin and log apart."""
+        return all(p * len(self.likeness) > UNLIKE for _, p in self.likeness)
+
+
+def identify(recording: Recording, capacity: float | None = None) -> Twin:
+    """Find the load cells that a recording is of.
+
+    Args:
+        recording: Rest, and for the answer to loads known ones (``load_kg`` or ``load_N`` in each row).
+        capacity: Rated load in N; by default the largest that was seen.
+
+    Raises:
+        CalibrationRefused: If there are no times, no scale in newtons, or no rest.
+    """
+    if not recording.timed:
+        raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
+    scale = _scale(recording)
+    conversion = [conversions(recording.time, raw) for raw in recording.raw.T]
+    rates = [_rate(recording, *one) for one in conversion]
+    known = [one for one in rates if one is not None]
+    size = np.full(len(scale), float(np.mean(scale)))
+    wander = wander_of(constant_stretches(recording, size))
+    if wander is None:
+        raise CalibrationRefused(
+            f"{recording.file}: no channel rests under one load for {FEWEST} conversions.",
+            "Record half a minute of rest, and loads that stay on for some seconds.",
+        )
+    row = float(np.median(np.diff(recording.time)))
+    rate = float(np.mean([one.value for one in known])) if known else 1.0 / row
+    response: Response | None = None
+    if recording.load is not None and np.ptp(recording.load) > 0.0:
+        rated = capacity or float(np.nanmax(np.abs(recording.load)))
+        response = respond(recording.time, recording.raw, recording.load, rated, wander, rate)
+        # Noise and drift once more, without what the cells remember of their loads.
+        size = np.full(len(scale), 1.0 / float(np.mean(np.abs(response.scale))))
+        forgot = recording.raw - response.memory(recording.time, recording.load, rated)
+        wander = wander_of(constant_stretches(recording, size, forgot)) or wander
+        response = respond(recording.time, recording.raw, recording.load, rated, wander, rate)
+    else:
+        rated = capacity or LoadCells().capacity
+    signed = scale if recording.scale is None else recording.scale
+    slope = 1.0 / signed if response is None else response.scale
+    preset, notes = _preset(recording, rated, slope, known, wander, response)
+    parameters = tuple(_parameters(recording, rates, wander, response))
+    periods = np.array([np.nan if one is None else 1.0 / one.value for one in rates])
+    return Twin(recording, preset, parameters, compare(recording, preset, periods, size), notes)
+
+
+def _scale(recording: Recording) -> Floats:
+    """Return N per count, without a sign: by known loads, else the nominal one."""
+    load = recording.load
+    if load is not None and np.ptp(load) > 0.0:
+        found = []
+        for raw, on in zip(recording.raw.T, load.T, strict=True):
+            there = np.isfinite(raw)
+            found.append(1.0 / abs(np.polyfit(on[there], raw[there], 1)[0]))
+        return np.array(found)
+    if recording.scale is None:
+        raise CalibrationRefused(
+            f"{recording.file}: nothing says what a count is in newtons.",
+            "Give the load of each row as load_kg or load_N, or a walk with its description.",
+        )
+    return np.abs(recording.scale)
+
+
+def _rate(recording: Recording, rows: NDArray[np.intp], repeats: float) -> Interval | None:
+    """Return the conversions a second of a chip that is slower than the rows; ``None`` for others."""
+    if repeats < SLOWER or len(rows) < FEWEST:
+        return None
+    time, row = recording.time[rows], float(np.median(np.diff(recording.time)))
+    period, number_of = float(np.diff(time).mean()), np.zeros(0)
+    # Each conversion is seen up to a row late; a gap has no more of them than it must have.
+    for _ in range(ITERATIONS):
+        steps = np.maximum(np.ceil((np.diff(time) - LATE * row) / period), 1.0)
+        number_of, before = np.concatenate([[0.0], np.cumsum(steps)]), period
+        period, _ = np.polyfit(number_of, time, 1)
+        if abs(period - before) < 1e-12 * before:
+            break
+    # Lateness beats with the rows and does not average out: the line is as sure as its two ends.
+    spread = row / np.sqrt(6.0) / float(time[-1] - time[0])
+    return normal_interval(1.0 / period, spread / period)
+
+
+def _preset(
+    recording: Recording,
+    capacity: float,
+    slope: Floats,
+    rates: list[Interval],
+    wander: Wander,
+    response: Response | None,
+) -> tuple[LoadCells, tuple[str, ...]]:
+    """Return the cells, and notes on what the recording left open."""
+    notes: list[str] = []
+    unit = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
+    unit = unit if np.isfinite(unit) else 1.0
+    if abs(unit - 1.0) > ROUND:
+        notes.append(f"Readings step by {unit:.4g}: a count of the preset is one such step.")
+    counts, slope = recording.raw / unit, slope / unit
+    row = float(np.median(np.diff(recording.time)))
+    high, default = float(np.nanmax(np.abs(counts))), LoadCells()
+    binary = bool(np.nanmedian(counts) > 2.0 ** (default.adc_bits - 2))
+    bits = default.adc_bits if high > 2.0**15 else max(int(np.ceil(np.log2(high + 1.0))) + 1, 8)
+    gain = default.rated_output * default.adc_gain * 2.0**bits
+    signs = tuple(int(one) for one in np.sign(slope))
+    size = float(np.mean(np.abs(slope)))
+    rate = (min(one.value for one in rates), max(one.value for one in rates)) if rates else None
+    if rate is None:
+        notes.append("No row repeats the one before: chips are as fast as the rows, or faster.")
+    own = 0.5 * (1 + wander.settling) / float(np.mean(rate)) if rate else 0.0
+    delay = max(0.0, response.delay.value - own) if response and response.delay else 0.0
+    if response is None:
+        notes.append("No known load: scale, hysteresis, creep and delay are not seen.")
+        at_rest = np.where(recording.unloaded, counts, np.nan) if recording.unloaded.any() else counts
+        zero = np.nanmedian(at_rest, axis=0)
+    else:
+        zero = response.offset / unit
+    offset = (zero - (2.0 ** (bits - 1) if binary else 0.0)) / slope
+    cells = LoadCells(
+        capacity=capacity,
+        rated_output=default.rated_output * size * capacity / gain,
+        adc_bits=bits,
+        coding="offset-binary" if binary else "two's complement",
+        polarity=signs if len(signs) == default.channels else (1 if sum(signs) >= 0 else -1,),
+        input_noise=wander.noise.value * size * default.excitation * default.rated_output / gain,
+        rate=rate,
+        settling=wander.settling,
+        initial_scale_std=float(np.std(np.abs(slope)) / size),
+        initial_offset_std=float(np.sqrt(np.mean(offset**2))),
+        scale_drift=wander.scale.value if wander.scale else 0.0,
+        offset_drift=wander.offset.value,
+        mechanics=_mechanics(response),
+        wire=Wire(delay=delay, under_way=max(Wire().under_way, int(np.ceil(delay / row)) + 2)),
+    )
+    return cells, tuple(notes)
+
+
+def _mechanics(response: Response | None) -> Mechanics:
+    """Return the errors of the spring elements that are surely there."""
+    if response is None:
+        return Mechanics()
+    bends = [abs(one.value) for one in response.nonlinearity if one.low > 0.0 or one.high < 0.0]
+    given: dict[str, Any] = {"nonlinearity": max(bends, default=0.0)}
+    if response.hysteresis.low > 0.0:
+        given["hysteresis"] = response.hysteresis.value
+    if response.creep is not None:
+        given |= {"creep_shares": (response.creep.value,), "creep_time_constants": (response.creep_time,)}
+    return Mechanics(**given)
+
+
+def _parameters(
+    recording: Recording, rates: list[Interval | None], wander: Wander, response: Response | None
+) -> Iterator[Parameter]:
+    yield Parameter("noise of a conversion", "N", wander.noise)
+    yield Parameter("random walk of the offset", "N/√s", wander.offset)
+    if wander.scale is not None:
+        yield Parameter("random walk of the scale", "1/√s", wander.scale)
+    for name, rate in zip(recording.names, rates, strict=True):
+        if rate is not None:
+            yield Parameter("conversion rate", "1/s", rate, name)
+    if response is None:
+        return
+    for name, value, std in zip(recording.names, response.scale, response.scale_std, strict=True):
+        yield Parameter("slope", "1/N", normal_interval(float(value), float(std)), name)
+    yield Parameter("hysteresis", "1", response.hysteresis)
+    if response.creep is not None:
+        yield Parameter(f"creep, in the end, of {response.creep_time:.3g} s", "1", response.creep)
+    for name, bend in zip(recording.names, response.nonlinearity, strict=True):
+        yield Parameter("nonlinearity", "1", bend, name)
+    if response.delay is not None:
+        yield Parameter("mean age of readings", "s", response.delay)
+
+
+def write_preset(path: Path, twin: Twin) -> Path:
+    """Write the cells as JSON, which :class:`~surefoot.wrappers.FootSensors` takes as a mapping."""
+    given, default = asdict(twin.preset), LoadCells()
+    shown = {
+        one.name: given[one.name]
+        for one in fields(twin.preset)
+        if getattr(twin.preset, one.name) != getattr(default, one.name)
+    }
+    write_text(path, json.dumps(shown, indent=1) + "\n")
+    return path
+
+
+def parameter_table(twin: Twin) -> Table:
+    """Return the parameters with their intervals."""
+    rows = tuple(
+        (
+            one.name,
+            one.of.removeprefix("raw_").removesuffix("_count"),
+            number(one.value.value, 4),
+            f"{one.value.low:.4g} to {one.value.high:.4g}",
+            one.unit,
+        )
+        for one in twin.parameters
+    )
+    columns = ("what", "of", "value", f"{100 * SURE:.0f} % interval", "unit")
+    return Table("parameters", "The instrument", columns, rows)
+
+
+def likeness_table(twin: Twin) -> Table:
+    """Return whether the twin behaves as the log."""
+    limit = UNLIKE / max(len(twin.likeness), 1)
+    rows = tuple((name, number(p), Verdict.of(p > limit)) for name, p in twin.likeness)
+    note = "Two-sample tests of Kolmogorov and Smirnov: the log, and a run of the preset under its loads."
+    return Table("likeness", "Twin against log", ("compared", "probability", "alike"), rows, note)

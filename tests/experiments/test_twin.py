@@ -1,0 +1,196 @@
+"""`surefoot twin`: presets read off recordings of simulated instruments, whose numbers are known."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import surefoot  # noqa: F401  (registers the environments)
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.instrument.likeness import compare
+from surefoot.experiments.instrument.recording import Recording, read_recording
+from surefoot.experiments.instrument.response import creep_of, loop_of
+from surefoot.experiments.instrument.twin import Twin, identify
+from surefoot.sensors import LoadCells
+from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
+from surefoot.sensors.stages.creep import creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import SMALLEST_LOOP, Mechanics
+from surefoot.sensors.transport.wire import Wire
+from surefoot.wrappers import FootSensors
+
+Program = tuple[tuple[float, float], ...]
+
+HOST = 200.0  # rows a second
+UP_AND_DOWN = tuple((newtons, 4.0) for newtons in (10.0, 25.0, 50.0, 75.0, 90.0, 75.0, 50.0, 25.0, 10.0))
+LONG = ((0.0, 20.0), *UP_AND_DOWN, (0.0, 10.0), (90.0, 30.0), (0.0, 20.0))
+LONG += tuple((newtons, 4.0) for newtons in (40.0, 0.0, 60.0, 20.0, 80.0, 0.0))
+SHORT = ((0.0, 6.0), (30.0, 3.0), (60.0, 3.0), (90.0, 6.0), (60.0, 3.0), (30.0, 3.0), (0.0, 5.0), (80.0, 3.0))
+"""Loads in N, and for how many seconds each is on."""
+
+
+def record(cells: LoadCells, seed: int, program: Program) -> tuple[Recording, LoadCellState]:
+    """Return what cells read under loads, and their state at power-up."""
+    rng, K = np.random.default_rng(seed), cells.channels
+    load = np.concatenate([np.full(round(HOST * seconds), float(newtons)) for newtons, seconds in program])
+    device = load_cells(cells)
+    first = state = device.init((K,), rng)
+    raw = np.empty((len(load), K))
+    for row, now in enumerate(load):
+        raw[row], state = device.apply(np.full((1, K), now), state, rng, 1.0 / HOST)
+    names, time = tuple(f"raw_{i}_count" for i in range(K)), np.arange(len(load)) / HOST
+    loads = np.repeat(load[:, None], K, axis=1)
+    return Recording("rig.csv", "channels", names, time, raw, loads == 0.0, loads), first
+
+
+def hits(twin: Twin, cells: LoadCells, first: LoadCellState) -> dict[str, list[bool]]:
+    """Return whether each parameter's interval holds the truth, in newtons of the twin's own size."""
+    size = cells.counts_per_newton / twin.preset.counts_per_newton
+    truth = {
+        "noise of a conversion": [cells.noise_counts / twin.preset.counts_per_newton],
+        "random walk of the offset": [cells.offset_drift * size],
+        "random walk of the scale": [cells.scale_drift * size],
+        "conversion rate": 1.0 / first.period if cells.rate else [],
+        "slope": cells.slope * (1.0 + first.error[0]),
+        "hysteresis": [cells.mechanics.hysteresis],
+        "creep": cells.mechanics.creep_shares,
+        "nonlinearity": first.mechanics.nonlinearity.quadratic,
+        "mean age of readings": [cells.wire.delay],
+    }
+    if cells.rate:
+        truth["mean age of readings"] = [cells.wire.delay + 0.5 * (1 + cells.settling) * first.period.mean()]
+    found: dict[str, list[bool]] = {}
+    for one in twin.parameters:
+        name = one.name.partition(",")[0]
+        channel = 0 if one.of == "all channels" else int(one.of.split("_")[1])
+        if len(truth[name]):
+            found.setdefault(name, []).append(bool(one.value.low <= truth[name][channel] <= one.value.high))
+    return found
+
+
+def instrument(rng: np.random.Generator, channels: int) -> LoadCells:
+    """Draw an instrument, magnitudes log-uniformly and each on its own."""
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    creeps, slowest = rng.random() < 0.6, rng.uniform(70.0, 90.0)
+    return LoadCells(
+        channels=channels,
+        polarity=(-1, 1),
+        input_noise=between(30e-9, 1e-6),
+        offset_drift=between(0.01, 1.0) * PER_SQRT_MINUTE,
+        scale_drift=between(3e-4, 2e-2) * PER_SQRT_MINUTE,
+        rate=None if rng.random() < 0.25 else (slowest, 1.15 * slowest),
+        settling=int(rng.choice([1, 4])),
+        mechanics=Mechanics(
+            nonlinearity=between(2e-4, 5e-3),
+            hysteresis=between(2e-4, 5e-3),
+            creep_shares=(between(5e-4, 1e-2),) if creeps else (),
+            creep_time_constants=(between(2.0, 20.0),) if creeps else (),
+        ),
+        wire=Wire(delay=float(rng.choice([0.0, 0.02]))),
+    )
+
+
+CELLS = LoadCells(
+    channels=2,
+    polarity=(-1, 1),
+    input_noise=400e-9,
+    offset_drift=0.05 * PER_SQRT_MINUTE,
+    scale_drift=1e-3 * PER_SQRT_MINUTE,
+    rate=(78.0, 94.0),
+    mechanics=Mechanics(nonlinearity=2e-3, hysteresis=4e-3),
+    wire=Wire(delay=0.02),
+)
+
+
+@pytest.fixture(scope="module")
+def rig() -> tuple[Recording, LoadCellState]:
+    return record(CELLS, 3, SHORT)
+
+
+@pytest.fixture(scope="module")
+def twin(rig: tuple[Recording, LoadCellState]) -> Twin:
+    return identify(rig[0], CELLS.capacity)
+
+
+def test_the_instrument_is_found(rig: tuple[Recording, LoadCellState], twin: Twin) -> None:
+    held = [one for parts in hits(twin, CELLS, rig[1]).values() for one in parts]
+    assert len(held) >= 10
+    assert np.mean(held) >= 0.8
+    assert twin.preset.mechanics.hysteresis == pytest.approx(4e-3, rel=0.2)
+    assert twin.preset.input_noise == pytest.approx(400e-9, rel=0.1)
+    assert twin.preset.wire.delay == pytest.approx(0.02, abs=0.003)
+    assert (twin.preset.coding, twin.preset.adc_bits) == ("offset-binary", 24)
+    assert twin.alike, twin.likeness
+
+
+@pytest.mark.parametrize("change", [{"input_noise": 800e-9}, {"offset_drift": 1.0}, {"rate": (60.0, 65.0)}])
+def test_another_instrument_is_told_apart(twin: Twin, change: dict[str, float]) -> None:
+    size = np.full(2, 1.0 / twin.preset.counts_per_newton)
+    tests = compare(twin.recording, replace(twin.preset, **change), np.full(2, np.nan), size)
+    assert min(p for _, p in tests) < 1e-3
+
+
+def test_loops_and_creep_are_those_of_the_stages() -> None:
+    time = np.arange(400) / 100.0
+    load = np.repeat(np.repeat([0.0, 40.0, 90.0, 10.0, 60.0], 80)[:, None], 2, axis=1)
+    rng = np.random.default_rng(0)
+    for element, found in (
+        (hysteresis(0.003, 98.1, smallest=SMALLEST_LOOP), 0.003 * loop_of(load, 98.1)),
+        (creep((0.003,), (0.5,)), 0.003 * creep_of(time, load, 0.5)),
+    ):
+        state, read = element.init((2,), rng), []
+        for now in load:
+            reading, state = element.apply(now, state, rng, 0.01)
+            read.append(reading)
+        np.testing.assert_allclose(np.array(read) - load, found, atol=1e-12)
+
+
+def test_the_command_writes_a_preset_that_feet_take(
+    rig: tuple[Recording, LoadCellState], tmp_path: Path, undrawn: None
+) -> None:
+    recording = rig[0]
+    table = pd.DataFrame(dict(zip(recording.names, recording.raw.T, strict=True)))
+    table.insert(0, "load_N", recording.load[:, 0])
+    table.insert(0, "time_s", recording.time)
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    result = CliRunner().invoke(app, ["twin", str(tmp_path / "rig.csv"), "--capacity", "98.1", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["alike"]
+    given = json.loads((tmp_path / "rig.twin.json").read_text())
+    env = FootSensors(gym.make("surefoot/NaoStand-v0"), given)
+    env.reset(seed=1)
+    env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    assert np.isfinite(env.raw).all()
+    env.close()
+
+
+def test_what_is_missing_is_said(rig: tuple[Recording, LoadCellState], tmp_path: Path) -> None:
+    with pytest.raises(
+        CalibrationRefused, match=r"nothing says what a count is in newtons\. Give the load of"
+    ):
+        identify(replace(rig[0], load=None))
+    pd.DataFrame({"raw_a_count": [1.0, 2.0]}).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(CalibrationRefused, match=r"a\.csv: rows have no times\. Give time_s, or \[rates\]\."):
+        identify(read_recording(tmp_path / "a.csv"))
+
+
+@pytest.mark.slow
+def test_intervals_of_twenty_instruments_hold_nine_in_ten() -> None:
+    held: list[bool] = []
+    for seed in range(20):
+        cells = instrument(np.random.default_rng(1000 + seed), 8)
+        recording, first = record(cells, seed, LONG)
+        found = hits(identify(recording, cells.capacity), cells, first)
+        held += [one for parts in found.values() for one in parts]
+    assert len(held) > 400
+    assert np.mean(held) >= 0.88
