@@ -487,7 +487,7 @@ def test_noise_of_an_accelerometer_is_no_limb_that_bends_or_lags(seed):
     assert fit.result is FitResult.DETERMINED
     assert abs(fit.limb.mass - MASS) < 3.0 * fit.limb_mass_std
     assert fit.hysteresis is None
-    assert fit.delay == 0.0
+    assert fit.delay < 0.005  # s; a twentieth of the time between samples
 
 
 def test_a_gyroscope_does_not_hide_the_accelerometer():
