@@ -26,11 +26,13 @@ from threadpoolctl import ThreadpoolController
 from surefoot.calibration.in_situ.beside import (
     about_one_temperature,
     check_gauges,
+    fit_loops,
+    likeliest_loops,
     with_gains,
-    with_hysteresis,
 )
 from surefoot.calibration.in_situ.causes import Evidence
 from surefoot.calibration.in_situ.check import check_gravity, check_sets, check_within
+from surefoot.calibration.in_situ.clock import LONGEST, SHORTEST, guess_delay, likeliest_delay, shift
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     pooled_noise,
@@ -38,7 +40,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.gravity import fit_sphere, level, synchronise
+from surefoot.calibration.in_situ.gravity import fit_sphere, level
 from surefoot.calibration.in_situ.hypotheses import name_cause
 from surefoot.calibration.in_situ.judge import (
     check_masses,
@@ -56,7 +58,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.in_situ.report import fit_of, refused
-from surefoot.calibration.in_situ.solve import Problem, minima
+from surefoot.calibration.in_situ.solve import Problem, Solution, minima
 from surefoot.calibration.in_situ.starts import starts
 from surefoot.calibration.in_situ.task import MatrixMode, Solved, Task, problem_of
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -70,6 +72,9 @@ Vector = NDArray[np.float64]
 _AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
 off by 5 to 20 %."""
+
+_DELAYS = 5
+"""Fits at most until the delay of an IMU has settled."""
 
 _DRIFTS = ("slow turning", "drift by temperature")
 """Findings of what may hide behind a drift."""
@@ -201,15 +206,41 @@ def _without_answer(error: CalibrationRefused | np.linalg.LinAlgError, accept: s
 
 def _solve(task: Task, findings: list[Finding]) -> Solved:
     """Return the solutions of a task with all that they are to explain; findings go on."""
-    options = task.options
     sphere = fit_sphere(task.sets)
     findings += check_gravity(task.sets, sphere)
     sets, reference, left_out = about_one_temperature(level(task.sets, sphere))
     findings += [Finding("temperature", words, refuses=False) for words in left_out]
-    sets, delay, told = synchronise(sets, task.moving)
-    findings += told
-    parts = compress(sets, options, task.moving, reference is not None)
-    problem = problem_of(sets, parts, task, reference is not None)
+    delay, std = guess_delay(sets, task.moving), 0.0
+    for _ in range(_DELAYS):
+        late, found = tuple(shift(data, delay) for data in sets), list[Finding]()
+        members, determined, fits = _fit(task, late, reference, found)
+        if any(data.time is None for data in sets):
+            break
+        left = likeliest_delay(late, fits)
+        then, std = max(delay + left.delay, 0.0), left.std
+        worth = left.nats > 0.5 * np.log(sum(part.rows for part in fits[0][0].sets))
+        if not worth or abs(then - delay) < SHORTEST or then > LONGEST:
+            break
+        delay = then
+    findings += found
+    if delay:
+        words = f"The IMU is late by {1e3 * delay:.1f} ms against the readings: it was shifted by that."
+        findings.append(Finding("clock", words, value=delay, limit=SHORTEST, refuses=False))
+    solved = Solved(late, sphere, delay, std, members, determined, findings, reference)
+    findings += check_within(late, solved.problem.sets, task.options)
+    return solved
+
+
+def _fit(
+    task: Task, sets: tuple[InSituSet, ...], reference: float | None, findings: list[Finding]
+) -> tuple[list[Leaning], bool, list[tuple[Problem, Solution]]]:
+    """Return the fits by the likely sizes of the maker's errors, whether the data determine them, and others.
+
+    The last are with loops of hysteresis, also where they are not worth it; without where few rows show them.
+    """
+    options, warms = task.options, reference is not None
+    parts = compress(sets, options, task.moving, warms)
+    problem = problem_of(sets, parts, task, warms)
     if task.mode != "free":
         problem = replace(problem, maker=task.prior(pooled_noise(parts)))
     first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
@@ -220,20 +251,19 @@ def _solve(task: Task, findings: list[Finding]) -> Solved:
     stated = options.factory_std is not None
     members = _lean(task, problem, first, stated, findings)
     chosen = members[0].problem, members[0].solution
-    if reference is not None and not rank.missing:
+    if warms and not rank.missing:
         chosen = with_gains(*chosen, options) or chosen
-    if options.hysteresis:
-        chosen = with_hysteresis(sets, *chosen, options) or chosen
+    loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
+    fits = loops or [chosen]
+    chosen = likeliest_loops(chosen, loops)
     if chosen[0] is not members[0].problem:
         members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], stated, findings)
-    solved = Solved(sets, sphere, delay, members, not rank.missing, findings, reference)
-    findings += check_within(sets, solved.problem.sets, options)
-    if reference is not None and not rank.missing:
+    if warms and not rank.missing:
         words = check_gauges(members[0].problem, members[0].solution, options)
         findings += [Finding("temperature", one, refuses=False) for one in words]
     if rank.missing:
         findings.append(Finding("rank", rank.warning(), refuses=False))
-    return solved
+    return members, not rank.missing, fits
 
 
 def _lean(

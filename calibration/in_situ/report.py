@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.beside import (
-    drifting,
-)
+from surefoot.calibration.in_situ.beside import drifting, shows_loops
 from surefoot.calibration.in_situ.check import check_bending
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
@@ -206,7 +204,9 @@ def fit_of(task: Task, solved: Solved) -> InSituFit:
     """Return the answer; what is to be said of it goes to the findings."""
     options, findings, sets = task.options, solved.findings, solved.sets
     problem, solution = solved.problem, solved.solution
-    bending, bends = check_bending(sets, problem.sets, options, loops=not options.hysteresis)
+    timed = all(data.time is not None for data in sets)
+    hidden = not (options.hysteresis and timed and shows_loops(problem))
+    bending, bends = check_bending(sets, problem.sets, options, loops=hidden)
     findings += bends
     noise = pooled_noise(problem.sets)
     behind = _drift(solved)
@@ -270,7 +270,7 @@ def _covariance(task: Task, solved: Solved, solution: Solution, noise: Matrix) -
     root = np.concatenate(roots, axis=1)
     if task.mode == "keep":
         root = np.concatenate([root, _kept_doubt(task, problem, solution, noise)], axis=1)
-    beside = errors_of_imu(solved.sets, problem, solution, solved.sphere)
+    beside = errors_of_imu(solved.sets, problem, solution, solved.sphere, solved.delay_std)
     return fit_covariance(problem, solution, noise, beside, root)
 
 
@@ -339,7 +339,7 @@ def _limb_alone(task: Task, solved: Solved) -> tuple[tuple[float, float] | None,
 
     def weighed(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
-        beside = errors_of_imu(solved.sets, one, alone, solved.sphere)
+        beside = errors_of_imu(solved.sets, one, alone, solved.sphere, solved.delay_std)
         root = unknowns_root(one, alone)
         covariance = fit_covariance(one, alone, pooled_noise(one.sets), beside, root)
         mass = FitColumns.of(len(alone.A)).limb.start + MASS

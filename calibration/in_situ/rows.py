@@ -20,6 +20,10 @@ Matrix = NDArray[np.float64]
 _GATE = 1e-9
 """Probability that a sample of nothing but noise is left out."""
 
+_SLIGHT = 0.05
+"""Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
+0.04 at the turns of a limb that takes postures, and is seen by these."""
+
 FLOOR = 1e-9
 """Deviations below this share of a channel's spread are rounding, not noise."""
 
@@ -179,9 +183,10 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     Least squares with Cauchy's weights finds what most samples agree on; what is left is held against its own
     median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the readings.
     """
-    floor = FLOOR * np.std(raw, axis=0) + np.finfo(float).tiny
     weight = np.ones(len(columns))
     limit = float(chdtri(raw.shape[1], _GATE))
+    spread = np.std(raw, axis=0)
+    floor = FLOOR * spread + np.finfo(float).tiny
     distance = np.zeros(len(columns))
     for i in range(_ROUNDS):
         root = weight[:, None]
@@ -193,7 +198,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
         before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
         if np.max(np.abs(weight - before)) < _SETTLED:
             break
-    return np.asarray(distance > limit)
+    return np.asarray((distance > limit) & (np.abs(residual) > _SLIGHT * spread).any(axis=1))
 
 
 def _offset_basis(data: InSituSet, index: NDArray[np.float64], drift: int) -> tuple[Matrix, Matrix]:

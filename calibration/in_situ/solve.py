@@ -29,6 +29,7 @@ from surefoot.calibration.in_situ.model import (
     MASS,
     MOVING,
     STATIC,
+    transform_basis,
 )
 
 __all__ = [
@@ -140,6 +141,17 @@ class Problem:
     def of_loads(self) -> slice:
         """Places of what makes a load act on itself in the parameters, behind the limb's; or empty."""
         return slice(MOVING if self.moving else STATIC, self.parameters)
+
+    @property
+    def motion(self) -> slice:
+        """Places of the signals of gravity and motion."""
+        return slice(0, len(transform_basis(self.moving)[0, 0]))
+
+    @property
+    def of_lags(self) -> slice:
+        """Places of the loops of hysteresis in the signals; or empty."""
+        behind = self.basis.shape[2] if self.hysteresis else self.signals.shape[2]
+        return slice(behind - (AXES if self.hysteresis else self.channel_lags), behind)
 
     @property
     def loops(self) -> slice:

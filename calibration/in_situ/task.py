@@ -74,6 +74,7 @@ class Solved:
     sets: tuple[InSituSet, ...]
     sphere: Sphere
     delay: float
+    delay_std: float
     members: list[Leaning]
     determined: bool
     findings: list[Finding] = field(default_factory=list)
