@@ -5,7 +5,7 @@ teaches nothing, and what the robot's momentum is begins anew behind it.
 """
 
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -172,6 +172,15 @@ class MomentumFilter:
         health = HealthConstants(MOST_LOAD, LEAST_ROW, self._reading_noise)
         parts = self._model.constants, self._tare.constants, self._severity.constants
         return own, *parts, health, MODE_CONSTANTS, MotionConstants(), SuspectConstants()
+
+    @property
+    def limits(self) -> dict[str, tuple[Any, Any]]:
+        """Limits of the state: scales are of order one, forces and momenta are in body weights."""
+        most, weight = self.setup.plausible_weights, self.setup.weight
+        shares = dict.fromkeys(("chance", "undetermined"), (0.0, 1.0))
+        return (
+            self.front_end.limits | shares | {"mean": (-most, most), "shift": (-most * weight, most * weight)}
+        )
 
     def init(self, raw: Array) -> MomentumState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
@@ -505,4 +514,4 @@ def momentum_filter(setup: OnlineSetup, config: MomentumConfig | None = None) ->
         config: Options.
     """
     made = MomentumFilter(setup, config or MomentumConfig())
-    return OnlineMethod(made.init, made.update, made.retract)
+    return OnlineMethod(made.init, made.update, made.retract, made.limits)

@@ -125,7 +125,7 @@ def test_neglected_cells_are_known_as_well_as_stated():
     )
     found, before = [], []
     for log in fleet(range(8), speeds=(0.04,), faults=neglected, duration=24.0):
-        calibrator = FootCalibrator(LAYOUT, mass=believed_mass(neglected), initial=NOMINAL)
+        calibrator = FootCalibrator(LAYOUT, "moment", mass=believed_mass(neglected), initial=NOMINAL)
         seen = [calibrator.update(log.raw[k], rows_of(log.reference, k), DT) for k in range(len(log.raw))]
         assert 3.0 < calibrator.state.rate < 30.0
         estimate = seen[0]._replace(

@@ -94,7 +94,7 @@ class Broken:
                 after[:, WHO, other] = sign * own
             parts.append(force)
         self.raw = dict(zip(KINDS, parts, strict=True))
-        self.calibrators = [FootCalibrator(LAYOUT, mass=believed_mass(BAD)) for _ in WHO]
+        self.calibrators = [FootCalibrator(LAYOUT, "moment", mass=believed_mass(BAD)) for _ in WHO]
         self.before = self._played(healthy[:AT], 0)
         self.states = [calibrator.state for calibrator in self.calibrators]
         estimates = {kind: self.goes_on(part) for kind, part in self.raw.items()}

@@ -219,7 +219,7 @@ def test_a_load_that_is_picked_up_or_put_down_goes_to_the_mass_and_not_to_the_ga
         # Cells report the load besides, each by its own gain; the reference knows nothing of it.
         force = NOMINAL.force(log.raw)
         force[at:] += change * log.force[at:] / log.correction.scale[at:]
-        calibrator, total = FootCalibrator(LAYOUT, mass=believed_mass(faults)), 0.0
+        calibrator, total = FootCalibrator(LAYOUT, "moment", mass=believed_mass(faults)), 0.0
         unknowns = Unknowns(calibrator.setup, MomentFilterConfig())
         for k in range(len(force)):
             if k == at:

@@ -62,7 +62,7 @@ def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
     options = {"cross_talk": cross_talk, "foot_length": drawn.setup.foot_length}
     known, estimates = [], []
     for run in drawn.runs():
-        calibrator = FootCalibrator(ANKLES, mass=MASS, dt=DT, lag=0, **options)
+        calibrator = FootCalibrator(ANKLES, "moment", mass=MASS, dt=DT, lag=0, **options)
         for k in range(len(run.raw)):
             estimate = calibrator.update(run.raw[k], rows_of(run.reference, k), DT)
         known.append(calibrator.state)

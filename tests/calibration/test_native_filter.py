@@ -585,7 +585,7 @@ def calibrators(library, monkeypatch):
     made = []
     for found in (library, None):
         monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
-        made.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+        made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
     monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda: library)
     return made
 
@@ -600,9 +600,9 @@ def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path)
     kept = by_library.state
     by_library.save(tmp_path / "feet.npz")
     others = [copy.deepcopy(by_library), pickle.loads(pickle.dumps(by_library)), *calibrators]
-    others.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+    others.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
     others[-1].load(tmp_path / "feet.npz")
-    others.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+    others.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
     others[-1].state = kept
     by_python.state = kept
     for k in range(400, 500):

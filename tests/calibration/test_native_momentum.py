@@ -238,7 +238,7 @@ def test_moment_has_no_use_for_momentum(library, monkeypatch):
     for found in (library, None):
         monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
         with pytest.raises(TypeError, match="must be a Reference, got MomentumReference") as caught:
-            FootCalibrator(LAYOUT, mass=MASS, lag=0).update(log.force[0], log.row(0))
+            FootCalibrator(LAYOUT, "moment", mass=MASS, lag=0).update(log.force[0], log.row(0))
         said.append(str(caught.value))
     assert said[0] == said[1]
 

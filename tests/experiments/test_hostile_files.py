@@ -213,7 +213,8 @@ LEARNT = {
     "masses.com_torso": (1e6, "'masses.com_torso' holds 1e+06 at (0,), and "),
     "initial.scale": (0.0, "'initial.scale' holds 0 at (0,), and "),
     "initial.offset": (np.inf, "'initial.offset' holds inf at (0,), and "),
-    "state.given": (1e30, "'state.given' holds 1e+30 at (0,), and -20 to 20 can be."),
+    "state.published.mean": (1e30, "'state.published.mean' holds 1e+30 at (0,), and -20 to 20 can be."),
+    "state.belief.mean": (np.nan, "'state.belief.mean' holds nan at (0, 0), and -20 to 20 can be."),
 }
 HARDWARE = {
     "telemetry.imu.bias": (np.nan, "'telemetry.imu.bias' holds nan at (0,), and "),
