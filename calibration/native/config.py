@@ -112,7 +112,7 @@ def constants_of(
     return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
 
 
-def c_source(setup: OnlineSetup, method: str = "momentum", **options: Any) -> str:
+def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     """Return a header with the sizes and constants of one robot, for its controller.
 
     It declares ``sf_config robot``, and besides ``sf_momentum_config momentum``,
