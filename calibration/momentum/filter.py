@@ -329,7 +329,7 @@ class MomentumFilter:
         rows = self._model.rows(block, published, self._product(state, tare))
         columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
-        follows = bool(state.linked and state.track.held)
+        follows = bool(state.linked and state.track.valid)
         if follows:
             transition, added = self._model.move(rows.point - state.point, block.velocity.mean(axis=0))
             belief = belief._replace(
@@ -370,7 +370,7 @@ class MomentumFilter:
         state = state._replace(
             belief=belief,
             tare=tare,
-            linked=int(state.track.held),
+            linked=int(state.track.valid),
             point=rows.point,
             published=publication,
             covariance=self._map_covariance(publication),

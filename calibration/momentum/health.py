@@ -49,7 +49,7 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     J[K + at, K + at] = weight
     J[K + at, 2 * K + at] = published[columns.scale] * weight
     learnt: Array = J @ covariance @ J.T
-    return learnt
+    return 0.5 * (learnt + learnt.T)
 
 
 def uncertainty(

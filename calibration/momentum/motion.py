@@ -71,7 +71,7 @@ class Track(NamedTuple):
         return cls(np.zeros_like(motion), 0, 0.0, np.zeros(3), np.zeros(3), np.zeros(3), LEG_TIME)
 
     @property
-    def held(self) -> bool:
+    def valid(self) -> bool:
         """Whether the velocity is of use: a robot may be in the air for as long as a step lasts."""
         return self.adrift < LEG_TIME
 
@@ -121,7 +121,7 @@ def follow_accelerations(
     """
     sole, rotation = columns.soles(motion)
     stands = bool(stance.any())
-    if not track.held:
+    if not track.valid:
         rest, com = np.zeros(3), motion[columns.com]
         adrift = 0.0 if stands else LEG_TIME
         return Track(motion, 1, 0.0, rest, rest, rest, adrift), Pose(com, com, sole, rotation)

@@ -1091,6 +1091,8 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_re
             learnt[r * wide + k] = row[k];
             learnt[r * wide + K + k] = W * (p->mean[2 * K + k] * row[k] + row[K + k] + p->mean[k] * row[2 * K + k]);
         }
+        for (int k = 0; k < r; k++)
+            learnt[r * wide + k] = learnt[k * wide + r] = (sf_real)0.5 * (learnt[r * wide + k] + learnt[k * wide + r]);
     }
 }
 
@@ -1461,18 +1463,23 @@ SF_API void sf_suspected(const sf_config *c, int suspect, int both[2]) {
             if (c->cells[j] && pair-- == 0) both[0] = i, both[1] = j;
 }
 
-/* The logarithm of the likelihood of an innovation, by the covariance S and what else is unsure of it: of each channel
-   a variance, which acts by `reach`. */
-SF_API sf_real sf_evidence(const sf_momentum_config *m, const sf_real *S, const sf_real *e, const sf_real *reach, int K,
-                           const sf_real *std) {
+/* The factor of the covariance S and what else is unsure, of each channel a deviation that acts by `reach` or none; NaN
+   where there is none. */
+SF_API void sf_factor(const sf_momentum_config *m, const sf_real *S, const sf_real *reach, int K, const sf_real *std,
+                      sf_real *L) {
     int C = m->components;
-    sf_real L[SF_COMPONENTS * SF_COMPONENTS], x[SF_COMPONENTS], size = 0;
     sf_copy(L, S, C * C);
     for (int i = 0; std && i < K; i++)
         for (int r = 0; std[i] != 0 && r < C; r++)
             for (int k = 0; k < C; k++) L[r * C + k] += reach[r * K + i] * std[i] * (reach[k * K + i] * std[i]);
+    if (!sf_cholesky(L, C)) L[0] = (sf_real)NAN;
+}
+
+/* The logarithm of the likelihood of an innovation, by the factor of its covariance. */
+SF_API sf_real sf_evidence(const sf_momentum_config *m, const sf_real *L, const sf_real *e) {
+    int C = m->components;
+    sf_real x[SF_COMPONENTS], size = 0;
     sf_copy(x, e, C);
-    if (!sf_cholesky(L, C)) return (sf_real)NAN;
     sf_solve(L, C, x, 1);
     for (int r = 0; r < C; r++) size += sf_log(L[r * C + r]);
     return (sf_real)-0.5 * sf_dot(e, x, C) - size;
@@ -1519,7 +1526,7 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_momentum_config *m, con
 SF_API int sf_find_leap(const sf_config *c, const sf_momentum_config *m, const sf_suspects *s, const sf_real *S,
                         const sf_real *reach, const sf_real *e, sf_real least, sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
-    sf_real most = least, std[SF_CHANNELS], acts[SF_CHANNELS], step[SF_CHANNELS], left[SF_COMPONENTS];
+    sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, std[SF_CHANNELS], acts[SF_CHANNELS], step[SF_CHANNELS], left[SF_COMPONENTS];
     for (int at = 0; at < m->capacity; at++) {
         const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
         for (int i = 0; i < K; i++) {
@@ -1542,7 +1549,8 @@ SF_API int sf_find_leap(const sf_config *c, const sf_momentum_config *m, const s
             for (int i = 0; i < K; i++)
                 if (of < 0 || c->foot_of_channel[i] == of) unlike += sf_fabs(step[i] - mean) / count;
             if (!(after < m->alike * before || unlike < m->alike * sf_fabs(mean))) continue;
-            evidence = sf_evidence(m, S, left, reach, K, acts);
+            sf_factor(m, S, reach, K, acts, L);
+            evidence = sf_evidence(m, L, left);
             if (!(evidence > most)) continue;
             most = evidence, found = 1;
             for (int i = 0; i < K; i++) {
@@ -1564,6 +1572,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf
     int count = sf_suspects_of(c), best = 0, about[2], other_about[2];
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
+    sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
     sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_unexplained(c, m, rows, s->before, known, known, e);
@@ -1583,17 +1592,20 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf
     }
     /* Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on the robot's body,
        up to its height away from its centre of mass. */
-    nothing = sf_evidence(m, S, e, reach, K, 0);
+    sf_factor(m, S, reach, K, 0, sound);
+    nothing = sf_evidence(m, sound, e);
     for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
     for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
-    lasting = sf_evidence(m, other, far, reach, K, 0);
+    sf_factor(m, other, reach, K, 0, L);
+    lasting = sf_evidence(m, L, far);
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
         sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
         for (int k = 0; k < C; k++) other[r * C + k] += rows->mean[r * N + at - 2] * rows->mean[k * N + at - 2];
         other[r * C + r] += arm * arm;
     }
-    unknown = sf_evidence(m, other, e, reach, K, 0);
+    sf_factor(m, other, reach, K, 0, L);
+    unknown = sf_evidence(m, L, e);
     innocent = sf_max(sf_max(nothing, lasting), unknown);
     if (!sf_finite(innocent)) return -1;
     least = unknown + m->contrast;
@@ -1603,8 +1615,11 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf
         if (suspect < 2 * K && !c->cells[suspect % K]) continue;
         sf_copy(far, before, C);
         sf_less_suspect(c, m, rows, s, others, suspect, far);
-        if (suspect < K) std[suspect] = others_std[suspect] / c->weight;
-        score = sf_evidence(m, S, far, reach, K, suspect < K ? std : 0);
+        if (suspect < K) {
+            std[suspect] = others_std[suspect] / c->weight;
+            sf_factor(m, S, reach, K, std, L);
+        }
+        score = sf_evidence(m, suspect < K ? L : sound, far);
         least = sf_max(least, score);
         score -= innocent;
         for (int r = 0; r < C; r++) {
