@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.bag import is_bag, read_bag
-from surefoot.experiments.logs.table import LogError, LogTable, listed, read_table
+from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 
 _VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
 _SCALARS = {"time": "time_s", "set": "set", "temperature": "temperature_degC", "added_mass": "added_mass_kg"}
@@ -111,8 +111,8 @@ def read_samples(
 
 def _found(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
-    cure = f"there are {listed(table.names)}. Name yours under [columns] in the TOML file, or on the command "
-    cure += "line."
+    there = f"there are {join_names(table.names)}."
+    cure = f"{there} Name yours under [columns] in the TOML file, or on the command line."
     defaults: dict[str, Any] = {
         key: tuple(f"{key}_{axis}_{unit}" for axis in "xyz") for key, unit in _VECTORS.items()
     }

@@ -66,7 +66,7 @@ def facts_of(recording: Recording) -> list[ChannelFacts]:
 def _facts(recording: Recording, i: int) -> ChannelFacts:
     raw = recording.raw[:, i]
     there = raw[np.isfinite(raw)]
-    timed = recording.timed
+    timed = recording.has_times
     still = rests(recording.time, raw, recording.unloaded[:, i]) if timed else []
     curve = allan(still)
     slope, slope_std = _slope(still) if recording.unloaded[:, i].any() else (np.nan, np.nan)
@@ -98,7 +98,7 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
     """Yield what is wrong with the clock and with single channels."""
     if recording.kind == "weighings":
         return  # their own judge looks at single readings
-    if recording.timed:
+    if recording.has_times:
         yield from _check_clock(recording)
     constant = _stuck(recording)
     for i, one in enumerate(facts):
@@ -185,8 +185,8 @@ def _stuck(recording: Recording) -> NDArray[np.intp]:
         changed.append(int(moves[-1]) if len(moves) else 0)
     last = max(changed, default=0)
     for i, row in enumerate(changed):
-        still = recording.time[last] - recording.time[row] if recording.timed else 0.0
-        lasting = recording.timed and still > STILL
+        still = recording.time[last] - recording.time[row] if recording.has_times else 0.0
+        lasting = recording.has_times and still > STILL
         if np.isfinite(recording.raw[:, i]).sum() > FEWEST and (lasting or row == 0 < last):
             found[i] = row
     return found
@@ -195,4 +195,4 @@ def _stuck(recording: Recording) -> NDArray[np.intp]:
 def _when(recording: Recording, row: int) -> str:
     if row == 0:
         return "all along"
-    return f"{recording.time[row]:.6g} s" if recording.timed else f"row {row}"
+    return f"{recording.time[row]:.6g} s" if recording.has_times else f"row {row}"

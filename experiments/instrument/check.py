@@ -71,7 +71,7 @@ def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
         yield Wrong(Finding("unreadable", f"{reason[0].upper()}{reason[1:]}", cure))
     elif recording.kind == "weighings":
         found, _ = judge_weighings(read_weighings(path))
-        yield from (Wrong(one, settle=settled_by(one.name)) for one in found)
+        yield from (Wrong(one, settle=settling_motion(one.name)) for one in found)
     elif isinstance(read, Log):
         yield from _judge_walk(recording, read)
     elif isinstance(read, InSituLog):
@@ -89,7 +89,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
         check_weight(log, "nominal", initial, "")
     except LogError as error:
         text = str(error).removeprefix(": ")
-        yield Wrong(Finding("weight", f"{text[0].upper()}{text[1:]}"), settle=settled_by("mass"))
+        yield Wrong(Finding("weight", f"{text[0].upper()}{text[1:]}"), settle=settling_motion("mass"))
         return
     if log.about.get("feet_alone"):
         return
@@ -103,7 +103,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
         row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
     since = f"about {log.time[row]:.3g} s" if row else "all along"
     for one in clear.findings:
-        yield Wrong(one, since, settled_by(one.name))
+        yield Wrong(one, since, settling_motion(one.name))
 
 
 def _onset(claims: Claims, hypothesis: Hypothesis, row: int, size: int) -> int:
@@ -112,10 +112,10 @@ def _onset(claims: Claims, hypothesis: Hypothesis, row: int, size: int) -> int:
     if undone.initial is not claims.initial or undone.wrench_map is not claims.wrench_map:
         return row  # nothing that a log's rows hold
     rows = np.arange(max(row - size, 1), row + 2 * size, max(round(ONSET / claims.dt), 1))
-    return int(rows[np.argmax([fit_claims(_mixed(claims, undone, one)).evidence for one in rows.tolist()])])
+    return int(rows[np.argmax([fit_claims(_mix_row(claims, undone, one)).evidence for one in rows.tolist()])])
 
 
-def _mixed(claims: Claims, undone: Claims, row: int) -> Claims:
+def _mix_row(claims: Claims, undone: Claims, row: int) -> Claims:
     """Return claims of which the rows from one on are those of others."""
     pairs = zip(claims.reference, undone.reference, strict=True)
     reference = Reference(*(np.concatenate([np.asarray(a)[:row], np.asarray(b)[row:]]) for a, b in pairs))
@@ -159,12 +159,12 @@ def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
         yield Wrong(Finding("sets", refusal.reason, refusal.cure))
         return
     for one in fit.refusals:
-        yield Wrong(Finding("sets", one.reason, one.cure), settle=settled_by("sets"))
+        yield Wrong(Finding("sets", one.reason, one.cure), settle=settling_motion("sets"))
     for text in fit.warnings:
         yield Wrong(Finding("notice", text, refuses=False))
 
 
-def settled_by(kind: str) -> str:
+def settling_motion(kind: str) -> str:
     """Return the shortest motion or reading that tells whether a mistake of a kind was made."""
     try:
         return _settle(kind.replace(" ", "-"))
@@ -239,7 +239,7 @@ def facts_table(one: Recording) -> Table:
         ("samples", str(len(one.raw))),
         ("channels", str(len(one.names))),
     ]
-    if one.timed:
+    if one.has_times:
         steps = np.diff(one.time)
         step = float(np.median(steps))
         near = steps[np.abs(steps - step) < 0.5 * step]

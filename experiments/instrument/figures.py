@@ -14,7 +14,7 @@ def draw_channels(path: Path, checked: Checked) -> Path:
     """Draw the range of each channel in each of some hundred pieces of the log."""
     recording = checked.recording
     rows = np.array_split(np.arange(len(recording.raw)), min(POINTS, len(recording.raw)))
-    time = recording.time if recording.timed else np.arange(len(recording.raw), dtype=float)
+    time = recording.time if recording.has_times else np.arange(len(recording.raw), dtype=float)
     middle = np.array([time[part].mean() for part in rows])
     with figure_at(path, 10.0, 1.0 + 0.9 * len(recording.names)) as figure:
         grid = grid_of(figure, len(recording.names), 1, sharex=True)
@@ -23,7 +23,7 @@ def draw_channels(path: Path, checked: Checked) -> Path:
             ends = np.array([(raw[p].min(), raw[p].max()) if len(p) else (np.nan, np.nan) for p in whole])
             axes.fill_between(middle, *ends.T, linewidth=0.8, color="#0072B2")
             axes.set_title(name, loc="left", fontsize=8)
-        name_axes(grid, "time (s)" if recording.timed else "row", *[""] * len(recording.names))
+        name_axes(grid, "time (s)" if recording.has_times else "row", *[""] * len(recording.names))
     return path
 
 

@@ -16,7 +16,7 @@ from surefoot.experiments.logs.bag import is_bag, read_bag
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
 from surefoot.experiments.logs.mapping import TableMapping
-from surefoot.experiments.logs.table import LogError, LogTable, listed, read_table
+from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 from surefoot.files import read_toml
 
 LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
@@ -42,7 +42,7 @@ class Recording:
     notices: tuple[str, ...] = ()
 
     @property
-    def timed(self) -> bool:
+    def has_times(self) -> bool:
         """Whether samples have times."""
         return bool(len(self.time) > 1 and np.isfinite(self.time).all())
 
@@ -59,7 +59,7 @@ def read_recording(path: Path, topics: Path | None = None) -> Recording:
     if _is_in_situ(path):
         return _six_axis(path)
     mapping = TableMapping.beside(path)
-    table = mapping.read_mapped(
+    table = mapping.read_by_mapping(
         path, "give a log, or a table with time_s and raw_<channel>_count.", mapping.columns
     )
     if METADATA_KEY in (table.data.schema.metadata or {}) or path.with_suffix(".json").is_file():
@@ -124,7 +124,7 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
     names = tuple(name for name in table.names if CHANNEL.fullmatch(name))
     if not names:
         raise LogError(
-            f"{table.file}: holds no column 'raw_<channel>_count'; there are {listed(table.names)}. Name "
+            f"{table.file}: holds no column 'raw_<channel>_count'; there are {join_names(table.names)}. Name "
             f"yours under [columns] in {Path(table.file).stem}.toml."
         )
     raw = table.stacked(names)

@@ -69,7 +69,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     Raises:
         CalibrationRefused: If there are no times, no scale in newtons, or no rest.
     """
-    if not recording.timed:
+    if not recording.has_times:
         raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
     scale = _scale(recording)
     conversion = [conversions(recording.time, raw) for raw in recording.raw.T]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.reference import Reference
-from surefoot.experiments.logs.table import LogError, LogTable, listed
+from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
 
 LISTED = f"{page('log-format')} lists every column and its unit."
@@ -26,7 +26,7 @@ def naming_cure(table: LogTable) -> str:
     file = Path(table.file)
     if not others or file.suffix.lower() not in (".csv", ".parquet"):
         return LISTED
-    return f"there are {listed(others)}: name them under [columns] in {file.stem}.toml. {LISTED}"
+    return f"there are {join_names(others)}: name them under [columns] in {file.stem}.toml. {LISTED}"
 
 
 def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, NDArray[np.float64]]:

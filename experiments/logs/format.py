@@ -154,7 +154,7 @@ def read_log(
     description = Description.read(told, f"{path.name}: the description")
     beside = description.motion is not None and description.motion.table
     if beside:
-        moved = mapping.read_mapped(path.parent / beside, "motion.table gives its path from the log.")
+        moved = mapping.read_by_mapping(path.parent / beside, "motion.table gives its path from the log.")
         tables.append(moved)
     mapping.check_units(tables)
     if np.isnan(description.dt_s):
@@ -184,7 +184,7 @@ def read_log(
         facts["about"] = facts["about"] | {"notices": table.notices}
     raw = stack(values, counts[1:])
     if np.isnan(facts["nominal"].offset).any():
-        facts["nominal"] = _tared(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
+        facts["nominal"] = _tare_map(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
     return Log(
         time=time,
         raw=raw,
@@ -194,7 +194,7 @@ def read_log(
     )
 
 
-def _tared(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
+def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
     """Return a map with the offsets that make channels read nothing while their foot swings."""
     offset = np.full(layout.channels, np.nan)
     for i, name in enumerate(raw_names_of(layout)):
@@ -291,13 +291,13 @@ def _made_reference(
     stance, swing, source = contacts(table, names, reference, dt)
     about: dict[str, Any] = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
 
-    def turned(joint: str) -> Reference:
+    def turn(joint: str) -> Reference:
         found = make_reference(time, motion.turn(joint_names.index(joint)), facts, model, description.mass_kg)
         down, up, _ = contacts(table, names, found, dt)
         return found._replace(stance=down, swing=up)
 
     joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
-    made: dict[str, Callable[[], Reference]] = {name: partial(turned, name) for name in legs}
+    made: dict[str, Callable[[], Reference]] = {name: partial(turn, name) for name in legs}
     return reference._replace(stance=stance, swing=swing), about, made
 
 

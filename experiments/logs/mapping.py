@@ -17,7 +17,7 @@ from surefoot.calibration import GRAVITY
 from surefoot.experiments.logs.bag import Bag, Series
 from surefoot.experiments.logs.checks import OF_USE, check_increasing
 from surefoot.experiments.logs.settings import Number, Positive, Settings
-from surefoot.experiments.logs.table import LogError, LogTable, listed, read_table
+from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 from surefoot.files import read_toml
 
 UNITS = {
@@ -66,7 +66,7 @@ class TableMapping(Settings):
             )
         return mapping
 
-    def read_mapped(self, path: Path, absent: str, own: Mapping[str, str] | None = None) -> LogTable:
+    def read_by_mapping(self, path: Path, absent: str, own: Mapping[str, str] | None = None) -> LogTable:
         """Read one table under the documented names and in SI units; LogError where that cannot be.
 
         Args:
@@ -98,13 +98,15 @@ class TableMapping(Settings):
         names = [(table.file, name) for table in tables for name in table.names]
         for pattern in self.units:
             if not any(_fits(pattern, file, name) for file, name in names):
-                there = listed([name for _, name in names])
+                there = join_names([name for _, name in names])
                 raise LogError(f"units: no column is called '{pattern}'; there are {there}.")
 
     def read_all(self, path: Path, absent: str) -> list[LogTable]:
         """Read a log's own table, and all that belong to it; LogError if one is not right."""
-        others = (self.read_mapped(path.parent / name, "[tables] gives its path.") for name in self.tables)
-        return [self.read_mapped(path, absent, self.columns), *others]
+        others = (
+            self.read_by_mapping(path.parent / name, "[tables] gives its path.") for name in self.tables
+        )
+        return [self.read_by_mapping(path, absent, self.columns), *others]
 
 
 def merge(tables: Sequence[LogTable]) -> Bag:
@@ -120,7 +122,7 @@ def _fits(pattern: str, file: str, name: str) -> bool:
 
 def _rename(table: LogTable, own: Mapping[str, str]) -> dict[str, Any]:
     """Return columns under the documented names."""
-    table.require(list(own.values()), f"which the TOML file names; there are {listed(table.names)}.")
+    table.require(list(own.values()), f"which the TOML file names; there are {join_names(table.names)}.")
     found = {name: table.data.column(theirs) for name, theirs in own.items()}
     rest = {name: table.data.column(name) for name in table.names if name not in own.values()}
     return rest | found
@@ -144,7 +146,7 @@ def _series(table: LogTable) -> Series:
     names = [name for name in table.names if OF_USE.fullmatch(name) and name != "time_s"]
     if not names:
         raise LogError(
-            f"{table.file}: holds no column of a log; there are {listed(table.names)}. Name them under "
+            f"{table.file}: holds no column of a log; there are {join_names(table.names)}. Name them under "
             f'[tables."{table.file}"].'
         )
     return Series(table.file, time, {name: table.numbers(name, flags=True) for name in names})

@@ -33,7 +33,7 @@ class LogError(ValueError):
     """A log that cannot be used; the message names the file, the column and the cure."""
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return the names of columns as a message has them."""
     shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
     shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""

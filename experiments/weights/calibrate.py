@@ -67,7 +67,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
 def read_weighings(path: Path) -> Weighings:
     """Read a table of weighings; LogError if it is none."""
     mapping = TableMapping.beside(path)
-    table = mapping.read_mapped(path, "give a CSV of weighings, one a row.", mapping.columns)
+    table = mapping.read_by_mapping(path, "give a CSV of weighings, one a row.", mapping.columns)
     units = {"load_kg": GRAVITY, "load_N": 1.0}
     given = [name for name in units if name in table]
     if len(given) != 1:
