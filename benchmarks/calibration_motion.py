@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
-from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
+from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
 from surefoot.experiments.walks.score import cop_world
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.robot.beliefs.errors import NO_ERRORS

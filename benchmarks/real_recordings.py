@@ -31,13 +31,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
-from surefoot.experiments.arena.options import TRUE_MAP
-from surefoot.experiments.arena.replay import play
-from surefoot.experiments.arena.score import score_run
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, with_interval
+from surefoot.experiments.walks.options import TRUE_MAP
+from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks.run_score import score_run
 from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.streams import Stream
 
 Floats = NDArray[np.float64]
 

@@ -34,10 +34,10 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import lfilter, savgol_filter
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters, Reference
-from surefoot.experiments.arena.replay import play
-from surefoot.experiments.arena.score import score_run
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
+from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks.run_score import score_run
+from surefoot.experiments.walks.streams import Stream
 from surefoot.robot.beliefs.errors import USUAL
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.sensors import Encoders, Imu, Link, LoadCells, encoders, imu, scaled
@@ -333,7 +333,7 @@ def record_missing(folder: Path, speed: float, seed: int, duration: float, start
 
 
 def stream(path: Path) -> Stream:
-    """Read a log for the arena's :func:`~surefoot.experiments.arena.replay.play`, and say what is judged."""
+    """Read a log for the arena's :func:`~surefoot.experiments.walks.play.play`, and say what is judged."""
     log = read_log(path)
     return Stream(log, log.seed or 0, log.time >= SETTLE, STAND, fell=bool(log.about["fell"]))
 

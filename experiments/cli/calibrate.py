@@ -130,7 +130,7 @@ def motion(
     as_json: Json = False,
 ) -> None:
     """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
-    from surefoot.experiments.motion.plan import Limits, plan_motion
+    from surefoot.experiments.motion import Limits, plan_motion
 
     path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
     with one_line_errors(path):

@@ -26,15 +26,15 @@ def walking(
     if full:
         if scenario or method:
             fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
-        from surefoot.experiments.demo.page import run_demo
-        from surefoot.experiments.demo.presets import full_options, quick_options
+        from surefoot.experiments.walks.paper_page import run_demo
+        from surefoot.experiments.walks.presets import full_options, quick_options
 
         with one_line_errors(out):
             preset = full_options(out, 10 if seeds is None else seeds, jobs)
             report = run_demo(quick_options(preset) if quick else preset)
     else:
-        from surefoot.experiments.arena.options import ArenaOptions
-        from surefoot.experiments.arena.page import compare_walking
+        from surefoot.experiments.walks.options import ArenaOptions
+        from surefoot.experiments.walks.page import compare_walking
 
         with one_line_errors(out):
             chosen: Any = {"scenarios": tuple(scenario or ()), "methods": tuple(method or ())}
@@ -71,7 +71,7 @@ def robots(
     as_json: Json = False,
 ) -> None:
     """Compare calibrators on robots that others made: standing, moving, falling."""
-    from surefoot.experiments.robots.study import RobotOptions, compare_robots
+    from surefoot.experiments.walks.robots_page import RobotOptions, compare_robots
 
     with one_line_errors(out):
         options = RobotOptions(out=out, seeds=seeds, jobs=jobs)
@@ -86,8 +86,8 @@ def weights(
     as_json: Json = False,
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
-    from surefoot.experiments.demo.weights import paper_table_2, table_2, table_3
     from surefoot.experiments.study.page import save_tables
+    from surefoot.experiments.weights.paper import paper_table_2, table_2, table_3
     from surefoot.experiments.weights.weighing import run_weighing
 
     report = run_weighing(seed=seed)

@@ -16,8 +16,8 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
-    from surefoot.experiments.demo.page import run_demo
-    from surefoot.experiments.demo.presets import demo_options, quick_options
+    from surefoot.experiments.walks.paper_page import run_demo
+    from surefoot.experiments.walks.presets import demo_options, quick_options
 
     with one_line_errors(out):
         options = demo_options(out, seeds, jobs)

@@ -7,9 +7,9 @@ from typing import Any
 
 from gymnasium.envs.registration import registry
 
-from surefoot.experiments.arena import scenarios
-from surefoot.experiments.arena.walks import INSTANT
 from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
+from surefoot.experiments.walks import scenarios
+from surefoot.experiments.walks.recordings import INSTANT
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"

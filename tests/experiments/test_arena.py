@@ -13,17 +13,18 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.arena import cases, walks
-from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.arena.page import write_arena_page
-from surefoot.experiments.arena.replay import play
-from surefoot.experiments.arena.run import ArenaResults, run_arena
-from surefoot.experiments.arena.scenarios import SCENARIOS, scenarios_named
-from surefoot.experiments.arena.streams import Stream
-from surefoot.experiments.arena.walks import Walk, log_paths
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
+from surefoot.experiments.walks import cases
+from surefoot.experiments.walks import recordings as walks
+from surefoot.experiments.walks.options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.walks.page import write_arena_page
+from surefoot.experiments.walks.play import play
 from surefoot.experiments.walks.record import record_walk
+from surefoot.experiments.walks.recordings import Walk, log_paths
+from surefoot.experiments.walks.run import ArenaResults, run_arena
+from surefoot.experiments.walks.scenarios import SCENARIOS, scenarios_named
+from surefoot.experiments.walks.streams import Stream
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.arena.findings import claims_of, scenario_findings, summary_findings
-from surefoot.experiments.arena.scenarios import SCENARIOS
-from surefoot.experiments.arena.tables import alarm_table, scenario_table
+from surefoot.experiments.walks.findings import claims_of, scenario_findings, summary_findings
+from surefoot.experiments.walks.scenarios import SCENARIOS
+from surefoot.experiments.walks.tables import alarm_table, scenario_table
 
 PLAIN, SOFT = SCENARIOS["speed-0.04"], SCENARIOS["soft-ground"]
 

@@ -10,13 +10,13 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.experiments.arena.options import ArenaOptions
-from surefoot.experiments.arena.run import ArenaResults, run_arena, telling_walk
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.demo.page import write_demo_page
-from surefoot.experiments.demo.presets import demo_options, full_options, quick_options
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
+from surefoot.experiments.walks.options import ArenaOptions
+from surefoot.experiments.walks.paper_page import write_demo_page
+from surefoot.experiments.walks.presets import demo_options, full_options, quick_options
+from surefoot.experiments.walks.run import ArenaResults, run_arena, telling_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 pytestmark = pytest.mark.slow
@@ -147,8 +147,8 @@ def test_one_case_repeated_by_the_command(results: ArenaResults, tmp_path: Path)
 
 def test_what_is_there_is_not_done_again(results: ArenaResults, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("score_run", "run_loop"):
-        monkeypatch.setattr(f"surefoot.experiments.arena.cases.{name}", _must_not_run)
-    monkeypatch.setattr("surefoot.experiments.arena.walks.record_walk", _must_not_run)
+        monkeypatch.setattr(f"surefoot.experiments.walks.cases.{name}", _must_not_run)
+    monkeypatch.setattr("surefoot.experiments.walks.recordings.record_walk", _must_not_run)
     again = run_arena(results.options)
     for name in ("scores", "yardsticks", "sensitivity", "loop"):
         pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))

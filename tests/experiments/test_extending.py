@@ -27,12 +27,12 @@ from surefoot.calibration import (
     register_method,
 )
 from surefoot.calibration.episodes import begin_episode
-from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.walks.options import ArenaOptions
 from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration

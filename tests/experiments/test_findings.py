@@ -4,10 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.demo import findings, tables
-from surefoot.experiments.demo.findings import loop_claims, walking_claims, weight_claims
-from surefoot.experiments.demo.weights import paper_table_2
 from surefoot.experiments.study.tables import Verdict, number, with_interval
+from surefoot.experiments.walks import paper as tables
+from surefoot.experiments.walks import paper_findings as findings
+from surefoot.experiments.walks.paper_findings import loop_claims, walking_claims, weight_claims
+from surefoot.experiments.weights.paper import paper_table_2
 
 SEEDS = range(5)
 

@@ -6,15 +6,6 @@ from typing import Any
 import pandas as pd
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.arena.figures import error_curves
-from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.arena.run import ArenaResults, run_arena
-from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS
-from surefoot.experiments.arena.walks import log_paths
-from surefoot.experiments.demo import figures, findings, tables
-from surefoot.experiments.demo.findings import loop_claims, walking_claims, weight_claims
-from surefoot.experiments.demo.tables import WALKING_TABLES
-from surefoot.experiments.demo.weights import paper_table_2, weights_section
 from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
@@ -26,11 +17,22 @@ from surefoot.experiments.study.page import (
 )
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Frame, claim_table, plural
+from surefoot.experiments.walks import paper as tables
+from surefoot.experiments.walks import paper_figures as figures
+from surefoot.experiments.walks import paper_findings as findings
+from surefoot.experiments.walks.figures import error_curves
+from surefoot.experiments.walks.options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.walks.paper import WALKING_TABLES
+from surefoot.experiments.walks.paper_findings import loop_claims, walking_claims, weight_claims
 from surefoot.experiments.walks.record import CONDITIONS, Condition
+from surefoot.experiments.walks.recordings import log_paths
+from surefoot.experiments.walks.run import ArenaResults, run_arena
+from surefoot.experiments.walks.scenarios import PAPER_SCENARIOS
 from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import run_weighing
 
-_say, _caption = Words("demo"), Words("demo", "captions")
+_say, _caption = Words("walks", "paper"), Words("walks", "captions")
 
 PAPER, BAD = CONDITIONS
 PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}

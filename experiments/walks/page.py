@@ -4,11 +4,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from surefoot.experiments.arena import figures, tables
-from surefoot.experiments.arena.findings import claims_of, scenario_findings, summary_findings
-from surefoot.experiments.arena.options import ArenaOptions
-from surefoot.experiments.arena.run import ArenaResults, run_arena
-from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
@@ -20,10 +15,15 @@ from surefoot.experiments.study.page import (
 )
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import claim_table, plural, sentence
+from surefoot.experiments.walks import figures, tables
+from surefoot.experiments.walks.findings import claims_of, scenario_findings, summary_findings
+from surefoot.experiments.walks.options import ArenaOptions
+from surefoot.experiments.walks.run import ArenaResults, run_arena
+from surefoot.experiments.walks.scenarios import Scenario
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.files import atomic_path
 
-_say, _caption = Words("arena"), Words("arena", "captions")
+_say, _caption = Words("walks", "scenarios"), Words("walks", "captions")
 
 
 def compare_walking(options: ArenaOptions) -> Report:

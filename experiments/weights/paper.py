@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.demo.tables import TABLE_2, TABLE_3
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section, Words
 from surefoot.experiments.study.tables import Table, laid_out, number
+from surefoot.experiments.walks.paper import TABLE_2, TABLE_3
 from surefoot.experiments.weights.weighing import WeighingReport
 
-_say = Words("demo")
+_say = Words("walks", "paper")
 _BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.arena.options import ArenaOptions
-from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.options import ArenaOptions
+from surefoot.experiments.walks.recordings import log_paths
 from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.scenarios import Scenario
 from surefoot.experiments.walks.score import held
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults

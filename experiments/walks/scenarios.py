@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.experiments.arena.walks import CHIPS, INSTANT, Walk
 from surefoot.experiments.walks.record import CONDITIONS, Condition
+from surefoot.experiments.walks.recordings import CHIPS, INSTANT, Walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
 

@@ -29,11 +29,11 @@ import numpy as np
 from surefoot.calibration import Flag
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.layout import FeetLayout
-from surefoot.experiments.arena.replay import Played
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.walks.play import Played
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.score import cop_world, foot_errors, rms, vertical_forces
+from surefoot.experiments.walks.streams import Stream
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
 FAULT_FLAGS = reduce(or_, _FLAGS)  # flags that accuse a channel

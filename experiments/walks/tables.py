@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from surefoot.experiments.arena.options import TRUE_MAP
-from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.study.figures import by_way, in_order, look_of, short_label
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import (
@@ -21,6 +19,8 @@ from surefoot.experiments.study.tables import (
     sentence,
     with_interval,
 )
+from surefoot.experiments.walks.options import TRUE_MAP
+from surefoot.experiments.walks.scenarios import Scenario
 
 METRICS = (
     ("cop", 1e3, "CoP rmse (mm)", 2.0),
@@ -100,7 +100,9 @@ def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     """Return all scores of a scenario, from one row a run."""
     title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
     parts = by_way(scores[scores["scenario"] == scenario.name])
-    return laid_out(f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("arena")("scores"))
+    return laid_out(
+        f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("walks", "scenarios")("scores")
+    )
 
 
 def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from surefoot.experiments.arena.options import TRUE_MAP
-from surefoot.experiments.arena.scenarios import PLAIN, SPEEDS, Scenario
-from surefoot.experiments.arena.tables import METRICS, consistent, seconds_text
 from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Claim, Frame, at_least, at_most, number, plural, with_interval
+from surefoot.experiments.walks.options import TRUE_MAP
+from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, Scenario
+from surefoot.experiments.walks.tables import METRICS, consistent, seconds_text
 
 START = "none"  # the method that leaves the readings as the starting map gives them
 

@@ -5,7 +5,6 @@ from itertools import product
 from pathlib import Path
 
 from surefoot.envs import load_robot_spec
-from surefoot.experiments.robots.cases import METHODS, MOTIONS, SENSORS, Motion, run_robot
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import (
     Report,
@@ -30,8 +29,9 @@ from surefoot.experiments.study.tables import (
     plural,
     with_interval,
 )
+from surefoot.experiments.walks.robots import METHODS, MOTIONS, SENSORS, Motion, run_robot
 
-_say = Words("robots")
+_say = Words("walks", "robots")
 _KEYS = ["robot", "name"]
 
 

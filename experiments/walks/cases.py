@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, posterior_bound
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.experiments.arena.options import ArenaOptions
-from surefoot.experiments.arena.replay import play
-from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.arena.score import run_errors, running_rmse, score_run
-from surefoot.experiments.arena.streams import streams_of
-from surefoot.experiments.arena.walks import log_paths
-from surefoot.experiments.arena.yardsticks import OTHER_WAYS, other_way, trace_of, yardsticks_of
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case
 from surefoot.experiments.walks.closed_loop import run_loop
+from surefoot.experiments.walks.options import ArenaOptions
+from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks.recordings import log_paths
 from surefoot.experiments.walks.replay import age_of, starting_map
+from surefoot.experiments.walks.run_score import run_errors, running_rmse, score_run
+from surefoot.experiments.walks.scenarios import Scenario
+from surefoot.experiments.walks.streams import streams_of
+from surefoot.experiments.walks.yardsticks import OTHER_WAYS, other_way, trace_of, yardsticks_of
 
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
 TIMED = 1600  # samples of one walk on which an update is timed: 20 s

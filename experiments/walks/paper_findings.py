@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 from scipy import stats
 
-from surefoot.experiments.demo.tables import METRICS, WALKING_TABLES
 from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import (
@@ -17,6 +16,7 @@ from surefoot.experiments.study.tables import (
     plural,
     with_interval,
 )
+from surefoot.experiments.walks.paper import METRICS, WALKING_TABLES
 
 
 def errors_of(scores: Frame, condition: str, against: str, speed: float, metric: str) -> Frame:

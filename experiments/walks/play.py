@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Estimate, FootCalibrator, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
-from surefoot.experiments.arena.options import TRUE_MAP
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.replay import age_of, starting_map, steps_of
 from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.streams import Stream
 
 SNAPSHOT = 1.0  # time between looks at a covariance in s
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from surefoot.experiments.arena.cases import bound_case, loop_case, score_case, time_method
-from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.arena.scenarios import Scenario, scenarios_named
-from surefoot.experiments.arena.walks import log_paths, record_missing
-from surefoot.experiments.arena.yardsticks import OTHER_WAYS
 from surefoot.experiments.study.page import save_facts, save_frames
 from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.cases import bound_case, loop_case, score_case, time_method
+from surefoot.experiments.walks.options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.walks.recordings import log_paths, record_missing
+from surefoot.experiments.walks.scenarios import Scenario, scenarios_named
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.walks.yardsticks import OTHER_WAYS
 
 WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.arena.tables import METRICS, consistent
 from surefoot.experiments.study.figures import (
     by_way,
     draw_curve,
@@ -21,6 +19,8 @@ from surefoot.experiments.study.figures import (
     name_axes,
 )
 from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.scenarios import Scenario
+from surefoot.experiments.walks.tables import METRICS, consistent
 
 Panel = tuple[str, float, Callable[[Axes, Frame, float, str], None]]
 """A label, where a line is drawn, and what draws the runs of one method at a height."""

@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.experiments.arena.options import UNSCORED, ArenaOptions
-from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS, SPEEDS
+from surefoot.experiments.walks.options import UNSCORED, ArenaOptions
 from surefoot.experiments.walks.record import CONDITIONS
+from surefoot.experiments.walks.scenarios import PAPER_SCENARIOS, SPEEDS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 # Without weights there is no calibration from them.

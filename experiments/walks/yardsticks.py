@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import ground_reference
-from surefoot.experiments.arena.options import TRUE_MAP
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.replay import age_of, starting_map
 from surefoot.experiments.walks.score import cop_world, score_forces, vertical_forces
+from surefoot.experiments.walks.streams import Stream
 
 OTHER_WAYS = ("baseline", "reference")  # no methods: weights before the walk, kept; what the motion asks for
 TRACE = (8.0, 2.0)  # kept for figures, in s before the end: the last steps before the robot stops
