@@ -34,10 +34,9 @@ from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Param
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, with_interval
 from surefoot.experiments.walks.options import TRUE_MAP
-from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
 from surefoot.experiments.walks.score import held
-from surefoot.experiments.walks.streams import Stream
 
 Floats = NDArray[np.float64]
 

@@ -35,9 +35,8 @@ from scipy.signal import lfilter, savgol_filter
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters, Reference
 from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
-from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
-from surefoot.experiments.walks.streams import Stream
 from surefoot.robot.beliefs.errors import USUAL
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.sensors import Encoders, Imu, Link, LoadCells, encoders, imu, scaled

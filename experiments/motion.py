@@ -19,7 +19,7 @@ from surefoot.envs.exercise.motion import motions_offered
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.tables import Table, decimal
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
@@ -190,8 +190,9 @@ def _segments(plan: FootExcitation, prelude: Prelude) -> Table:
     before = np.concatenate([[plan.before], plan.std[:-1]])
     rows = []
     for name, a, b, s, e in zip(plan.motions, start, plan.time, before, plan.std, strict=True):
-        rate = f"{np.log(s / e) / (b - a):.3f}"
-        rows.append((name, f"{a:.1f}", f"{b:.1f}", f"{factor * s:.2f}", f"{factor * e:.2f}", rate))
+        rate = decimal(np.log(s / e) / (b - a), ".3f")
+        bounds = (decimal(factor * one, ".2f") for one in (s, e))
+        rows.append((name, decimal(a, ".1f"), decimal(b, ".1f"), *bounds, rate))
     what = "centre of pressure" if plan.goal == "cop" else "worst channel"
     columns = ("motion", "from (s)", "to (s)", f"before ({unit})", f"after ({unit})", "nats per second")
     title = f"{prelude.duration:.1f} s of motion: bound of the {what}'s standard deviation"
@@ -200,7 +201,7 @@ def _segments(plan: FootExcitation, prelude: Prelude) -> Table:
 
 def _single(plan: FootExcitation) -> Table:
     best = sorted(plan.rates.items(), key=lambda item: -item[1])
-    rows = tuple((name, f"{rate:.3f}") for name, rate in best)
+    rows = tuple((name, decimal(rate, ".3f")) for name, rate in best)
     return Table("rates", "What each motion would bring first", ("motion", "nats per second"), rows)
 
 

@@ -23,23 +23,18 @@ def walking(
     as_json: Json = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
-    if full:
-        if scenario or method:
-            fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
-        from surefoot.experiments.walks.paper_page import run_demo
-        from surefoot.experiments.walks.presets import full_options, quick_options
+    from surefoot.experiments.walks.options import WalkStudyOptions, full_options
+    from surefoot.experiments.walks.page import report_walks
 
-        with one_line_errors(out):
-            preset = full_options(out, 10 if seeds is None else seeds, jobs)
-            report = run_demo(quick_options(preset) if quick else preset)
-    else:
-        from surefoot.experiments.walks.options import ArenaOptions
-        from surefoot.experiments.walks.page import compare_walking
-
-        with one_line_errors(out):
+    if full and (scenario or method):
+        fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
+    with one_line_errors(out):
+        if full:
+            options = full_options(out, 10 if seeds is None else seeds, jobs)
+        else:
             chosen: Any = {"scenarios": tuple(scenario or ()), "methods": tuple(method or ())}
-            options = ArenaOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
-            report = compare_walking(options.quickly() if quick else options)
+            options = WalkStudyOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
+        report = report_walks(options.quickly() if quick else options)
     show(report.tables, {"report": report.page}, as_json=as_json)
 
 
@@ -71,7 +66,7 @@ def robots(
     as_json: Json = False,
 ) -> None:
     """Compare calibrators on robots that others made: standing, moving, falling."""
-    from surefoot.experiments.walks.robots_page import RobotOptions, compare_robots
+    from surefoot.experiments.walks.robots import RobotOptions, compare_robots
 
     with one_line_errors(out):
         options = RobotOptions(out=out, seeds=seeds, jobs=jobs)

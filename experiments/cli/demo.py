@@ -16,10 +16,10 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
-    from surefoot.experiments.walks.paper_page import run_demo
-    from surefoot.experiments.walks.presets import demo_options, quick_options
+    from surefoot.experiments.walks.options import demo_options
+    from surefoot.experiments.walks.page import report_walks
 
     with one_line_errors(out):
         options = demo_options(out, seeds, jobs)
-        report = run_demo(quick_options(options) if quick else options)
+        report = report_walks(options.quickly() if quick else options)
     show(report.tables, {"report": report.page}, as_json=as_json)

@@ -18,9 +18,8 @@ import surefoot
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.walks.closed_loop import Moment, moments
 from surefoot.experiments.walks.score import rms
-from surefoot.experiments.walks.walkers import TruthTap, on_feet
+from surefoot.experiments.walks.walkers import Moment, TruthTap, moments, on_feet
 from surefoot.files import parse_json
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")

@@ -9,7 +9,7 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
 from surefoot.experiments.walks import scenarios
-from surefoot.experiments.walks.recordings import INSTANT
+from surefoot.experiments.walks.scenarios import INSTANT
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"

@@ -15,8 +15,8 @@ from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import ReportFigure, Section, Words, save_tables, write_page
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
-from surefoot.experiments.walks.closed_loop import Moment
 from surefoot.experiments.walks.video import HEIGHT, WIDTH, headed, mark_cop, pictures, write_film
+from surefoot.experiments.walks.walkers import Moment
 
 _say = Words("episodes")
 

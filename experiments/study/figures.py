@@ -137,20 +137,17 @@ def draw_curve(
         axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
 
 
-def draw_mean(
-    axes: "Axes", values: Any, factor: float, at: float, name: str, *, upright: bool = False
-) -> None:
-    """Draw a mean with its 95 % interval at a place of the other axis: rightwards or upright."""
+def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) -> None:
+    """Draw a mean with its 95 % interval at a height."""
     interval, look = mean_interval(values), look_of(name)
     # What is nothing, a logarithmic axis cannot show.
     if interval.n == 0 or not interval.mean > 1e-9:
         return
     mean, half = factor * interval.mean, factor * float(np.nan_to_num(interval.half))
     # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
-    place: dict[str, Any] = {"x": mean, "y": at, "xerr": [[min(half, 0.9 * mean)], [half]]}
-    if upright:
-        place = {"x": at, "y": mean, "yerr": place["xerr"]}
-    axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
+    reach: Any = [[min(half, 0.9 * mean)], [half]]
+    style: Any = {"color": look.colour, "marker": look.marker, "markersize": 4.5, "capsize": 2.0}
+    axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
 def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:

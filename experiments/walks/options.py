@@ -1,11 +1,11 @@
-"""How much a study of walks does."""
+"""How much a study of walks does, and its presets: comparison, demo, and the CoP paper's study in full."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from surefoot.calibration.online import METHODS, method_entry
-from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 TRUE_MAP = "floor"
 """Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
@@ -14,9 +14,13 @@ TRUE_MAP = "floor"
 UNSCORED = "momentum"
 """A method that is newer than the results: it is scored if it is named, until all are made anew."""
 
+# Without weights there is no calibration from them.
+LOOPED = tuple(feed for feed in FEEDS if feed not in ("weights", UNSCORED))
+PAPER_CONDITIONS = ("paper", "bad-start")  # names of the conditions of the CoP paper's study
+
 
 @dataclass(frozen=True)
-class ArenaOptions:
+class WalkStudyOptions:
     """How much a study of walks does; raise ValueError at a number out of range or an unknown method."""
 
     out: Path = Path("out/compare-walking")
@@ -58,7 +62,50 @@ class ArenaOptions:
         usual = (name for name in METHODS if name != UNSCORED)
         return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or usual))))
 
-    def quickly(self) -> "ArenaOptions":
-        """Return the same with two seeds and short walks, to see whether all works."""
-        few, duration, settle = min(self.seeds, 2), STAND_TIME + 14.0, STAND_TIME + 6.0
-        return replace(self, seeds=few, duration=duration, settle=settle, quick=True)
+    def quickly(self) -> "WalkStudyOptions":
+        """Return the same with two seeds, short walks and one speed, to see whether all works."""
+        few = replace(self, seeds=min(self.seeds, 2), quick=True)
+        if not self.loops:
+            return replace(few, duration=STAND_TIME + 14.0, settle=STAND_TIME + 6.0)
+        return replace(
+            few,
+            scenarios=paper_names(0.04),
+            duration=STAND_TIME + 8.0,
+            settle=STAND_TIME + 4.0,
+            loops={3.0: LOOPED},
+            loop_duration=STAND_TIME + 4.0,
+            factors=(0.2, 1.0, 5.0) if self.factors else (),
+            sensitivity_seeds=1,
+            film_duration=min(self.film_duration, STAND_TIME + 2.0),
+        )
+
+
+def paper_names(*speeds: float) -> tuple[str, ...]:
+    """Return the names of the CoP paper's scenarios at speeds in m/s."""
+    return tuple(f"{condition}-{speed:g}" for speed in speeds for condition in PAPER_CONDITIONS)
+
+
+def full_options(
+    out: Path = Path("out/compare-walking-full"), seeds: int = 10, jobs: int = 2
+) -> WalkStudyOptions:
+    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film."""
+    return WalkStudyOptions(
+        out=out,
+        seeds=seeds,
+        jobs=jobs,
+        scenarios=paper_names(0.02, 0.04, 0.1),
+        loops={3.0: LOOPED, 1.0: ("none", "window")},
+        factors=(0.2, 0.5, 1.0, 2.0, 5.0),
+        film_duration=STAND_TIME + 12.0,
+    )
+
+
+def demo_options(out: Path = Path("out/demo"), seeds: int = 4, jobs: int = 2) -> WalkStudyOptions:
+    """Return the same at one speed, with fewer walks: less than two minutes on two cores."""
+    return replace(
+        full_options(out, seeds, jobs),
+        scenarios=paper_names(0.04),
+        loops={3.0: LOOPED},
+        factors=(),
+        film_duration=STAND_TIME + 10.0,
+    )

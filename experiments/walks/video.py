@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.walks.closed_loop import Moment, walk_moments
+from surefoot.experiments.walks.walkers import Moment, walk_moments
 from surefoot.files import atomic_path
 
 FRAMES_PER_SECOND = 16

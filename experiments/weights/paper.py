@@ -1,18 +1,66 @@
-"""Calibration from known weights, as the CoP paper's Tables 2 and 3 and its Figures 7 and 8."""
+"""Known weights: Tables 2 and 3 of the CoP paper (PMC12899417), its Figures 7 and 8, and ours."""
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section, Words
-from surefoot.experiments.study.tables import Table, laid_out, number
-from surefoot.experiments.walks.paper import TABLE_2, TABLE_3
+from surefoot.experiments.study.tables import Table, decimal, laid_out, number
 from surefoot.experiments.weights.weighing import WeighingReport
+
+
+class WeightTable(NamedTuple):
+    """Codes of eight cells under known loads and the lines through them, as in Table 2."""
+
+    channel_names: tuple[str, ...]
+    load: np.ndarray  # in kg, shape (n,)
+    code: np.ndarray  # of the converters, shape (8, n)
+    scale: np.ndarray  # in kg per count, shape (8,)
+    offset: np.ndarray  # in kg, shape (8,)
+
+
+class MethodErrors(NamedTuple):
+    """Root-mean-square errors of the centre of pressure in m and of the vertical force in N."""
+
+    cop: float
+    vgrf: float
+
+
+TABLE_2 = WeightTable(
+    channel_names=nao_shoe_layout().channel_names,
+    load=np.array([0.0, 0.01, 0.05, 0.2]),
+    code=np.array(
+        [
+            [8347750, 8344582, 8326926, 8264253],
+            [8347750, 8344582, 8301298, 8264254],
+            [8322914, 8317325, 8301301, 8264263],
+            [8322914, 8317325, 8301299, 8264278],
+            [8322914, 8317426, 8301297, 8264254],
+            [8322914, 8317356, 8301289, 8264261],
+            [8322914, 8317320, 8301299, 8264262],
+            [8321583, 8317321, 8301297, 8264267],
+        ],
+        dtype=np.float64,
+    ),
+    scale=np.array(
+        [-2.38250654, -2.20853048, -3.47692594, -3.47779548, -3.4736872, -3.47589563, -3.47698378, -3.5299719]
+    )
+    * 1e-6,
+    offset=np.array(
+        [19.8895457, 18.4277626, 28.9285295, 28.9357592, 28.9017197, 28.9199912, 28.9290027, 29.3677097]
+    ),
+)
+"""The paper's weighing. Six of the eight cells share one code for no load; two rows share three codes."""
+
+TABLE_3 = {"initial": MethodErrors(0.1839, 5.298), "calibrated": MethodErrors(0.0005, 0.08)}
+"""Before and after the paper's manual calibration from weights."""
 
 _say = Words("walks", "paper")
 _BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
@@ -25,11 +73,11 @@ def paper_table_2() -> tuple[Table, float]:
     columns: dict[str, Callable[[int], str]] = {
         "cell": lambda i: _cell(TABLE_2.channel_names[i]),
         **{_load(load): _code(TABLE_2.code[:, j]) for j, load in enumerate(TABLE_2.load)},
-        "c, ours": lambda i: f"{1e6 * fit.scale[i]:.8f}",
-        "c, paper": lambda i: f"{1e6 * TABLE_2.scale[i]:.8f}",
-        "d, ours": lambda i: f"{fit.offset[i]:.7f}",
-        "d, paper": lambda i: f"{TABLE_2.offset[i]:.7f}",
-        "largest difference": lambda i: f"{difference[i]:.1e}",
+        "c, ours": lambda i: decimal(1e6 * fit.scale[i], ".8f"),
+        "c, paper": lambda i: decimal(1e6 * TABLE_2.scale[i], ".8f"),
+        "d, ours": lambda i: decimal(fit.offset[i], ".7f"),
+        "d, paper": lambda i: decimal(TABLE_2.offset[i], ".7f"),
+        "largest difference": lambda i: decimal(difference[i], ".1e"),
     }
     note = "Counts as printed in the paper; c in 1e-6 kg per count, d in kg by regression of load on count."
     title = "Table 2: the paper's counts, fitted again"
@@ -45,8 +93,8 @@ def table_2(report: WeighingReport) -> Table:
     columns: dict[str, Callable[[int], str]] = {
         "cell": lambda i: _cell(report.channel_names[i]),
         **{_load(load[j]): _code(report.channel_code[j]) for j in shown},
-        "c": lambda i: f"{1e6 * value.scale[i] / GRAVITY:.5f}",
-        "d": lambda i: f"{value.offset[i] / GRAVITY:.5f}",
+        "c": lambda i: decimal(1e6 * value.scale[i] / GRAVITY, ".5f"),
+        "d": lambda i: decimal(value.offset[i] / GRAVITY, ".5f"),
     }
     note = (
         f"Mean codes of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
@@ -135,4 +183,4 @@ def _load(load: float) -> str:
 
 
 def _code(codes: NDArray[np.float64]) -> Callable[[int], str]:
-    return lambda i: f"{codes[i]:,.0f}"
+    return lambda i: decimal(codes[i], ",.0f")

@@ -15,16 +15,13 @@ from typer.testing import CliRunner
 from surefoot.calibration import METHODS
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
-from surefoot.experiments.walks import cases
-from surefoot.experiments.walks import recordings as walks
-from surefoot.experiments.walks.options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.walks.page import write_arena_page
-from surefoot.experiments.walks.play import play
+from surefoot.experiments.walks import run, scenarios
+from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
+from surefoot.experiments.walks.page import write_walks_page
+from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.record import record_walk
-from surefoot.experiments.walks.recordings import Walk, log_paths
-from surefoot.experiments.walks.run import ArenaResults, run_arena
-from surefoot.experiments.walks.scenarios import SCENARIOS, scenarios_named
-from surefoot.experiments.walks.streams import Stream
+from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.scenarios import SCENARIOS, Walk, log_paths, scenarios_named
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 
@@ -36,8 +33,8 @@ def bound(log: Log, judged: Any, options: Any) -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
-    options = ArenaOptions(
+def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
+    options = WalkStudyOptions(
         out=tmp_path_factory.mktemp("arena"),
         seeds=2,
         scenarios=RUN,
@@ -47,12 +44,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
         settle=STAND_TIME + 1.0,
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cases, "bound_of", bound)
-        return run_arena(options, bounds=True)
+        patch.setattr(run, "bound_of", bound)
+        return run_walk_study(options, bounds=True)
 
 
 @pytest.mark.slow
-def test_every_run_is_scored(results: ArenaResults) -> None:
+def test_every_run_is_scored(results: WalkStudyResults) -> None:
     scores = results.scores
     assert len(scores) == len(RUN) * 3 * 2
     assert set(scores["method"]) == {TRUE_MAP, "none", "tare"}
@@ -72,13 +69,13 @@ def test_every_run_is_scored(results: ArenaResults) -> None:
 
 
 @pytest.mark.slow
-def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_walks_are_shared_and_kept(results: WalkStudyResults, monkeypatch: pytest.MonkeyPatch) -> None:
     logs = results.options.out / "logs"
     # Two seeds of two walks, each read by cells of two kinds.
     assert len(list(logs.iterdir())) == 8
-    monkeypatch.setattr(walks, "record_walk", _must_not_run)
-    monkeypatch.setattr(cases, "play", _must_not_run)
-    again = run_arena(results.options, bounds=True)
+    monkeypatch.setattr(scenarios, "record_walk", _must_not_run)
+    monkeypatch.setattr(run, "play", _must_not_run)
+    again = run_walk_study(results.options, bounds=True)
     pd.testing.assert_frame_equal(again.scores, results.scores)
     assert again.left_out == results.left_out
 
@@ -89,19 +86,24 @@ def _must_not_run(*_: object, **__: object) -> None:
 
 @pytest.mark.slow
 def test_a_new_method_leaves_old_scores_alone(
-    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    results: WalkStudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     played: list[str] = []
-    original = cases.play
+    original = run.play
     monkeypatch.setattr(
-        cases,
+        run,
         "play",
         lambda streams, method, **more: played.append(method) or original(streams, method, **more),
     )
     folder = shutil.copytree(results.options.out, tmp_path / "arena")
     methods = ("none", "tare", "quasi-static")
     more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
-    assert set(run_arena(more, bounds=True).scores["method"]) == {TRUE_MAP, "none", "tare", "quasi-static"}
+    assert set(run_walk_study(more, bounds=True).scores["method"]) == {
+        TRUE_MAP,
+        "none",
+        "tare",
+        "quasi-static",
+    }
     assert played == ["quasi-static"]
 
 
@@ -117,8 +119,8 @@ def test_another_option_is_another_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_holds_everything(results: ArenaResults, undrawn: None) -> None:
-    text = write_arena_page(results).page.read_text(encoding="utf-8")
+def test_the_page_holds_everything(results: WalkStudyResults, undrawn: None) -> None:
+    text = write_walks_page(results).page.read_text(encoding="utf-8")
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
     for name in RUN:
         assert f'<section id="{name}">' in text
@@ -136,7 +138,7 @@ def test_the_page_holds_everything(results: ArenaResults, undrawn: None) -> None
 
 
 @pytest.mark.slow
-def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
+def test_the_command(results: WalkStudyResults, tmp_path: Path) -> None:
     runner = CliRunner()
     unknown = runner.invoke(app, ["compare", "walking", "--scenario", "moon", "--out", str(tmp_path)])
     assert unknown.exit_code == 2
@@ -149,13 +151,13 @@ def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
 
 def test_options_refuse_what_cannot_be_done() -> None:
     with pytest.raises(ValueError, match="'seeds' must be at least 1, got 0"):
-        ArenaOptions(seeds=0)
+        WalkStudyOptions(seeds=0)
     with pytest.raises(ValueError, match="'settle' must lie between 4 s of standing"):
-        ArenaOptions(settle=50.0)
-    quick = ArenaOptions(seeds=9).quickly()
+        WalkStudyOptions(settle=50.0)
+    quick = WalkStudyOptions(seeds=9).quickly()
     assert quick.seeds == 2
-    assert ArenaOptions().rows == (TRUE_MAP, *(name for name in METHODS if name != "momentum"))
-    assert ArenaOptions(methods=("momentum",)).rows == (TRUE_MAP, "momentum")
+    assert WalkStudyOptions().rows == (TRUE_MAP, *(name for name in METHODS if name != "momentum"))
+    assert WalkStudyOptions(methods=("momentum",)).rows == (TRUE_MAP, "momentum")
 
 
 def test_scenarios_are_the_ones_that_were_asked_for() -> None:
@@ -175,7 +177,7 @@ def test_scenarios_are_the_ones_that_were_asked_for() -> None:
 
 @pytest.mark.slow
 def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
-    instant = (walks.INSTANT,)
+    instant = (scenarios.INSTANT,)
     right = record_walk(0.1, 2, STAND_TIME + 2.0, instant)["instant"]
     late = record_walk(0.1, 2, STAND_TIME + 2.0, instant, clock_error=2 * right.dt)["instant"]
     np.testing.assert_array_equal(late.raw, right.raw)
@@ -189,11 +191,11 @@ def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
 
 
 @pytest.mark.slow
-def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
+def test_beliefs_and_sensors_are_altered(results: WalkStudyResults) -> None:
     paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
     plain = read_log(paths[0])
     beliefs = {"errors": {"mass": 0.02}}
-    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (walks.INSTANT,), beliefs=beliefs)["instant"]
+    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (scenarios.INSTANT,), beliefs=beliefs)["instant"]
     true_mass = plain.mass / (1.0 + np.sign(plain.mass - 5.305) * 0.005)
     assert abs(heavy.mass / true_mass - 1.0) == pytest.approx(0.02, abs=1e-3)
 
@@ -238,23 +240,23 @@ def test_an_ankle_tells_what_the_cells_tell(ankles: dict[str, Log]) -> None:
 
 @pytest.mark.slow
 def test_what_fails_is_left_out_and_named(
-    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
+    results: WalkStudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
 ) -> None:
-    original = cases.play
+    original = run.play
 
     def play_or_fail(streams: Any, method: str, **more: Any) -> Any:
         if method == "tare":
             raise RuntimeError("no tare today")
         return original(streams, method, **more)
 
-    monkeypatch.setattr(cases, "play", play_or_fail)
+    monkeypatch.setattr(run, "play", play_or_fail)
     folder = shutil.copytree(results.options.out, tmp_path / "arena")
     shutil.rmtree(folder / "results")
-    found = run_arena(dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",)))
+    found = run_walk_study(dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",)))
     assert list(found.failures) == ["speed-0.1 tare"]
     assert set(found.scores["method"]) == {TRUE_MAP, "none"}
-    assert "RuntimeError: no tare today" in write_arena_page(found).page.read_text(encoding="utf-8")
-    monkeypatch.setattr(cases, "streams_of", lambda *_: 1 / 0)
+    assert "RuntimeError: no tare today" in write_walks_page(found).page.read_text(encoding="utf-8")
+    monkeypatch.setattr(run, "streams_of", lambda *_: 1 / 0)
     shutil.rmtree(folder / "results")
     with pytest.raises(ValueError, match=r"No case could be scored\. The first, 'speed-0\.1 floor': "):
-        run_arena(found.options)
+        run_walk_study(found.options)

@@ -7,10 +7,9 @@ import pytest
 
 from surefoot.calibration import Flag
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.walks.play import Consistency, Played, _normalised, play
+from surefoot.experiments.walks.play import FALLING, Consistency, Played, Stream, _normalised, cut_fall, play
 from surefoot.experiments.walks.run_score import running_rmse, score_run
 from surefoot.experiments.walks.score import held, score_forces
-from surefoot.experiments.walks.streams import FALLING, Stream, cut_fall
 from surefoot.sensors import Fault
 
 RNG = np.random.default_rng(11)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.walks.closed_loop import cells_of
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
 from surefoot.experiments.walks.replay import replay_logs
-from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +42,3 @@ def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
         error = log.truth.scale * log.raw + log.truth.offset - log.truth.force
         standing = log.time < 3.0
         assert np.sqrt(np.mean(error[standing] ** 2)) < 0.05
-
-
-def test_severity_scales_the_preset() -> None:
-    assert cells_of(1.0) == HX711_LOAD_CELLS
-    twice = cells_of(2.0)
-    assert twice.initial_scale_std == 2 * HX711_LOAD_CELLS.initial_scale_std
-    assert twice.offset_drift == 2 * HX711_LOAD_CELLS.offset_drift
-    assert twice.rate == HX711_LOAD_CELLS.rate
-    with pytest.raises(ValueError, match=r"LoadCells\.initial_scale_std must be finite and not negative"):
-        cells_of(-1.0)

@@ -3,11 +3,18 @@
 import numpy as np
 import pandas as pd
 import pytest
-from surefoot.experiments.walks import robots_page as study
 
 from surefoot.envs.exercise.held import HeldRobot
-from surefoot.experiments.walks.robots import METHODS, SENSORS, Motion, run_robot
-from surefoot.experiments.walks.robots_page import RobotOptions, claims_of, compare_robots
+from surefoot.experiments.walks import robots as study
+from surefoot.experiments.walks.robots import (
+    METHODS,
+    SENSORS,
+    Motion,
+    RobotOptions,
+    claims_of,
+    compare_robots,
+    run_robot,
+)
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 FALLS = Motion("Walker2d-v5", "falling", 0.3)
