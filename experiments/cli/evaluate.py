@@ -83,17 +83,17 @@ def _page_of(named: list[str], out: Path | None, as_json: bool) -> None:
 
 def _report(frame: Any, out: Path | None, as_json: bool) -> None:
     """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
-    from surefoot.experiments.episodes.evaluation_page import EvaluationPage
+    from surefoot.experiments.episodes.page import check_episodes, write_evaluation
     from surefoot.experiments.episodes.tables import score_table
     from surefoot.experiments.policy.card import own_scores, write_card
     from surefoot.experiments.policy.train import POLICY
     from surefoot.experiments.study.progress import working
 
-    page = EvaluationPage(frame)
+    frame, failed = check_episodes(frame)
     files: dict[str, Path] = {}
     if out is not None:
         with working("drawing the page"):
-            files["page"] = page.write(out)
+            files["page"] = write_evaluation(frame, failed, out).page
         if (out / POLICY).is_file() and own_scores(out) is not None:
             files["card"] = write_card(out)
-    show([score_table(page.frame)], files, as_json=as_json)
+    show([score_table(frame)], files, as_json=as_json)

@@ -38,9 +38,9 @@ def sweep(
     as_json: Json = False,
 ) -> None:
     """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
+    from surefoot.experiments.episodes.page import write_sweep
     from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
     from surefoot.experiments.episodes.run import run_plan
-    from surefoot.experiments.episodes.sweep_page import SweepPage
     from surefoot.experiments.study.progress import working
 
     if scenarios:
@@ -62,12 +62,11 @@ def sweep(
         where: Any = {"backend": backend, "jobs": jobs, "address": address}
         results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
         with working("drawing and filming" if films else "drawing the report"):
-            page = SweepPage(results, films=films)
-            report = page.write()
+            report = write_sweep(results, films)
     kept = len(results.rows) - results.computed
     episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
     said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."
-    show(page.tables, {"report": report}, said=said, episodes=episodes, as_json=as_json)
+    show(report.tables, {"report": report.page}, said=said, episodes=episodes, as_json=as_json)
 
 
 def replay(
@@ -78,8 +77,8 @@ def replay(
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
     from surefoot.experiments.episodes.episode import OUTCOME
+    from surefoot.experiments.episodes.page import film_episode
     from surefoot.experiments.episodes.run import replay_episode
-    from surefoot.experiments.episodes.sweep_page import film_episode
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.study.tables import Verdict, laid_out
 
