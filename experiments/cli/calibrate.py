@@ -147,7 +147,7 @@ def _check_reason(accept: str | None) -> None:
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
     """Print what a mapping file for a bag may look like, and end."""
-    from surefoot.experiments.logs.bag_guess import guess_topics
+    from surefoot.experiments.logs.bag import guess_topics
     from surefoot.experiments.study.progress import working
 
     with one_line_errors():

@@ -1,4 +1,4 @@
-"""``surefoot compare``: studies that hold calibrators against each other."""
+"""``surefoot compare``: studies that hold calibrators against each other; ``surefoot demo``, a first one."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -90,3 +90,20 @@ def weights(
     if out is not None:
         save_tables(out, tables)
     show(tables, {} if out is None else {"tables": out}, as_json=as_json)
+
+
+def demo(
+    out: Out = Path("out/demo"),
+    seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
+    jobs: Jobs = 2,
+    quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
+    from surefoot.experiments.walks.options import demo_options
+    from surefoot.experiments.walks.page import report_walks
+
+    with one_line_errors(out):
+        options = demo_options(out, seeds, jobs)
+        report = report_walks(options.quickly() if quick else options)
+    show(report.tables, {"report": report.page}, as_json=as_json)

@@ -5,14 +5,22 @@ from collections.abc import Iterator
 from surefoot.experiments.episodes.comparisons import CALIBRATED, trainings
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
 from surefoot.experiments.episodes.tables import percent_interval
-from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, claim_table, interval_text
 
 
-def target_table(frame: Frame, controller: str) -> Table:
-    """Return what was set out to be reached by a policy, and by randomisation, and what came of it."""
+def target_table(frame: Frame) -> Table | None:
+    """Return what was set out to be reached by a policy and by randomisation; ``None`` without policies.
+
+    What learnt nothing was set no target: of policies, the first that was trained on true feet has some.
+    """
+    trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
+    learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
+    if not learnt:
+        return None
+    controller = next((name for name in learnt if trained.get(name) == "true"), learnt[0])
     own = frame[frame["controller"] == controller]
     claims = [*_claims(own), *_claims_of_randomisation(frame)]
     used = difference(own, Run("true"), Run("true", "shuffled"))

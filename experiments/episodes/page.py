@@ -15,8 +15,7 @@ from surefoot.experiments.episodes import figures, tables
 from surefoot.experiments.episodes.comparisons import COMPARISONS, trainings
 from surefoot.experiments.episodes.episode import Episode, episode_moments
 from surefoot.experiments.episodes.findings import controller_findings, target_table
-from surefoot.experiments.episodes.rows import Origin, in_order, origins_of
-from surefoot.experiments.episodes.run import EpisodeResults
+from surefoot.experiments.episodes.run import EpisodeResults, Origin, in_order, origins_of
 from surefoot.experiments.episodes.scores import (
     controllers_of,
     same_seeds,
@@ -25,7 +24,7 @@ from surefoot.experiments.episodes.scores import (
     severities_of,
 )
 from surefoot.experiments.policy.card import SCORES, WHOSE
-from surefoot.experiments.policy.controllers import BUILT_IN, labels, short_name
+from surefoot.experiments.policy.controllers import labels, short_name
 from surefoot.experiments.policy.tasks import Task, task_named
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, publish
@@ -114,12 +113,8 @@ def _name_scores(frame: Frame, controller: str, scores: Table, origin: Origin, t
 
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:
     said = tuple(text for name in scores for text in controller_findings(frame, name))
-    # What learnt nothing was set no target: of the policies, the one that was trained on true feet.
-    learnt, pair = [name for name in scores if name not in BUILT_IN], trainings(frame)
-    trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
-    clean = [name for name in learnt if trained.get(name) == "true"]
-    targets = (target_table(frame, (clean or learnt)[0]),) if learnt else ()
-    shown = tuple(table for table in targets if table.rows)
+    pair, targets = trainings(frame), target_table(frame)
+    shown = () if targets is None or not targets.rows else (targets,)
     yield Section("summary", "In short", findings=said, tables=shown)
     given = frame[frame["cop_input"] == "given"]
     outcomes = figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()

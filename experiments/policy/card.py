@@ -13,8 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments.policy.controllers import controller_hash
-from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
 from surefoot.experiments.study.figures import figure_at

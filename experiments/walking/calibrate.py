@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.setup import method_name
+from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
-from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat

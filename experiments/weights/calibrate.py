@@ -10,8 +10,8 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
-from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import Cell, Table, decimal, laid_out, number, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings

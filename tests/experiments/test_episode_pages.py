@@ -17,7 +17,7 @@ from surefoot.experiments.episodes.comparisons import COMPARISONS
 from surefoot.experiments.episodes.episode import VERSIONS, failed_row
 from surefoot.experiments.episodes.findings import controller_findings, target_table
 from surefoot.experiments.episodes.page import check_episodes, commands_of, write_evaluation, write_sweep
-from surefoot.experiments.episodes.rows import in_order
+from surefoot.experiments.episodes.run import in_order
 from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, won_back
 from surefoot.experiments.episodes.tables import difference_table, outcome_table, score_table, two_by_two
 from surefoot.experiments.policy.controllers import drawn_names, labels
@@ -65,8 +65,8 @@ def frame_of(*parts):
     return in_order(pd.DataFrame([result for part in parts for result in part]))
 
 
-def reached(frame, controller="clean"):
-    return {row[0]: row[-1] for row in target_table(frame, controller).rows}
+def reached(frame):
+    return {row[0]: row[-1] for row in target_table(frame).rows}
 
 
 def page_of(frame, folder):
@@ -302,11 +302,10 @@ def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
         assert words in text
 
 
-def test_targets_are_those_of_a_policy(tmp_path, undrawn):
+def test_targets_are_those_of_a_policy():
     def targets_of(*controllers):
         few = {"true": 100.0, "none": 50.0}
-        found, _ = page_of(frame_of(*(episodes(name, few) for name in controllers)), tmp_path)
-        return found.get("targets")
+        return target_table(frame_of(*(episodes(name, few) for name in controllers)))
 
     assert targets_of("zero", "stabiliser") is None
     assert targets_of("zero", "wild", "clean").title == "Set out to reach, by clean"

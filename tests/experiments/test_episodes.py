@@ -23,7 +23,7 @@ from surefoot.experiments.episodes import (
 )
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes.episode import OUTCOME, episode_row, failed_row
-from surefoot.experiments.episodes.rows import EPISODES
+from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
 from surefoot.experiments.walks.walkers import walk_moments
 
