@@ -94,10 +94,10 @@ def figure_at(path: Path, width: float, height: float) -> Iterator["Figure"]:
     with mpl.rc_context(_RC):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        # Without a date the same figure is the same file.
-        metadata: Any = {"Date": None} if path.suffix == ".svg" else None
+        # Without a date the same figure is the same file; without paper of its own it lies on any page.
+        drawn: Any = {"metadata": {"Date": None}, "transparent": True} if path.suffix == ".svg" else {}
         with atomic_path(path) as part:
-            figure.savefig(part, dpi=DPI, metadata=metadata)
+            figure.savefig(part, dpi=DPI, **drawn)
 
 
 def grid_of(figure: "Figure", rows: int, columns: int, **kwargs: Any) -> Any:

@@ -4,10 +4,10 @@ A name that a package only passes on is followed to the module that defines it; 
 counts as an import, and so does the id of an environment.
 """
 
-import ast
 import inspect
 import re
 import sys
+from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -20,8 +20,10 @@ from surefoot.names import plain_name
 from surefoot.sensors import presets
 
 _ROOT = Path(surefoot.__file__).parent
-_DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
-_ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
+_IMPORT = re.compile(r"^[ \t]*from (surefoot[\w.]*) import (?:\(([^)]*)\)|([^\n(]*))", re.MULTILINE)
+_WHOLE = re.compile(r"^[ \t]*import (surefoot\.[\w.]+)", re.MULTILINE)
+_STRING = re.compile(r"[\"'](surefoot(?:\.\w+)+)(?::\w+)?[\"']")
+_ENVIRONMENT = re.compile(r"[\"']surefoot/\w+-v\d+[\"']")
 
 
 @cache
@@ -95,18 +97,20 @@ def _place(module: str) -> Path:
 
 @cache
 def _needs(module: str) -> frozenset[str]:
-    needed: set[str] = set()
-    for node in ast.walk(ast.parse(_file(module).read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "surefoot":
-            needed.update(_defining(str(node.module), alias.name) for alias in node.names)
-        elif isinstance(node, ast.Import):
-            needed.update(alias.name for alias in node.names if alias.name.startswith("surefoot."))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if _DOTTED.fullmatch(node.value) and _found(name := node.value.partition(":")[0]):
-                needed.add(name)
-            elif _ENVIRONMENT.fullmatch(node.value):
-                needed.add("surefoot.registration")
+    text = _file(module).read_text(encoding="utf-8")
+    needed = {_defining(home, name) for home, name, _ in _imports(text)}
+    needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _found(name))
+    if _ENVIRONMENT.search(text):
+        needed.add("surefoot.registration")
     return frozenset(needed - {module})
+
+
+def _imports(text: str) -> Iterator[tuple[str, str, str]]:
+    """Yield the names that a source imports from surefoot: of which module, which, and what it calls them."""
+    for home, several, one in _IMPORT.findall(text):
+        for part in re.sub(r"#[^\n]*", "", several or one).split(","):
+            if words := part.split():
+                yield home, words[0], words[-1]
 
 
 def _defining(module: str, name: str) -> str:
@@ -120,10 +124,5 @@ def _defining(module: str, name: str) -> str:
 
 @cache
 def _passed_on(package: str) -> dict[str, str]:
-    tree = ast.parse(_file(package).read_text(encoding="utf-8"))
-    return {
-        alias.asname or alias.name: _defining(node.module, alias.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("surefoot.")
-        for alias in node.names
-    }
+    text = _file(package).read_text(encoding="utf-8")
+    return {own: _defining(home, name) for home, name, own in _imports(text)}
