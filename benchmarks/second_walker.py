@@ -162,7 +162,7 @@ def send_telemetry(run: biped.Run, skew: float, rng: np.random.Generator) -> Tel
 
 
 def believe(telemetry: Telemetry, model: NominalModel, time: Floats) -> Reference:
-    """Return what the robot believes at times of the host: of the samples :data:`LAG` before, once it can.
+    """Beliefs of the robot at times of the host, of the samples :data:`LAG` before, once it can.
 
     Stance and swing are left empty.
     """

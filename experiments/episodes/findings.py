@@ -12,7 +12,7 @@ from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, cla
 
 
 def target_table(frame: Frame) -> Table | None:
-    """Return what was set out to be reached by a policy and by randomisation; ``None`` without policies.
+    """Table of the claims about a policy and about randomisation; ``None`` without policies.
 
     What learnt nothing was set no target: of policies, the first that was trained on true feet has some.
     """

@@ -93,7 +93,7 @@ def _from_arena(scenario: scenarios.Scenario) -> LoopScenario:
 
 
 def _table() -> dict[str, LoopScenario]:
-    """Return what the arena walks on load cells, and more; a clock's error has no place in a closed loop."""
+    """Scenarios of recorded walks on load cells, and more; a clock's error has no place in a closed loop."""
     walked = [
         _from_arena(scenario)
         for scenario in scenarios.SCENARIOS.values()
@@ -201,7 +201,7 @@ class EpisodePlan:
         return data | {"files": self.files}
 
     def title_of(self, scenario: str) -> str:
-        """Return what to call a scenario."""
+        """Title of a scenario."""
         return scenario_named(scenario, self.own).title
 
     def _episodes(self) -> Iterator[Episode]:

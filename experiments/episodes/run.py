@@ -262,7 +262,7 @@ def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
 
 
 def origins_of(frame: Frame) -> dict[str, Origin]:
-    """Return what is known of controllers; ValueError if one was another file in some episodes."""
+    """Origin of each controller; ValueError if one was another file in some episodes."""
     frame = frame if "runs" in frame else _with_origin(frame)
     return {name: _origin(name, frame[frame["controller"] == name]) for name in controllers_of(frame)}
 

@@ -138,7 +138,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
 
 
 def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
-    """Return what came of one scenario of a sweep: a row a controller, feed and severity."""
+    """Outcomes of one scenario of a sweep: a row a controller, feed and severity."""
     names = labels(controllers_of(rows))
     columns = {"controller": lambda runs: names[runs["controller"].iloc[0]], **_OUTCOMES}
     parts = _pairs(rows[rows["scenario"] == scenario])

@@ -173,7 +173,7 @@ def settling_motion(kind: str) -> str:
 
 
 def wrong_table(checked: Checked) -> Table:
-    """Return what is wrong with a log, a row each."""
+    """Table of findings about a log."""
     rows = tuple(
         (
             Mark.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
@@ -190,7 +190,7 @@ def wrong_table(checked: Checked) -> Table:
 
 
 def channel_table(checked: Checked) -> Table:
-    """Return what the channels show, a row each."""
+    """Table of the channels' facts."""
     recording = checked.recording
     unit = "counts" if recording.scale is None else "N"
     rows = []
@@ -221,7 +221,7 @@ def channel_table(checked: Checked) -> Table:
 
 
 def words_of(checked: Checked) -> str:
-    """Return what is wrong as lines of text."""
+    """Findings as lines of text."""
     lines = []
     for one in checked.wrong:
         kind = "Wrong" if one.finding.refuses else "Note"
@@ -232,7 +232,7 @@ def words_of(checked: Checked) -> str:
 
 
 def facts_table(one: Recording) -> Table:
-    """Return what a log is."""
+    """Table of a log's kind, size and rate."""
     rows = [
         ("file", one.file),
         ("kind", one.kind),

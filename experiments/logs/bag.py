@@ -240,7 +240,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
-    """Return what bytes say, or raise LogError."""
+    """Decode a message, or raise LogError."""
     try:
         return reader.deserialize(data, connection.msgtype)
     except Exception as error:  # likewise

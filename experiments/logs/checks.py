@@ -23,7 +23,7 @@ LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squ
 
 
 def naming_cure(table: LogTable) -> str:
-    """Return what is said of missing columns: where they are listed, and how columns get their names."""
+    """Cure for missing columns: where they are listed, and how columns get their names."""
     others = [name for name in table.names if not OF_USE.fullmatch(name)]
     file = Path(table.file)
     if not others or file.suffix.lower() not in (".csv", ".parquet"):

@@ -49,7 +49,7 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
 
 
 def own_scores(out: Path) -> Frame | None:
-    """Return what an evaluation wrote of the very policy in a folder on its own task; ``None`` if nothing."""
+    """Scores that an evaluation wrote of the policy in a folder on its own task; ``None`` without any."""
     task = _task_of(PolicyNetwork.load(out / POLICY))
     try:
         scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)

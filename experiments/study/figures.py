@@ -169,16 +169,14 @@ def logarithmic(axes: "Axes", label: str = "") -> None:
     """Make the vertical axis logarithmic with plain numbers; or the horizontal one, which has a label."""
     from matplotlib.ticker import FuncFormatter
 
-    if label:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_xlabel(label)
-        return
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis, scale = (axes.xaxis, axes.set_xscale) if label else (axes.yaxis, axes.set_yscale)
+    scale("log")
 
     def minor(value: float, _: float) -> str:
         return f"{value:g}" if np.isfinite(value) and f"{value:e}"[0] in "25" else ""
 
-    axes.yaxis.set_minor_formatter(FuncFormatter(minor))
-    axes.tick_params(axis="y", which="minor", labelsize=8)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(minor))
+    axis.set_tick_params(which="minor", labelsize=8)
+    if label:
+        axes.set_xlabel(label)

@@ -40,13 +40,13 @@ def source_hash(*entries: str) -> str:
 
 @cache
 def code_of(module: str) -> str:
-    """Return what decides a module's results: the hash of its sources, and versions of what they use."""
+    """Hash of a module's sources, and versions of the packages they use: both decide its results."""
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
     return f"code {source_hash(module)}, {versions}"
 
 
 def own_code(*names: str) -> tuple[str, ...]:
-    """Return what decides the results of methods and presets that a user registered; nothing for others.
+    """Hashes that decide the results of methods and presets that a user registered; none of others.
 
     Of a method it is a hash of its file, of a preset what it holds.
     """
@@ -98,7 +98,7 @@ def _place(module: str) -> Path:
 @cache
 def _needs(module: str) -> frozenset[str]:
     text = _file(module).read_text(encoding="utf-8")
-    needed = {_defining(home, name) for home, name, _ in _imports(text)}
+    needed = {_find_home(home, name) for home, name, _ in _imports(text)}
     needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _found(name))
     if _ENVIRONMENT.search(text):
         needed.add("surefoot.registration")
@@ -113,16 +113,16 @@ def _imports(text: str) -> Iterator[tuple[str, str, str]]:
                 yield home, words[0], words[-1]
 
 
-def _defining(module: str, name: str) -> str:
+def _find_home(module: str, name: str) -> str:
     """Return the module in which ``from module import name`` ends."""
     if _found(f"{module}.{name}"):
         return f"{module}.{name}"
     if _file(module).name == "__init__.py":
-        return _passed_on(module).get(name, module)
+        return _exports(module).get(name, module)
     return module
 
 
 @cache
-def _passed_on(package: str) -> dict[str, str]:
+def _exports(package: str) -> dict[str, str]:
     text = _file(package).read_text(encoding="utf-8")
-    return {own: _defining(home, name) for home, name, own in _imports(text)}
+    return {own: _find_home(home, name) for home, name, own in _imports(text)}

@@ -94,7 +94,7 @@ class Table:
 
 
 def value_of(cell: str) -> Any:
-    """Return what a cell shows: its value as JSON has it, nothing, or its text.
+    """Value of a cell as JSON has it, nothing, or its text.
 
     >>> [value_of(cell) for cell in (decimal(1 / 3, ".2f"), share(3, 5), number(float("nan")), "–", "> 8")]
     [0.3333333333333333, {'count': 3, 'of': 5}, None, None, '> 8']
@@ -122,12 +122,12 @@ def laid_out(
 
 
 def mean_of(column: str, factor: float = 1.0, digits: int = 3) -> Cell:
-    """Return what makes a cell of a frame: the mean of a column with its interval."""
+    """Make cells of frames: the mean of a column with its interval."""
     return lambda runs: with_interval(runs[column], factor, digits)
 
 
 def count_of(column: str) -> Cell:
-    """Return what makes a cell of a frame: in how many rows a column is true."""
+    """Make cells of frames: in how many rows a column is true."""
     return lambda runs: share(int(runs[column].sum()), len(runs))
 
 

@@ -263,7 +263,7 @@ class Session:
         return self._recording is not None
 
     def shown(self) -> Shown:
-        """Return what there is to draw now."""
+        """State to draw now."""
         truth = self.source.truth
         position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
         force = np.asarray(truth.force_cell[-1], dtype=np.float64).copy()

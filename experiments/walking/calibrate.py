@@ -169,7 +169,7 @@ def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters |
 
 
 def _last(facts: Facts) -> dict[str, Any]:
-    """Return what is known at the end of the log."""
+    """Map, uncertainty and notices at the end of the log."""
     log, estimate = facts.log, facts.estimate
     spread = standard_deviations(estimate, facts.initial)
     last: dict[str, Any] = {

@@ -78,7 +78,7 @@ def shown_tables(facts: Facts) -> tuple[Table, ...]:
 
 
 def log_table(facts: Facts) -> Table:
-    """Return what was calibrated."""
+    """Table of the log, its contacts and its starting map."""
     log = facts.log
 
     def shares(phase: NDArray[np.bool_]) -> str:

@@ -30,7 +30,7 @@ _CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on
 
 
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:
-    """Return what a scenario shows, from one row a run of all of them, and of how many were left out."""
+    """Sentences about a scenario, from one row a run of all of them, and from how many were left out."""
     part = scores[scores["scenario"] == scenario.name]
     if not len(part):
         return (f"No walk lasted long enough to be scored: {left_out} of {left_out} ended in a fall.",)
@@ -225,7 +225,7 @@ def loop_findings(runs: Frame, horizon: float) -> Iterator[str]:
                 f"walks end in a fall within {horizon:g} s"
             )
             if feed not in ("true", "none") and "none" in set(walks["feed"]):
-                text += _saved(walks, feed)
+                text += _compare_falls(walks, feed)
             yield text + "."
         # How wrong the raw CoP was for those who fell and for those who did not.
         raw = walks[walks["feed"] == "none"]
@@ -237,7 +237,7 @@ def loop_findings(runs: Frame, horizon: float) -> Iterator[str]:
             )
 
 
-def _saved(walks: Frame, feed: str) -> str:
+def _compare_falls(walks: Frame, feed: str) -> str:
     """Compare a feed with raw readings, walk by walk."""
     paired = walks.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
     saved = int((paired["none"] & ~paired[feed]).sum())
@@ -262,7 +262,7 @@ def sensitivity_findings(runs: Frame) -> Iterator[str]:
 
 
 def lead_finding(loop: Frame) -> str:
-    """Return what the closed loops of one severity show, in one sentence."""
+    """One sentence about the closed loops of one severity."""
     falls = {feed: int(part["fell"].sum()) for feed, part in loop.groupby("feed", sort=False)}
     walks = int((loop["feed"] == "none").sum())
     names = {"true": "the true CoP", "moment": "that of feet that the moment filter calibrates"}
@@ -275,7 +275,7 @@ def lead_finding(loop: Frame) -> str:
 
 
 def feed_name(feed: str) -> str:
-    """Return what to call the CoP that is fed back."""
+    """Name of the CoP that is fed back."""
     return {"true": "true", "none": "drifting raw"}.get(feed, f"{short_label(feed)}-calibrated")
 
 

@@ -147,7 +147,7 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
 
 
 def _lead(results: WalkStudyResults) -> Section:
-    """Return what a person sees first: the worst feet that were walked on."""
+    """First section of the page: the worst feet that were walked on."""
     film, loop = results.film, results.loop
     loop = loop[loop["severity"] == loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.

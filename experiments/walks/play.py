@@ -130,7 +130,7 @@ def _true_map(stream: Stream) -> Played:
     undone = Parameters(truth.scale, truth.offset).relative_to(start)
     nothing = np.full(0, np.nan)
     return Played(
-        force=_undone(stream),
+        force=_undo_errors(stream),
         scale=undone.scale,
         offset=undone.offset,
         flags=np.zeros(log.raw.shape, dtype=np.int64),
@@ -138,7 +138,7 @@ def _true_map(stream: Stream) -> Played:
     )
 
 
-def _undone(stream: Stream) -> Floats:
+def _undo_errors(stream: Stream) -> Floats:
     """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
     log, truth = stream.log, stream.truth
     own: Floats = truth.scale * held(log.raw) + truth.offset
@@ -193,7 +193,7 @@ class _Watch:
         nees = force = cop = float("nan")
         if not stream.faults:
             error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
-            nees = _normalised(error, estimate.covariance)
+            nees = _normalise(error, estimate.covariance)
         true_force = stream.truth.force[k]
         if estimate.force_std is not None:
             force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
@@ -201,17 +201,17 @@ class _Watch:
             # The true forces are placed under the soles that the estimate is placed under.
             wrench = sole_wrenches(true_force, stream.log.layout)
             true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
-            cop = _normalised(estimate.cop - true_cop, estimate.cop_covariance)
+            cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
         self._time.append(float(stream.log.time[k]))
         self._seen.append((nees, cop, force))
 
     def seen(self) -> Consistency:
-        """Return what was seen."""
+        """Consistency of the samples so far."""
         nees, cop, force = np.array(self._seen).reshape(-1, 3).T
         return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)
 
 
-def _normalised(error: Floats, covariance: Any) -> float:
+def _normalise(error: Floats, covariance: Any) -> float:
     """Return squared errors by their covariance over their number; infinite where it is not one."""
     if covariance is None:
         return float("nan")

@@ -29,136 +29,6 @@ from surefoot.wrappers.self_calibration import SelfCalibration
 _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
 
 
-@dataclass(frozen=True)
-class Condition:
-    """What cells a robot walks on (``None`` for none), and what it knows of them."""
-
-    name: str
-    title: str
-    cells: LoadCells | None
-    start: str  # the map of calibrators: ``"calibrated"`` or ``"nominal"``
-    ankle: ForceTorque | None = None  # six-axis sensors
-
-    @property
-    def age(self) -> float:
-        """Mean age in s of a reading when the host takes it; the cells' where there are both."""
-        device = self.cells or self.ankle
-        return 0.0 if device is None else device.nominal_age
-
-
-CONDITIONS = (
-    Condition(
-        "paper",
-        "the paper's conditions",
-        LoadCells(scale_drift=0.005 * PER_SQRT_MINUTE, offset_drift=0.2 * PER_SQRT_MINUTE),
-        "calibrated",
-    ),
-    Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),
-)
-"""The CoP paper's, calibrated from weights and then drifting mildly (0.5 % and 0.2 N per square root of a
-minute); and a bad start: never calibrated (scales 12 % off, offsets 1.5 N) and drifting by 2 % and 1 N."""
-
-
-def record_walk(
-    speed: float,
-    seed: int,
-    duration: float,
-    conditions: Sequence[Condition] = CONDITIONS,
-    *,
-    sensors: Mapping[str, Any] | None = None,
-    beliefs: Mapping[str, Any] | None = None,
-    clock_error: float = 0.0,
-    **env_options: Any,
-) -> dict[str, Log]:
-    """Walk once, and return what the cells of each condition read: a log by its name.
-
-    The walk takes ``duration`` s, standing included, at a speed in m/s; a fall ends it earlier. As in the CoP
-    paper nobody pushes, unless ``push_impulse`` says so. The seed is that of the walk, the sensors, the
-    beliefs and the weighing; references are timed for each condition's own cells. Further options are those
-    of :class:`~surefoot.wrappers.FootSensors` (IMU, encoders and link), of
-    :class:`~surefoot.wrappers.SelfCalibration` (how wrong the robot is about itself) and of
-    :class:`~surefoot.envs.nao.walk.NaoWalkEnv`. Telemetry is ``clock_error`` s later than the robot believes:
-    what it takes for the moment of a reference is that much earlier in truth.
-    """
-    options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
-    _, tap = make_walker("true", speed=speed, duration=duration, **options)
-    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
-    youngest = min(condition.age for condition in conditions)
-    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
-    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "none", **(beliefs or {}))
-    bare: Any = env.unwrapped
-    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
-    _, info = env.reset(seed=seed)
-    controller.reset()
-    feet = [
-        FootInstruments(
-            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing, dt=bare.dt
-        )
-        for i, c in enumerate(conditions)
-    ]
-    time: list[float] = []
-    believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
-    position, rotation = [], []
-    done = terminated = False
-    while not done:
-        _, _, terminated, truncated, info = env.step(controller(tap.seen))
-        truth = bare.truth
-        time.append((len(time) + 1) * bare.dt)
-        reference = env.reference
-        for age, references in believed.items():
-            early = age - youngest + clock_error
-            references.append(reference if early == 0.0 else _earlier(env, reference, early))
-        for one in feet:
-            one.read(truth, bare.dt)
-        position.append(truth.position_sole[-1].copy())
-        rotation.append(truth.R_world_sole[-1].copy())
-        done = terminated or truncated
-    mass = env.calibrator.setup.mass
-    env.close()
-
-    kept = slice(_SETTLING, None)
-    about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
-    about["surefoot"] = surefoot.__version__
-    stacked = {
-        age: Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True)))
-        for age, references in believed.items()
-    }
-    return {
-        condition.name: Log(
-            time=np.array(time)[kept],
-            raw=one.raw[kept],
-            reference=stacked[condition.age],
-            layout=one.layout,
-            mass=mass,
-            nominal=one.nominal,
-            calibrated=one.calibrated,
-            dt=bare.dt,
-            lag=int(info["surefoot"]["lag"]),
-            seed=seed,
-            truth=LogTruth(
-                force=one.force[kept],
-                position_sole=np.array(position)[kept],
-                R_world_sole=np.array(rotation)[kept],
-                scale=one.maps[kept, 0],
-                offset=one.maps[kept, 1],
-            ),
-            about=about
-            | one.about
-            | {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age},
-        )
-        for condition, one in zip(conditions, feet, strict=True)
-    }
-
-
-def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
-    """Return what the robot assumes of a moment that lies ``early`` s before that of a reference."""
-    earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
-    return earlier
-
-
-_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
-
-
 class FootInstruments:
     """What one condition reads under one walk, by a random stream of an ``index``.
 
@@ -249,3 +119,132 @@ class FootInstruments:
             "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
             "truth_preload": self._all.joined(preload).tolist(),
         }
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What cells a robot walks on (``None`` for none), and what it knows of them."""
+
+    name: str
+    title: str
+    cells: LoadCells | None
+    start: str  # the map of calibrators: ``"calibrated"`` or ``"nominal"``
+    ankle: ForceTorque | None = None  # six-axis sensors
+
+    @property
+    def age(self) -> float:
+        """Mean age in s of a reading when the host takes it; the cells' where there are both."""
+        device = self.cells or self.ankle
+        return 0.0 if device is None else device.nominal_age
+
+
+CONDITIONS = (
+    Condition(
+        "paper",
+        "the paper's conditions",
+        LoadCells(scale_drift=0.005 * PER_SQRT_MINUTE, offset_drift=0.2 * PER_SQRT_MINUTE),
+        "calibrated",
+    ),
+    Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),
+)
+"""The CoP paper's, calibrated from weights and then drifting mildly (0.5 % and 0.2 N per square root of a
+minute); and a bad start: never calibrated (scales 12 % off, offsets 1.5 N) and drifting by 2 % and 1 N."""
+
+
+def record_walk(
+    speed: float,
+    seed: int,
+    duration: float,
+    conditions: Sequence[Condition] = CONDITIONS,
+    *,
+    sensors: Mapping[str, Any] | None = None,
+    beliefs: Mapping[str, Any] | None = None,
+    clock_error: float = 0.0,
+    **env_options: Any,
+) -> dict[str, Log]:
+    """Walk once, and return what the cells of each condition read: a log by its name.
+
+    The walk takes ``duration`` s, standing included, at a speed in m/s; a fall ends it earlier. As in the CoP
+    paper nobody pushes, unless ``push_impulse`` says so. The seed is that of the walk, the sensors, the
+    beliefs and the weighing; references are timed for each condition's own cells. Further options are those
+    of :class:`~surefoot.wrappers.FootSensors` (IMU, encoders and link), of
+    :class:`~surefoot.wrappers.SelfCalibration` (how wrong the robot is about itself) and of
+    :class:`~surefoot.envs.nao.walk.NaoWalkEnv`. Telemetry is ``clock_error`` s later than the robot believes:
+    what it takes for the moment of a reference is that much earlier in truth.
+    """
+    options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
+    _, tap = make_walker("true", speed=speed, duration=duration, **options)
+    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
+    youngest = min(condition.age for condition in conditions)
+    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
+    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "none", **(beliefs or {}))
+    bare: Any = env.unwrapped
+    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
+    _, info = env.reset(seed=seed)
+    controller.reset()
+    feet = [
+        FootInstruments(
+            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing, dt=bare.dt
+        )
+        for i, c in enumerate(conditions)
+    ]
+    time: list[float] = []
+    believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
+    position, rotation = [], []
+    done = terminated = False
+    while not done:
+        _, _, terminated, truncated, info = env.step(controller(tap.seen))
+        truth = bare.truth
+        time.append((len(time) + 1) * bare.dt)
+        reference = env.reference
+        for age, references in believed.items():
+            early = age - youngest + clock_error
+            references.append(reference if early == 0.0 else _believe_earlier(env, reference, early))
+        for one in feet:
+            one.read(truth, bare.dt)
+        position.append(truth.position_sole[-1].copy())
+        rotation.append(truth.R_world_sole[-1].copy())
+        done = terminated or truncated
+    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": bare.dt, "seed": seed}
+    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+    env.close()
+    about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
+    about["surefoot"] = surefoot.__version__
+    poses = np.array(position), np.array(rotation)
+    return {
+        condition.name: _make_log(condition, one, believed[condition.age], poses, about, common)
+        for condition, one in zip(conditions, feet, strict=True)
+    }
+
+
+def _make_log(
+    condition: Condition,
+    feet: FootInstruments,
+    references: Sequence[Reference],
+    poses: tuple[Floats, Floats],
+    about: Mapping[str, Any],
+    common: Mapping[str, Any],
+) -> Log:
+    """Make the log of one condition; its first rows are cut off."""
+    kept = slice(_SETTLING, None)
+    scale, offset = feet.maps[kept].swapaxes(0, 1)
+    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age}
+    return Log(
+        raw=feet.raw[kept],
+        reference=Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True))),
+        layout=feet.layout,
+        nominal=feet.nominal,
+        calibrated=feet.calibrated,
+        truth=LogTruth(feet.force[kept], poses[0][kept], poses[1][kept], scale, offset),
+        about={**about, **feet.about, **of_condition},
+        **common,
+    )
+
+
+def _believe_earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
+    """Beliefs of a moment ``early`` s before that of a reference."""
+    earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
+    return earlier
+
+
+_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed

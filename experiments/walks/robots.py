@@ -73,7 +73,7 @@ class Motion:
         """Make it, with soles under feet without area."""
         if not self.packaged:
             env = gym.make(self.robot)
-            return InstrumentedEnv(env, soles=True, spec=_standing(env) if "Standup" in self.robot else None)
+            return InstrumentedEnv(env, soles=True, spec=_stand_up(env) if "Standup" in self.robot else None)
         if self.name == "exercise":
             return gym.make("surefoot/Exercise-v0", robot=self.robot, duration=None)
         bare = HeldRobot(self.robot)
@@ -161,7 +161,7 @@ def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[
     return {"scores": [{**about, "method": m, "cop": rms(o[borne]), "vgrf": rms(t)} for m, o, t in errors]}
 
 
-def _standing(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
+def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
     """Return the robot of HumanoidStandup-v5, which lies, with a keyframe in which its soles are measured."""
     bare: Any = env.unwrapped
     spec = mujoco.MjSpec.from_file(bare.fullpath)

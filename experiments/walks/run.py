@@ -291,7 +291,7 @@ def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str
 
 
 def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
-    """Return what a scenario's results depend on; a log's name is a hash of all that made it."""
+    """Options and logs that decide a scenario's results; a log's name is a hash of all that made it."""
     logs = [
         str(log_paths(scenario.walk, seed, options.duration, Path())[scenario.condition])
         for seed in scenario.seeds(options.seeds)

@@ -81,7 +81,7 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "worse_foot": _larger(rms(foot[last]), rms(start_foot[last])),
         "worse_vgrf": _larger(rms(vgrf[last]), rms(start_vgrf[last])),
         "worse_cell": _larger(rms(cell[last]), rms(start_cell[last])),
-        "converged": _converged(log.time, running, end, stream.began),
+        "converged": _convergence(log.time, running, end, stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
     }
     row |= _parameter_errors(stream, played)
@@ -122,7 +122,7 @@ def _newtons(layout: FeetLayout) -> list[bool]:
     return [not name.rpartition("/")[2].startswith("t") for name in layout.channel_names]
 
 
-def _converged(time: Floats, running: Floats, end: float, began: float) -> float:
+def _convergence(time: Floats, running: Floats, end: float, began: float) -> float:
     """Find when the running error came to stay within twice its end."""
     outside = np.flatnonzero(~(running <= 2.0 * end) & np.isfinite(running) & (time >= began))
     if not np.isfinite(end):

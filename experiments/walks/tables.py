@@ -139,7 +139,7 @@ def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
 
 
 def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
-    """Return what became of faults, or ``None`` where there were none."""
+    """Faults found and missed, or ``None`` where there were none."""
     titles = {scenario.name: scenario.title for scenario in scenarios if scenario.faults}
     parts = [
         runs for name in titles for runs in by_way(scores[scores["scenario"] == name]).values() if len(runs)
@@ -186,7 +186,7 @@ def timing_table(timing: Frame) -> Table:
 
 
 def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
-    """Return what one wants to know first: how far off each way to read the feet is, and who falls."""
+    """Errors of each way to read the feet, and who falls by it."""
     own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
     raw = int(loop[loop["feed"] == "none"]["fell"].sum())
 
