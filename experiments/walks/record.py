@@ -26,6 +26,7 @@ from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
+_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
 
 
@@ -245,6 +246,3 @@ def _believe_earlier(env: SelfCalibration, reference: Reference, early: float) -
     """Beliefs of a moment ``early`` s before that of a reference."""
     earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
     return earlier
-
-
-_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
