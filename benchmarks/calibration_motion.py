@@ -4,7 +4,7 @@
     python benchmarks/calibration_motion.py walk --seeds 20       # NAO: the motion, then 12 s of walking
     python benchmarks/calibration_motion.py robots --seeds 5      # the motion, then 12 s of exercise
 
-The start is the arena's bad one: scales 12 % off, offsets 1.5 N for a NAO (3 N per 100 N of weight for
+The start is the bad one of walks: scales 12 % off, offsets 1.5 N for a NAO (3 N per 100 N of weight for
 others), drift of 2 % and 1 N (2 N per 100 N) per square root of a minute; the robot's usual errors about
 itself. Errors of the centre of pressure count from the first step, or the first exercise, on; the readings'
 own error by the data sheet is given beside. NEES is that of all scales and offsets when the motion is over.

@@ -332,13 +332,13 @@ def record_missing(folder: Path, speed: float, seed: int, duration: float, start
 
 
 def stream(path: Path) -> Stream:
-    """Read a log for the arena's :func:`~surefoot.experiments.walks.play.play`, and say what is judged."""
+    """Read a log for :func:`~surefoot.experiments.walks.play.play`, and say what is judged."""
     log = read_log(path)
     return Stream(log, log.seed or 0, log.time >= SETTLE, STAND, fell=bool(log.about["fell"]))
 
 
 def score(path: Path, method: str, **options: Any) -> dict[str, Any]:
-    """Play a method on a log and score it, as the arena does."""
+    """Play a method on a log and score it, as the study of walks does."""
     one = stream(path)
     return score_run(one, play([one], method, **options)[0])
 

@@ -44,7 +44,7 @@ class LoopScenario:
     sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
     beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
     methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # options by feed
-    fault_of: str | None = None  # scenario of the arena that says which fault a seed draws
+    fault_of: str | None = None  # scenario of walks that says which fault a seed draws
     of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
 
     def options_for(self, duration: float | None) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def scenario_of_task(name: str) -> LoopScenario:
     return LoopScenario(task.name, task.name, task.env_id, methods={"moment": dict(task.loads)}, of_task=True)
 
 
-def _from_arena(scenario: scenarios.Scenario) -> LoopScenario:
+def _from_walks(scenario: scenarios.Scenario) -> LoopScenario:
     walk = scenario.walk
     return LoopScenario(
         scenario.name,
@@ -95,7 +95,7 @@ def _from_arena(scenario: scenarios.Scenario) -> LoopScenario:
 def _table() -> dict[str, LoopScenario]:
     """Scenarios of recorded walks on load cells, and more; a clock's error has no place in a closed loop."""
     walked = [
-        _from_arena(scenario)
+        _from_walks(scenario)
         for scenario in scenarios.SCENARIOS.values()
         if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
     ]

@@ -1,4 +1,4 @@
-"""The arena's scenarios: what is walked, what is wrong, and which question that answers.
+"""Scenarios of the study of walks: what is walked, what is wrong, and which question that answers.
 
 The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
 square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
@@ -34,7 +34,7 @@ class Walk:
 
     name: str  # for files
     speed: float = 0.04  # in m/s
-    duration: float | None = None  # in s with standing; ``None`` for the arena's
+    duration: float | None = None  # in s with standing; ``None`` for the study's
     env: Mapping[str, Any] = field(default_factory=dict)  # options of NaoWalkEnv
     sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
     beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
@@ -42,7 +42,7 @@ class Walk:
     conditions: tuple[Condition, ...] = (INSTANT,)
 
     def lasting(self, duration: float) -> float:
-        """Return how long it takes in s, where the arena's walks take ``duration``."""
+        """Return how long it takes in s, where the study's walks take ``duration``."""
         return duration if self.duration is None else self.duration
 
 

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from surefoot.experiments.logs.format import Log
+from surefoot.calibration.parameters import Parameters
+from surefoot.experiments.logs.format import Log, LogError
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
-from surefoot.experiments.walks.replay import replay_logs
+from surefoot.experiments.walks.replay import replay_logs, starting_map
 
 
 @pytest.fixture(scope="module")
@@ -42,3 +43,43 @@ def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
         error = log.truth.scale * log.raw + log.truth.offset - log.truth.force
         standing = log.time < 3.0
         assert np.sqrt(np.mean(error[standing] ** 2)) < 0.05
+
+
+def test_none_is_the_starting_map(log: Log) -> None:
+    calibrated = Parameters(1.1 * log.nominal.scale, log.nominal.offset + 0.5)
+    log = dataclasses.replace(log, calibrated=calibrated)
+    for start, expected in (("nominal", log.nominal), ("calibrated", calibrated), ("bench", calibrated)):
+        replayed = replay_logs([log], "none", start)[0]
+        np.testing.assert_allclose(replayed.force, expected.force(log.raw), atol=1e-9)
+        np.testing.assert_allclose(replayed.scale, np.tile(expected.scale, (len(log), 1)), rtol=1e-12)
+        np.testing.assert_allclose(replayed.offset, np.tile(expected.offset, (len(log), 1)), rtol=1e-12)
+
+
+def test_the_map_that_is_handed_out_gives_the_forces(log: Log) -> None:
+    log = dataclasses.replace(log, nominal=Parameters(1.05 * log.nominal.scale, 1.05 * log.nominal.offset))
+    replayed = replay_logs([log], "window", standing_start=False)[0]
+    np.testing.assert_allclose(replayed.scale * log.raw + replayed.offset, replayed.force, atol=1e-8)
+    assert np.abs(replayed.scale[-1] / log.nominal.scale - 1).max() > 1e-4, "the window learnt nothing"
+
+
+def test_each_log_is_of_its_own_robot_and_map(log: Log) -> None:
+    nominal = Parameters(1.1 * log.nominal.scale, 1.1 * log.nominal.offset)
+    # Half of the counts under twice the map are the same forces.
+    halved = dataclasses.replace(
+        log, raw=0.5 * log.raw, nominal=Parameters(2.0 * log.nominal.scale, log.nominal.offset)
+    )
+    logs = [log, halved, dataclasses.replace(log, nominal=nominal), dataclasses.replace(log, mass=5.0)]
+    same, again, other, lighter = replay_logs(logs, "window", standing_start=False)
+    np.testing.assert_allclose(again.force, same.force, atol=1e-9)
+    np.testing.assert_allclose(again.scale, 2.0 * same.scale, rtol=1e-9)
+    for changed in (other, lighter):
+        assert np.abs(changed.force - same.force).max() > 0.1
+
+
+def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
+    with pytest.raises(LogError, match=r"has no 'calibrated' map; start from 'nominal', or add the map\."):
+        starting_map(log, "calibrated")
+    with pytest.raises(LogError, match=r"starts from 'nominal' or 'calibrated', not from 'factory'\."):
+        replay_logs([log], "none", "factory")
+    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', 'momentum'"):
+        replay_logs([log], "kalman")

@@ -1,4 +1,4 @@
-"""The arena from end to end, small: what it writes, that it can be interrupted, and what it refuses."""
+"""A study of walks from end to end: what it writes, that it can be interrupted, and what it refuses."""
 
 import dataclasses
 import json
@@ -35,7 +35,7 @@ def bound(log: Log, judged: Any, options: Any) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
     options = WalkStudyOptions(
-        out=tmp_path_factory.mktemp("arena"),
+        out=tmp_path_factory.mktemp("walks"),
         seeds=2,
         scenarios=RUN,
         methods=("none", "tare"),
@@ -95,7 +95,7 @@ def test_a_new_method_leaves_old_scores_alone(
         "play",
         lambda streams, method, **more: played.append(method) or original(streams, method, **more),
     )
-    folder = shutil.copytree(results.options.out, tmp_path / "arena")
+    folder = shutil.copytree(results.options.out, tmp_path / "walks")
     methods = ("none", "tare", "quasi-static")
     more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
     assert set(run_walk_study(more, bounds=True).scores["method"]) == {
@@ -250,7 +250,7 @@ def test_what_fails_is_left_out_and_named(
         return original(streams, method, **more)
 
     monkeypatch.setattr(run, "play", play_or_fail)
-    folder = shutil.copytree(results.options.out, tmp_path / "arena")
+    folder = shutil.copytree(results.options.out, tmp_path / "walks")
     shutil.rmtree(folder / "results")
     found = run_walk_study(dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",)))
     assert list(found.failures) == ["speed-0.1 tare"]
