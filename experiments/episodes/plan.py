@@ -17,7 +17,7 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
 from surefoot.experiments.policy.controllers import Controller, controller_hash, trained_on
-from surefoot.experiments.policy.tasks import EXPECTED_LOADS, TASKS, TRAINING_SEEDS, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, task_named
 from surefoot.experiments.walks import scenarios
 from surefoot.experiments.walks.scenarios import INSTANT
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
@@ -77,7 +77,7 @@ class LoopScenario:
 def scenario_of_task(name: str) -> LoopScenario:
     """Return the scenario in which policies for a task are evaluated."""
     task = task_named(name)
-    return LoopScenario(task.name, task.name, task.env_id, methods={"moment": dict(task.loads)}, of_task=True)
+    return LoopScenario(task.name, task.name, task.env_id, of_task=True)
 
 
 def _from_walks(scenario: scenarios.Scenario) -> LoopScenario:
@@ -100,13 +100,12 @@ def _table() -> dict[str, LoopScenario]:
         if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
     ]
     hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
-    loads = {"moment": dict(EXPECTED_LOADS)}
     own = (
         LoopScenario("hard-pushes", "walking, pushed hard", options={"speed": 0.04, **hard}),
         LoopScenario("stand", "standing", _STAND),
         LoopScenario("stand-pushes", "standing, pushed", _STAND, hard),
-        LoopScenario("balance", "balance under a payload and pushes", _BALANCE, methods=loads),
-        LoopScenario("carry", "walking under a payload and pushes", _CARRY, methods=loads),
+        LoopScenario("balance", "balance under a payload and pushes", _BALANCE),
+        LoopScenario("carry", "walking under a payload and pushes", _CARRY),
     )
     return {scenario.name: scenario for scenario in (*walked, *own)}
 

@@ -11,11 +11,8 @@ TRUE_MAP = "floor"
 """Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
 
 
-UNSCORED = "momentum"
-"""A method that is newer than the results: it is scored if it is named, until all are made anew."""
-
 # Without weights there is no calibration from them.
-LOOPED = tuple(feed for feed in FEEDS if feed not in ("weights", UNSCORED))
+LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
 PAPER_CONDITIONS = ("paper", "bad-start")  # names of the conditions of the CoP paper's study
 
 
@@ -58,9 +55,8 @@ class WalkStudyOptions:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """What is scored, in order: the true map and the methods, by default all but :data:`UNSCORED`."""
-        usual = (name for name in METHODS if name != UNSCORED)
-        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or usual))))
+        """What is scored, in order: the true map and the methods, by default all."""
+        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
 
     def quickly(self) -> "WalkStudyOptions":
         """Return the same with two seeds, short walks and one speed, to see whether all works."""

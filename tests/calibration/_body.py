@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
+from surefoot.calibration.moment.rows import Block
+from surefoot.calibration.moment.stream import MomentStream
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup, Parameters, Reference
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.rows import Block
-from surefoot.calibration.moment.stream import MomentStream
 
 MASS, DT, LENGTH = 5.3, 1.0 / 80.0, 0.17
 CORNERS = [(0.1, 0.05), (0.1, -0.04), (-0.06, 0.05), (-0.07, -0.05)]

@@ -1,6 +1,5 @@
 """Two lines around any biped: its episodes stay its own, bit for bit, and its feet are felt."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -304,20 +303,6 @@ def keep_falling(env: gym.Env[Any, Any], steps: int) -> None:
         _, _, terminated, _, _ = env.step(np.zeros(17))
         if terminated:
             env.reset()
-
-
-def test_who_learns_nothing_is_told_why_once() -> None:
-    env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True), "moment")
-    with pytest.warns(UserWarning, match="SelfCalibration has learnt nothing in 1[0-9] s") as told:
-        keep_falling(env, 900)
-    text = str(told[0].message)
-    assert len(told) == 1
-    upright, standing, longest = (
-        float(part) for part in re.findall(r"(?:in|for) ([0-9.]+) (?:%|s at)", text)
-    )
-    assert 40.0 < upright <= 100.0
-    assert standing < upright
-    assert longest < 1.5
 
 
 def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> None:
