@@ -5,7 +5,7 @@ pressure of each foot in its sole's frame, where the foot truly bears a tenth of
 the vertical force of both feet. Where an estimate has no centre of pressure the last one is held.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -49,7 +49,8 @@ from surefoot.experiments.walks.score import held, rms
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.wrappers import FootSensors, SelfCalibration
 
-METHODS = ("none", "tare", "window", "moment")
+TOGETHER = (("none", "tare", "window"), ("moment",))  # methods that are given the same references
+METHODS = tuple(name for names in TOGETHER for name in names)
 SENSORS: Mapping[str, Any] = MappingProxyType({"load cells": None, "ankle sensors": "icub-force-torque"})
 BEGIN = 1.0  # s from which on errors count
 BEARS = 0.1  # share of the weight from which on a foot's centre of pressure counts
@@ -98,15 +99,15 @@ MOTIONS = (
 
 
 class _Together:
-    """All methods in the place of a wrapper's calibrator, whose references and falls depend on no method."""
+    """Some methods in the place of a wrapper's calibrator, which are given the same references."""
 
-    def __init__(self, one: FootCalibrator, drawing: RobotDrawing) -> None:
+    def __init__(self, one: FootCalibrator, drawing: RobotDrawing, names: Sequence[str]) -> None:
         self.setup = one.setup
         of_setup = "mass", "initial", "dt", "lag", "age"
         given: dict[str, Any] = {name: getattr(one.setup, name) for name in of_setup}
         layout = one.setup.layout
         self.methods = [
-            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing)}) for name in METHODS
+            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing)}) for name in names
         ]
 
     def native(self) -> None:
@@ -126,11 +127,20 @@ class _Together:
 
 
 def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[str, list[dict[str, Any]]]:
-    """Run for a duration in s: ``scores`` has a row a method: ``cop`` in m, ``vgrf`` in N, ``falls``."""
+    """Run for a duration in s: ``scores`` has a row a method: ``cop`` in m, ``vgrf`` in N, ``falls``.
+
+    The robot does the same whatever its feet are calibrated by: each group of methods has a run of its own.
+    """
+    return {"scores": [row for names in TOGETHER for row in _run(motion, sensors, seed, duration, names)]}
+
+
+def _run(
+    motion: Motion, sensors: str, seed: int, duration: float, names: Sequence[str]
+) -> list[dict[str, Any]]:
     env = FootSensors(motion.env(), SENSORS[sensors])
-    calibrated: Any = SelfCalibration(env, "none")
+    calibrated: Any = SelfCalibration(env, names[0])
     calibrated.reset(seed=seed)
-    together = calibrated.robot.calibrator = _Together(calibrated.calibrator, env.source.drawing)
+    together = calibrated.robot.calibrator = _Together(calibrated.calibrator, env.source.drawing, names)
     together.update(env.raw, calibrated.reference)
     setup = together.setup
     rng = np.random.default_rng([_STREAM, seed])
@@ -156,8 +166,8 @@ def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[
     off = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
     total = (loads[:, 1:] - loads[:, :1]).sum(axis=-1)
     about = {**asdict(motion), "sensors": sensors, "seed": seed, "falls": falls}
-    errors = zip(METHODS, off.swapaxes(0, 1), total.T, strict=True)
-    return {"scores": [{**about, "method": m, "cop": rms(o[borne]), "vgrf": rms(t)} for m, o, t in errors]}
+    errors = zip(names, off.swapaxes(0, 1), total.T, strict=True)
+    return [{**about, "method": m, "cop": rms(o[borne]), "vgrf": rms(t)} for m, o, t in errors]
 
 
 def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
