@@ -11,30 +11,25 @@ from surefoot.experiments.walks.record import CONDITIONS, record_walk
 from surefoot.experiments.walks.replay import replay_logs, starting_map
 
 
-@pytest.fixture(scope="module")
-def walk() -> dict[str, Log]:
-    return record_walk(0.1, 3, 4.6)
-
-
 @pytest.mark.slow
-def test_the_same_seed_is_the_same_walk(walk: dict[str, Log]) -> None:
-    again = record_walk(0.1, 3, 4.6)
-    for name, log in walk.items():
+def test_the_same_seed_is_the_same_walk() -> None:
+    first, again = (record_walk(0.1, 3, 4.6) for _ in range(2))
+    for name, log in first.items():
         np.testing.assert_array_equal(again[name].raw, log.raw)
         np.testing.assert_array_equal(again[name].reference.com, log.reference.com)
 
 
-def test_a_method_cannot_see_the_truth(walk: dict[str, Log]) -> None:
-    log = walk["bad-start"]
+def test_a_method_cannot_see_the_truth(walks: dict[str, Log]) -> None:
+    log = walks["bad-start"]
     blind = dataclasses.replace(log, truth=None)
     seen, unseen = (replay_logs([one], "window")[0].force for one in (log, blind))
     np.testing.assert_array_equal(seen, unseen)
 
 
-def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
-    assert [c.name for c in CONDITIONS] == list(walk)
+def test_every_condition_starts_where_it_says(walks: dict[str, Log]) -> None:
+    assert [c.name for c in CONDITIONS] == list(walks)
     for condition in CONDITIONS:
-        log = walk[condition.name]
+        log = walks[condition.name]
         assert log.calibrated is not None
         assert log.truth is not None
         assert log.about["start"] == condition.start
@@ -81,5 +76,5 @@ def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
         starting_map(log, "calibrated")
     with pytest.raises(LogError, match=r"starts from 'nominal' or 'calibrated', not from 'factory'\."):
         replay_logs([log], "none", "factory")
-    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', 'momentum'"):
+    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', "):
         replay_logs([log], "kalman")
