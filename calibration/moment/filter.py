@@ -14,6 +14,7 @@ from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.health import (
     HealthConstants,
     contact_probability,
+    drift_on,
     follow_noise,
     map_covariance,
     normalised,
@@ -74,6 +75,7 @@ class FilterConstants(NamedTuple):
         capacity: Most samples of a block.
         first_variance: Variances at the start, shape (N,).
         walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
+        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
     """
 
     components: int
@@ -82,6 +84,7 @@ class FilterConstants(NamedTuple):
     walk: Array
     block: float
     mass_std: float
+    ahead: float
     kept_time: float = KEPT_TIME
     longest_pause: float = LONGEST_PAUSE
     product_time: float = PRODUCT_TIME
@@ -126,6 +129,8 @@ class MomentFilter:
         self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
+        # A block is learnt from a sample after its end, of readings that were late, and its map holds for a block.
+        self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
         self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
@@ -139,6 +144,7 @@ class MomentFilter:
             self._walk,
             config.block,
             config.mass_std,
+            self._ahead,
         )
         health = HealthConstants(reading_noise=self._reading_noise)
         parts = self.model.constants, self.tare.constants, self._severity.constants
@@ -185,7 +191,7 @@ class MomentFilter:
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
-            covariance=self._map_covariance(published),
+            covariance=self._map_covariance(published, 1.0),
             kept=Kept(belief, published, belief, published, 0.0),
             status=0,
         )
@@ -197,7 +203,7 @@ class MomentFilter:
         return self.blocks.break_off(state)._replace(
             belief=belief,
             published=published,
-            covariance=self._map_covariance(published),
+            covariance=self._map_covariance(published, state.tare.rate),
             kept=Kept(belief, published, belief, published, 0.0),
         )
 
@@ -307,7 +313,7 @@ class MomentFilter:
             linked=int(state.track.valid),
             point=rows.point,
             published=publication,
-            covariance=self._map_covariance(publication),
+            covariance=self._map_covariance(publication, tare.rate),
             status=status,
         )
         return self._rest(state, block, good=not status), nis, float(len(rows.measured))
@@ -339,8 +345,13 @@ class MomentFilter:
         """Return what modes hold under all severities."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
-    def _map_covariance(self, published: Publication) -> Array:
-        return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)
+    def _map_covariance(self, published: Publication, rate: float) -> Array:
+        """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
+        walked = np.outer(self._walk * rate**2 * self._ahead, np.ones(self._channels))
+        walked[1] *= self._spread.unit**2
+        mean, columns, weight = published.mean, self.columns, self.setup.weight
+        learnt = map_covariance(mean, published.covariance, columns, weight)
+        return drift_on(learnt, mean, columns, weight, walked)
 
     def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""

@@ -57,6 +57,26 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     return 0.5 * (learnt + learnt.T)
 
 
+def drift_on(learnt: Array, published: Array, columns: Columns, weight: float, walked: Array) -> Array:
+    """Return the covariance of (a, b) after scales and zeros have drifted on.
+
+    Args:
+        learnt: That of (a, b), b in N, shape (2K, 2K).
+        published: Scales, offsets and drift, shape (M,).
+        columns: The unknowns.
+        weight: W in N.
+        walked: Variances that each scale, and each zero in W^2, drifts by, shape (2, K).
+    """
+    K = columns.scale.stop
+    at, learnt = np.arange(K), learnt.copy()
+    a, u = published[columns.scale] * weight, published[columns.drift] * weight
+    learnt[at, at] += walked[0]
+    learnt[at, K + at] += walked[0] * u
+    learnt[K + at, at] += walked[0] * u
+    learnt[K + at, K + at] += walked[0] * u**2 + walked[1] * a**2
+    return learnt
+
+
 def uncertainty(
     estimate: Estimate, sample: Sample, learnt: Array, spare: Array, spare_std: Array
 ) -> dict[str, Array]:

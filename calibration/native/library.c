@@ -126,7 +126,7 @@ static const place places[] = {
     {"moment_work", "numbers", "", 0, sizeof(sf_moment_work)}, /* of which nobody reads one */
 
     PLACE(moment_config, components, "int"), PLACE(moment_config, capacity, "int"),
-    PLACE(moment_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std),
+    PLACE(moment_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std), O_REAL(ahead),
     O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(noise_share),
     O_REAL(largest_noise), O_REAL(largest_surprise), O_REAL(least_read), O_REAL(held_chance),
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),

@@ -47,7 +47,7 @@
 /* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
 typedef struct {
     int components, capacity, held;
-    sf_real first_variance[SF_STATES], walk[2], block, mass_std, kept_time, longest_pause, product_time;
+    sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
@@ -1077,9 +1077,10 @@ SF_API void sf_moment_publish(const sf_config *c, const sf_real *chance, sf_mome
 /* ----------------------------------------------------------------------------------------- health, report */
 
 /* map_covariance: the covariance of (a, b) of each channel, b in N, shape (2K, 2K). */
-SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_real *learnt) {
+SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, const sf_publication *p, sf_real rate,
+                              sf_real *learnt) {
     int K = c->channels, M = sf_weighed(c), wide = 2 * K;
-    sf_real W = c->weight, row[SF_WEIGHED];
+    sf_real W = c->weight, row[SF_WEIGHED], walked = m->walk[0] * (rate * rate) * m->ahead;
     for (int r = 0; r < wide; r++) {
         int i = r % K;
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
@@ -1093,6 +1094,15 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_re
         }
         for (int k = 0; k < r; k++)
             learnt[r * wide + k] = learnt[k * wide + r] = (sf_real)0.5 * (learnt[r * wide + k] + learnt[k * wide + r]);
+    }
+    /* drift_on: until the map is applied. */
+    for (int i = 0; i < K; i++) {
+        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W;
+        sf_real zero = m->walk[1] * (rate * rate) * m->ahead * (m->unit[i] * m->unit[i]);
+        learnt[i * wide + i] += walked;
+        learnt[i * wide + K + i] += walked * u;
+        learnt[(K + i) * wide + i] += walked * u;
+        learnt[(K + i) * wide + K + i] += walked * (u * u) + zero * (a * a);
     }
 }
 
@@ -1348,7 +1358,7 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     sf_copy_modes(c, m, &s->belief, &s->kept.belief);
     sf_copy_published(c, &s->published, &s->kept.published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
-    sf_map_covariance(c, &s->published, s->covariance);
+    sf_map_covariance(c, m, &s->published, s->tare.rate, s->covariance);
     s->age = 0;
 }
 
@@ -1383,7 +1393,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     sf_priors(c, m, s->drifted, w);
     sf_weigh(c, m, &s->belief, w);
     sf_moment_publish(c, s->belief.chance, w, &s->published);
-    sf_map_covariance(c, &s->published, s->covariance);
+    sf_map_covariance(c, m, &s->published, 1, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
 }
@@ -1813,7 +1823,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         if (!out && !missing) {
             held = s->belief.chance[m->held] > m->held_chance;
             sf_copy_published(c, &s->published, &w->published);
-            sf_map_covariance(c, &s->published, s->covariance);
+            sf_map_covariance(c, m, &s->published, tare.rate, s->covariance);
             sf_copy(s->point, w->rows.point, 3);
             s->tare = tare;
             s->status = rejected ? SF_REJECTED : held ? SF_HELD : 0;
