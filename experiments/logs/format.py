@@ -150,8 +150,7 @@ def read_log(
     if np.isnan(description.dt_s):
         table.require(["time_s"], LISTED)
         description = description.model_copy(update={"dt_s": table.step})
-    facts = description.facts()
-    layout = description.layout
+    facts, layout = description.facts(), description.layout
     has_truth = any(name.startswith("truth_") for name in table.names)
     counts = ["time_s", *raw_names_of(layout)]
     bare = description.motion is None and not _has_references(table)

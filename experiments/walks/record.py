@@ -183,12 +183,8 @@ def record_walk(
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     _, info = env.reset(seed=seed)
     controller.reset()
-    feet = [
-        FootInstruments(
-            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing, dt=bare.dt
-        )
-        for i, c in enumerate(conditions)
-    ]
+    known = {"seed": seed, "truth": bare.truth, "drawing": bare.drawing, "dt": bare.dt}
+    feet = [FootInstruments(c.cells, c.ankle, index=i, **known) for i, c in enumerate(conditions)]
     time: list[float] = []
     believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
     position, rotation = [], []
