@@ -272,7 +272,7 @@ def at_most(what: str, value: float, limit: float, measured: str = "") -> Claim:
     >>> at_most("CoP rmse (mm)", 1.234, 2.0)
     Claim(what='CoP rmse (mm)', aim='≤ 2', measured='1.23', met=True)
     """
-    return Claim(what, f"≤ {limit:g}", measured or number(value), value <= limit)
+    return Claim(what, f"≤ {limit:g}".replace("e-0", "e-"), measured or number(value), value <= limit)
 
 
 def at_least(what: str, value: float, limit: float, measured: str = "") -> Claim:

@@ -19,6 +19,7 @@ from surefoot.experiments.study.tables import (
     percent,
     plural,
     share,
+    span,
     with_interval,
 )
 from surefoot.experiments.walks.options import TRUE_MAP
@@ -156,10 +157,10 @@ def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
     if plain["nees_end"].notna().any():
         low, high = consistent(plain)
         mean = float(plain["nees_end"].mean())
-        claims.append(Claim("NEES", f"{number(low)} to {number(high)}", number(mean), low <= mean <= high))
+        claims.append(Claim("NEES", span(low, high, "#.3g"), number(mean), low <= mean <= high))
     worse = int(own["worse"].sum())
     what = "runs that end worse than the start, all scenarios"
-    claims.append(Claim(what, "0", share(worse, len(own)), worse == 0))
+    claims.append(Claim(what, number(0.0), share(worse, len(own)), worse == 0))
     faulty = own[own["after"].notna()]
     if len(faulty):
         found = float((faulty["found"] <= 1.0).mean())
@@ -327,5 +328,5 @@ def loop_claims(loop: Frame) -> list[Claim]:
         if feed == "none":
             claims.append(Claim(what, "> 50 %", percent(fell), fell > 0.5))
         elif feed in _CALIBRATED:
-            claims.append(Claim(what, "0 %", percent(fell), fell == 0))
+            claims.append(Claim(what, percent(0.0), percent(fell), fell == 0))
     return claims

@@ -41,6 +41,7 @@ from surefoot.experiments.study.tables import (
     Table,
     at_most,
     claim_table,
+    decimal,
     laid_out,
     plural,
     with_interval,
@@ -256,7 +257,7 @@ def robot_table(scores: Frame, sensors: str) -> Table:
     columns: dict[str, Cell] = {
         "robot": lambda runs: str(runs["robot"].iloc[0]),
         "motion": lambda runs: str(runs["name"].iloc[0]),
-        "falls a run": lambda runs: f"{runs['falls'].mean():.0f}",
+        "falls a run": lambda runs: decimal(runs["falls"].mean(), ".0f"),
         **{f"CoP (mm): {look_of(method).label}": error("cop", method, 1e3) for method in METHODS},
         **{f"vGRF (N): {look_of(m).label}": error("vgrf", m, 1.0) for m in ("none", "moment")},
     }
