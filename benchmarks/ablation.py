@@ -80,9 +80,9 @@ class Run(NamedTuple):
     variant: str
 
 
-def constants(change: Change, usual: property, filter_: MomentFilter) -> tuple[NamedTuple, ...]:
+def constants(change: Change, usual: Any, filter_: MomentFilter) -> tuple[NamedTuple, ...]:
     """Return the filter's constants, some of them changed."""
-    records = usual.fget(filter_)  # type: ignore[misc]
+    records = usual.fget(filter_)
     now = {name: value for record in records for name, value in record._asdict().items()}
     values = change(filter_, now)
     return tuple(

@@ -266,7 +266,9 @@ def test_what_a_robot_learns_as_it_falls_is_taken_back_and_lying_teaches_nothing
     R[lie:] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     swing = log.reference.swing.copy()
     swing[lie:] = True
-    estimate = calibrated(log._replace(raw=raw, reference=log.reference._replace(R_level_sole=R, swing=swing)))
+    estimate = calibrated(
+        log._replace(raw=raw, reference=log.reference._replace(R_level_sole=R, swing=swing))
+    )
     assert (estimate.flags[lie + 1 :] & int(Flag.REJECTED)).all()
     lying = estimate.scale[lie:]
     np.testing.assert_array_equal(lying, lying[:1] + np.zeros_like(lying))
