@@ -2,9 +2,9 @@
 
     python benchmarks/ablation.py --out FOLDER --seeds 4
 
-Scenes are those of ``momentum.py``, recorded where they are missing: several robots, by policies and patterns,
-walking, standing, held. Of each the error of a foot's centre of pressure in mm, as the root mean square over
-seeds, and the NEES a parameter.
+Scenes are those of ``momentum.py``, recorded where they are missing: several robots, by policies and
+patterns, walking, standing, held. Of each the error of a foot's centre of pressure in mm, as the root mean
+square over seeds, and the NEES a parameter.
 """
 
 import argparse
@@ -23,8 +23,8 @@ from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.moment.modes import FIRST_CHANCE, HELD, LOADED, MODES, RATES
 
 SCENES = (
-    "g1/walk", "g1/stop-and-go", "g1/held-20", "g1/stand", "g1-fastsac/walk", "nao/walk", "nao/sway", "nao/balance",
-    "exercise/op3", "exercise/t1",
+    "g1/walk", "g1/stop-and-go", "g1/held-20", "g1/stand", "g1-fastsac/walk", "nao/walk", "nao/sway",
+    "nao/balance", "exercise/op3", "exercise/t1",
 )  # fmt: skip
 
 Change = Callable[[MomentFilter, Mapping[str, Any]], dict[str, Any]]
@@ -80,9 +80,9 @@ class Run(NamedTuple):
     variant: str
 
 
-def constants(change: Change, usual: property, filter_: MomentFilter) -> tuple[NamedTuple, ...]:
+def constants(change: Change, usual: Any, filter_: MomentFilter) -> tuple[NamedTuple, ...]:
     """Return the filter's constants, some of them changed."""
-    records = usual.fget(filter_)  # type: ignore[misc]
+    records = usual.fget(filter_)
     now = {name: value for record in records for name, value in record._asdict().items()}
     values = change(filter_, now)
     return tuple(

@@ -1,4 +1,4 @@
-"""The unknowns of the momentum filter by name, and how sure of them it starts.
+"""The unknowns of the moment filter by name, and how sure of them it starts.
 
 | part | number | unit | meaning |
 |---|---|---|---|

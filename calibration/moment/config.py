@@ -1,4 +1,4 @@
-r"""The momentum filter: a Kalman filter whose state holds the robot's momentum and an outside wrench.
+r"""The moment filter: a Kalman filter whose state holds the robot's momentum and an outside wrench.
 
 A robot measures velocities, not accelerations. So nothing is differentiated: the calibrated forces, gravity
 and whatever else pushes predict the robot's momentum, and its velocity measures it. In units of the body
@@ -29,7 +29,7 @@ from surefoot.calibration.checks import check_not_negative, check_positive
 
 @dataclass(frozen=True, kw_only=True)
 class MomentConfig:
-    """Options of the momentum filter; the defaults are those of cheap cells under a humanoid."""
+    """Options of the moment filter; the defaults are those of cheap cells under a humanoid."""
 
     block: float = 0.1
     """Time in s over which forces are added up before they are compared: velocities known to 2 cm/s tell

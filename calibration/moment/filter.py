@@ -60,6 +60,9 @@ PRODUCT_TIME = 20.0
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
 
+LEVEL = 0.7
+"""Cosine of a sole's angle to the ground below which nobody stands on it: 45 degrees."""
+
 LEAST_READ = 0.25
 """Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
 
@@ -89,6 +92,7 @@ class FilterConstants(NamedTuple):
     longest_pause: float = LONGEST_PAUSE
     product_time: float = PRODUCT_TIME
     largest_error: float = LARGEST_ERROR
+    level: float = LEVEL
     least_read: float = LEAST_READ
     held_chance: float = HELD_CHANCE
 
@@ -129,7 +133,7 @@ class MomentFilter:
         self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
-        # A block is learnt from a sample after its end, of readings that were late, and its map holds for a block.
+        # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
         self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
         self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
@@ -228,12 +232,22 @@ class MomentFilter:
         state = state._replace(front=front, faults=faults)
         if sample.gap and 0.0 < dt < np.inf:
             state = self._age(state, min(dt, LONGEST_PAUSE))
-        state = self.blocks.collect(state, sample, isinstance(reference, MomentumReference), dt)
+        if self._lies(sample):
+            # What was learnt as it fell is taken back, once.
+            state = self.retract(state) if state.track.samples else state
+            state = state._replace(status=int(Flag.REJECTED))
+        else:
+            state = self.blocks.collect(state, sample, isinstance(reference, MomentumReference), dt)
         nis, rows = np.nan, 0.0
         if self.blocks.full(state):
             state, nis, rows = self._learn(state)
             kinds = kinds | state.faults.kind
         return state, self._estimate(state, sample, kinds, nis, rows)
+
+    def _lies(self, sample: Sample) -> bool:
+        """Return whether no sole is level enough to stand on."""
+        _, rotation = self.front_end.motions.columns.soles(sample.motion)
+        return bool(sample.sound and rotation[:, 2, 2].max() < LEVEL)
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""

@@ -93,7 +93,7 @@ class SuspectState(NamedTuple):
 
 
 class MomentState(NamedTuple):
-    """All that the momentum filter remembers.
+    """All that the moment filter remembers.
 
     Attributes:
         front: What the way of a sample remembers.

@@ -48,7 +48,7 @@
 typedef struct {
     int components, capacity, held;
     sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
-    sf_real largest_error, noise_share, largest_noise, largest_surprise, least_read, held_chance;
+    sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
@@ -1880,7 +1880,7 @@ SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_
    Returns whether something new is handed out. */
 SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                             const sf_real *raw, const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
-    int K = c->channels, full = 0;
+    int K = c->channels, full = 0, lies = 1;
     sf_whole kinds[SF_CHANNELS];
     sf_real waited = 0;
     sf_sample sample;
@@ -1889,7 +1889,12 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
     for (int i = 0; i < K; i++) sample.force[i] -= s->shift[i];
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));
-    if (!sample.sound || sample.gap) sf_break(c, m, s);
+    for (int foot = 0; foot < c->feet; foot++) lies = lies && sf_rotation(c, s->front.motion, foot)[8] < m->level;
+    if (sample.sound && !sample.gap && lies) {
+        /* What was learnt as it fell is taken back, once. */
+        if (s->track.samples) sf_moment_retract(c, m, s);
+        s->status = SF_REJECTED;
+    } else if (!sample.sound || sample.gap) sf_break(c, m, s);
     else sf_collect(c, m, s, reference, dt);
     if (c->kept > 1) {
         /* Of what was read last nobody knows yet whether it stays. */

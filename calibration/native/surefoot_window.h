@@ -1,7 +1,7 @@
 /* The methods that the moment filter is compared with, for one robot's feet, one step a sample, in C99: the
    CoP paper's sliding window (Eq. 14), with `quasi_static` Han's; a tare of swinging feet; the starting map as
    it is. The specification is the Python in calibration/window, standing.py and baselines.py; functions have its
-   names, and tests hold the two together. Checks, lag and estimates are those of surefoot_calibration.h, whose
+   names, and tests hold the two together. Checks, lag and estimates are those of surefoot_robot.h, whose
    sf_config says what these methods know of the robot; what is the moment filter's own in it stays zero. They
    claim no certainty: deviations and covariances of their estimates are NaN.
 

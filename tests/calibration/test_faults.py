@@ -270,6 +270,31 @@ def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
     assert not np.delete(flags, 3).any()
 
 
+@pytest.mark.parametrize(
+    ("changed", "by", "smoothed"),
+    [
+        ([3], 0.04, True),
+        ([3], -0.04, True),
+        ([3], 0.01, False),  # less than is worth it
+        ([0, 1, 2, 3], 0.3, False),  # a foot that lands
+        ([3, 2], 0.04, False),
+        ([3, 5], 0.04, True),  # of two plates
+    ],
+)
+def test_a_reading_that_is_wrong_once_goes_between_its_neighbours(changed, by, smoothed):
+    faults = ChannelFaults(SETUP, 0.25, 100.0)
+    before, after = (np.concatenate([np.full(8, force), np.ones(8)]) for force in (0.2, 0.22))
+    row = np.concatenate([np.full(8, 0.21), np.ones(8)])
+    row[changed] += by
+    found = faults.smooth(before, row, after, 1.0)
+    expected = np.array(row)
+    if smoothed:
+        expected[changed] = 0.21
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    # A step that stays is none.
+    np.testing.assert_array_equal(faults.smooth(before, row, row, 1.0), row)
+
+
 @pytest.mark.slow
 def test_a_load_that_is_put_on_is_no_fault(broken):
     loads = [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]

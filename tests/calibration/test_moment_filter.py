@@ -1,4 +1,4 @@
-"""The momentum filter on a robot whose momentum is exact."""
+"""The moment filter on a robot whose momentum is exact."""
 
 import numpy as np
 import pytest
@@ -253,6 +253,39 @@ def test_what_was_learnt_of_late_is_taken_back():
     back = calibrator.update(log.raw[-1], still).scale
     late = [k for k, scale in enumerate(scales) if np.array_equal(scale, back)]
     assert 1.4 < (len(scales) - late[-1]) * DT < 3.2
+
+
+def test_what_a_robot_learns_as_it_falls_is_taken_back_and_lying_teaches_nothing():
+    """Nobody reports the fall: soles that stand on edge show it."""
+    log = move(2, 16.0, STATED)
+    fall, lie = round(9.0 / DT), round(10.0 / DT)
+    raw, R = log.raw.copy(), log.reference.R_level_sole.copy()
+    rng = np.random.default_rng(3)
+    raw[fall:lie] += 0.2 * WEIGHT * rng.normal(size=(lie - fall, 8)) / NOMINAL.scale
+    raw[lie:] = raw[:1] + 0.02 * WEIGHT * rng.normal(size=(len(raw) - lie, 8)) / NOMINAL.scale
+    R[lie:] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    swing = log.reference.swing.copy()
+    swing[lie:] = True
+    estimate = calibrated(
+        log._replace(raw=raw, reference=log.reference._replace(R_level_sole=R, swing=swing))
+    )
+    assert (estimate.flags[lie + 1 :] & int(Flag.REJECTED)).all()
+    lying = estimate.scale[lie:]
+    np.testing.assert_array_equal(lying, lying[:1] + np.zeros_like(lying))
+    before = [estimate.scale[k] for k in range(round(6.0 / DT), fall)]
+    assert any(np.array_equal(lying[0], scale) for scale in before)
+
+
+def test_words_that_are_wrong_for_one_sample_spoil_little():
+    log, rng = move(1, 14.0, STATED), np.random.default_rng(4)
+    raw, hit = log.raw.copy(), rng.random(log.raw.shape) < 0.03
+    raw[hit] += (0.1 * WEIGHT / NOMINAL.scale + np.zeros_like(raw))[hit]
+    found, wrong = (calibrated(one) for one in (log, log._replace(raw=raw)))
+    assert not (wrong.flags & int(ACCUSED)).any()
+    sound = ~hit.any(axis=1)
+    sound[: round(8.0 / DT)] = False
+    off = [np.sqrt(np.mean((one.force - log.force)[sound] ** 2)) for one in (found, wrong)]
+    assert off[1] < 1.5 * off[0]
 
 
 def test_other_methods_want_accelerations():

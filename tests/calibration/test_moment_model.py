@@ -1,4 +1,4 @@
-"""The momentum filter's model against what it is a model of, by differences and by hand."""
+"""The moment filter's model against what it is a model of, by differences and by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The momentum filter in C against the Python that specifies it, and its header for a controller."""
+"""The moment filter in C against the Python that specifies it, and its header for a controller."""
 
 import pickle
 import subprocess
