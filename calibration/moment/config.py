@@ -44,8 +44,8 @@ class MomentConfig:
     torque); weighed as `scale_std` is."""
 
     cross_talk: float = 0.01
-    """Share of its vertical force that a six-axis sensor's other axes are thought to show, of full scales: 1 %
-    by the data sheets of good ones. It is allowed for, and not taken off."""
+    """Share of its vertical force that a six-axis sensor's other axes are thought to show, of full scales:
+    1 % by the data sheets of good ones. It is allowed for, and not taken off."""
 
     scale_drift: float = 0.02
     """Random walk of a scale per square root of a minute: 2 %, of cheap cells that warm up."""
