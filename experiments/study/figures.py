@@ -173,7 +173,9 @@ def logarithmic(axes: "Axes", label: str = "") -> None:
     scale("log")
 
     def minor(value: float, _: float) -> str:
-        return f"{value:g}" if np.isfinite(value) and f"{value:e}"[0] in "25" else ""
+        low, high = axis.get_view_interval()
+        narrow = high < 100.0 * low or not label  # in which there is room for them
+        return f"{value:g}" if narrow and np.isfinite(value) and f"{value:e}"[0] in "25" else ""
 
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(FuncFormatter(minor))
