@@ -153,7 +153,7 @@ class LogPassages:
         self.blocks = self._read(reference)
 
     def whole(self) -> Passage:
-        """Return what all of it makes of any covariance, the momentum unknown at its beginning."""
+        """Return the passage of the whole log, the momentum unknown at its beginning."""
         whole = self._begin(None)
         for _, passage in self.blocks:
             whole = whole.then(passage)
@@ -166,7 +166,7 @@ class LogPassages:
         return learnt
 
     def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return what errors of (a, b) do to forces, the vertical force and the CoP of some samples.
+        """Return the derivatives of forces, vertical force and CoP of some samples by (a, b).
 
         Returns:
             Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N,
@@ -228,7 +228,7 @@ class LogPassages:
         return blocks
 
     def _pass(self, block: Block, k: int, last: Rows | None) -> tuple[Passage, Rows]:
-        """Return what a block makes of a covariance, and its rows; ``last`` are those of the block before."""
+        """Return the passage of a block, and its rows; ``last`` are those of the block before."""
         columns, T = self._columns, block.duration
         N, known = columns.size, self._path[k]
         identity, none = np.eye(N), np.zeros((N, N))

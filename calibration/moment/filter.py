@@ -356,7 +356,7 @@ class MomentFilter:
         return product
 
     def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
-        """Return what modes hold under all severities."""
+        """Weigh all severities in each mode."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:

@@ -130,7 +130,7 @@ def test_a_state_that_diverged_replaces_no_good_file(log, row, tmp_path):
     calibrator.state = state._replace(
         belief=state.belief._replace(mean=np.full_like(state.belief.mean, np.nan))
     )
-    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'belief.mean' holds nan at \(0, 0\)"):
+    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'belief.mean' holds nan"):
         calibrator.save(tmp_path / "feet.npz")
     assert (tmp_path / "feet.npz").read_bytes() == before
 
