@@ -65,6 +65,8 @@ def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: floa
     for frame, moment in pictures(lambda: walk_moments(feed, **options), partial(_sheet, feed), FIRST_MOMENT):
         frames.append(frame)
         fell_at = moment.time if moment.fell else None
+    if not frames:
+        raise ValueError(f"A film begins at {FIRST_MOMENT:g} s, when the robot has stood: make it longer.")
     return Reel(np.array(frames), fell_at)
 
 
