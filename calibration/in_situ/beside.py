@@ -22,17 +22,18 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
 from scipy.linalg import block_diag
 
 from surefoot.calibration.imu.static import savitzky_golay
+from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet, with_signals
-from surefoot.calibration.in_situ.covariance import whitening
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, signals
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
+from surefoot.calibration.in_situ.problem import Problem, whitening
+from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
 
 __all__ = [
     "about_one_temperature",
@@ -119,19 +120,41 @@ def _lags(shares: NDArray[np.float64]) -> bool:
 
 
 def criterion(problem: Problem, solution: Solution) -> float:
-    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978).
-
-    That is the solution's unknowns alone: what the sets' own maps leave and what the solution leaves of
-    these maps add up to what it leaves of the readings.
-    """
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    left = whitened(problem, solution)
     rows = sum(part.rows for part in problem.sets)
-    between = solution.residual @ np.linalg.inv(problem.whitening).T
-    scatter = sum(part.scatter for part in problem.sets) + sum(one.T @ one for one in between)
-    size = np.sqrt(np.diag(scatter))
+    return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
+
+
+def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
+    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+
+    In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
+
+    Args:
+        parts: The sets, with n rows of k channels in all.
+        left: What a fit leaves of them, as :func:`whitened` returns it.
+    """
+    rows, channels = sum(map(len, left)), left[0].shape[1]
+    scatter = sum(one.T @ one for one in left)
+    size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
-    free = solution.jacobian.shape[1]
-    of_colour = len(size) * sum(part.log_colour for part in problem.sets)
-    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour + free * np.log(rows))
+    logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
+    of_colour = channels * sum(part.log_colour for part in parts)
+    value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
+    return value if np.isfinite(value) else np.inf
+
+
+def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
+    """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
+    found = []
+    between = problem.unwhitened(solution.residual)
+    for part, one in zip(problem.sets, between, strict=True):
+        root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
+        found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
+    return found
 
 
 def _of_loads(
@@ -280,64 +303,54 @@ def lag_signals(wrenches: Sequence[Matrix], law: Vector = _PROPORTIONAL) -> list
     return [signal - signal.mean(axis=0) for signal in signals]
 
 
-_LEAST_WARMING = 0.3
-"""Standard deviation in K that a temperature must have within sets to show its effect."""
-
-_LEAST_LEFT = 0.1
-"""Share of its spread that what gravity explains must leave of a temperature."""
-
-_DISAGREE = 3.0
-"""Deviations by which coefficients of sets may differ."""
-
 _GAIN_STD = 0.005
 """Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
 
 
 def about_one_temperature(
     sets: tuple[InSituSet, ...],
-) -> tuple[tuple[InSituSet, ...], float | None, tuple[str, ...]]:
-    """Return sets with temperatures less their mean, the mean in their unit, and warnings.
+) -> tuple[tuple[InSituSet, ...], float | None, list[Finding]]:
+    """Return sets with temperatures less their mean, the mean in their unit, and what is to be said.
 
     Temperatures that show no effect are left out; the mean is None then.
     """
     given = [data.temperature for data in sets if data.temperature is not None]
     if not given:
-        return sets, None, ()
-    without = tuple(replace(data, temperature=None) for data in sets)
+        return sets, None, []
+    words, mean = "", float(np.nanmean(np.concatenate(given)))
     if len(given) < len(sets):
         missing = ", ".join(f"'{data.name}'" for data in sets if data.temperature is None)
-        return without, None, (f"{missing} has no temperature, so that of the others was left out.",)
-    within = float(np.sqrt(np.mean([np.nanvar(one) for one in given])))
-    if within < _LEAST_WARMING:
-        warning = (
+        words = f"{missing} has no temperature, so that of the others was left out."
+    elif (within := float(np.sqrt(np.mean([np.nanvar(one) for one in given])))) < limits.WARMING:
+        words = (
             f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
-            f"({_LEAST_WARMING} K): it was left out."
+            f"({limits.WARMING} K): it was left out."
         )
-        return without, None, (warning,)
-    left = _left_by(sets, lambda data: data.gravity)
-    if left < _LEAST_LEFT:
-        warning = (
+    elif (left := _left_by(sets, lambda data: data.gravity)) < limits.NOT_GRAVITY:
+        words = (
             f"The temperature went with gravity: what gravity explains leaves {left:.0%} of its spread. It "
             "was left out; let the sensor warm or cool while the limb turns several times."
         )
-        return without, None, (warning,)
-    mean = float(np.nanmean(np.concatenate(given)))
+    if words:
+        left_out = Finding("temperature", words, refuses=False)
+        return tuple(replace(data, temperature=None) for data in sets), None, [left_out]
     centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
     return tuple(centred), mean, _with_time(sets)
 
 
-def _with_time(sets: Sequence[InSituSet]) -> tuple[str, ...]:
+def _with_time(sets: Sequence[InSituSet]) -> list[Finding]:
     """Return a warning if the temperature rose, or fell, with time in all sets alike."""
     if any(data.time is None for data in sets):
-        return ()
+        return []
     left = _left_by(sets, lambda data: np.asarray(data.time)[:, None], common=True)
-    if left >= _LEAST_LEFT:
-        return ()
-    return (
+    if left >= limits.NOT_GRAVITY:
+        return []
+    words = (
         f"The temperature went with time: one slope leaves {left:.0%} of its spread, so that its coefficient "
         "may be that of a drift (matrix and limb do not lean on which it is). Let the sensor warm in one set "
-        "and cool in another.",
+        "and cool in another."
     )
+    return [Finding("temperature", words, refuses=False)]
 
 
 def _left_by(
@@ -375,7 +388,7 @@ def drifting(parts: Sequence[CompressedSet]) -> Finding | None:
     if freedom <= 0:
         return None
     off = (own - worth @ own / np.sum(worth)) @ root.T
-    if worth @ np.sum(off**2, axis=1) < _DISAGREE**2 * freedom:
+    if worth @ np.sum(off**2, axis=1) < limits.COEFFICIENTS**2 * freedom:
         return None
     channel = int(np.argmax(np.ptp(own, axis=0)))
     low, high = np.min(own[:, channel]), np.max(own[:, channel])
@@ -409,7 +422,7 @@ def with_gains(
     return replace(fitted, gains=AXES), found
 
 
-def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -> tuple[str, ...]:
+def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -> list[Finding]:
     """Return a warning where gains go with the temperature otherwise than axis by axis.
 
     Args:
@@ -419,21 +432,20 @@ def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -
     """
     warm = [load @ solution.A.T for load in _warm_loads(problem, transforms(problem, solution))]
     freer = beside_channels(problem, warm, options)
-    fitted = solve(freer, [solution.outer])
-    if criterion(freer, fitted) >= criterion(problem, solution):
-        return ()
-    return (
+    if criterion(freer, solve(freer, [solution.outer])) >= criterion(problem, solution):
+        return []
+    words = (
         "The gains of single channels follow the temperature, each its own way, where the fit has one an "
-        "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated.",
+        "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated."
     )
+    return [Finding("temperature", words, refuses=False)]
 
 
 def _warm_loads(problem: Problem, T: NDArray[np.float64]) -> list[Matrix]:
     """Return the temperature times the load by each set's transform at the rows of each set, (m, 6) each."""
     inputs, found = problem.basis.shape[2], []
     for part, transform in zip(problem.sets, T[:, :AXES, :inputs], strict=True):
-        source = part.source
-        signals = source.columns[:, source.terms : source.terms + source.inputs] / source.weight[:, None]
+        signals = part.source.signals
         kelvin = signals[:, inputs, None]  # the first signal behind those of the loads
         found.append(kelvin * (signals[:, :inputs] @ transform.T))
     return found

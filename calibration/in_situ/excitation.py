@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_value
+from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, Limb, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -37,7 +38,6 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     offset_covariance,
 )
-from surefoot.calibration.in_situ.options import KnownLimb
 from surefoot.calibration.moment.kalman import kalman_step
 
 __all__ = [
@@ -184,7 +184,7 @@ def plan_excitation(
     Raises:
         ValueError: If an argument has no meaning.
 
-    >>> from surefoot.calibration.in_situ.options import KnownLimb
+    >>> from surefoot.calibration.in_situ.data import KnownLimb
     >>> C = np.diag([0.01, 0.01, 0.01, 2e-4, 2e-4, 2e-4])
     >>> prior = prior_from_factory(C, KnownLimb(5.0, 0.5, np.array([0.0, 0.0, 0.2])))
     >>> down, ahead, aside = 9.81 * np.eye(3)[[2, 0, 1]]
