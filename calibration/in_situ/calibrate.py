@@ -24,25 +24,20 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.beside import (
-    about_one_temperature,
-    check_gauges,
-    fit_loops,
-    likeliest_loops,
-    with_gains,
-)
 from surefoot.calibration.in_situ.causes import Evidence, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.hysteresis import fit_loops, likeliest_loops
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay, shift
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refused
-from surefoot.calibration.in_situ.solve import Solution, minima
+from surefoot.calibration.in_situ.solve import Fitted, minima
+from surefoot.calibration.in_situ.temperature import about_one_temperature, check_gauges, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 __all__ = ["calibrate_in_situ"]
@@ -182,7 +177,7 @@ def _solve(task: Task, findings: list[Finding]) -> Solved:
 
 def _fit(
     task: Task, sets: tuple[InSituSet, ...], reference: float | None, findings: list[Finding]
-) -> tuple[list[Leaning], bool, list[tuple[Problem, Solution]]]:
+) -> tuple[list[Leaning], bool, list[Fitted]]:
     """Return the fits by the likely sizes of the maker's errors, whether the data determine them, and others.
 
     The last are with loops of hysteresis, also where they are not worth it; without where few rows show them.

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.beside import beside_channels, deviance, whitened
 from surefoot.calibration.in_situ.check import BENT_CURE, squares
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.findings import Finding
@@ -33,7 +32,16 @@ from surefoot.calibration.in_situ.model import (
     signals,
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
-from surefoot.calibration.in_situ.solve import Solution, minima, projected, solve, transforms
+from surefoot.calibration.in_situ.solve import (
+    Solution,
+    beside_channels,
+    deviance,
+    minima,
+    projected,
+    solve,
+    transforms,
+    whitened,
+)
 
 __all__ = ["Evidence", "name_cause"]
 

@@ -29,7 +29,6 @@ from scipy.fft import dct
 from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.beside import criterion
 from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.compress import means
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
@@ -49,7 +48,7 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Solution, projected, transforms
+from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, projected, transforms
 from surefoot.calibration.reference import GRAVITY
 
 __all__ = [
@@ -380,7 +379,7 @@ class DelayLeft(NamedTuple):
         return 0.5 * (self.delay / self.std) ** 2
 
 
-def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[tuple[Problem, Solution]]) -> DelayLeft:
+def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Fitted]) -> DelayLeft:
     """Return the delay beside the fit that would be the likeliest with it.
 
     Delays and loops cancel each other, so that the fit without the delay is no guide.

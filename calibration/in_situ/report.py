@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.beside import drifting, shows_loops
 from surefoot.calibration.in_situ.check import check_bending
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
@@ -21,6 +20,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.hysteresis import shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
@@ -35,6 +35,7 @@ from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_o
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise
 from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
+from surefoot.calibration.in_situ.temperature import drifting
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["Solved", "fit_of", "refused"]

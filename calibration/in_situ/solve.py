@@ -11,20 +11,38 @@ maker's matrix says of it, so only the few outer unknowns are searched (variable
 Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
+from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
+from surefoot.calibration.in_situ.data import InSituOptions
 from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
-from surefoot.calibration.in_situ.problem import Problem
+from surefoot.calibration.in_situ.problem import Problem, whitening
 
-__all__ = ["Solution", "expand", "loop_shares", "minima", "projected", "solve", "transforms"]
+__all__ = [
+    "Fitted",
+    "Solution",
+    "beside_channels",
+    "beside_loads",
+    "criterion",
+    "deviance",
+    "expand",
+    "loop_shares",
+    "minima",
+    "projected",
+    "solve",
+    "transforms",
+    "whitened",
+]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -275,3 +293,100 @@ def projected(solution: Solution, slopes: Matrix) -> Matrix:
     basis, _ = orthonormal(solution.jacobian)
     slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
     return np.asarray(slopes - basis @ (basis.T @ slopes))
+
+
+Fitted = tuple[Problem, Solution]
+
+_ROUNDS = 2
+"""Fits, as the loads that signals follow from come from the fit itself."""
+
+
+def beside_loads(
+    plain: Problem,
+    solution: Solution,
+    columns: Callable[[Problem, Solution], list[Matrix]],
+    std: float,
+    options: InSituOptions,
+) -> tuple[Problem, Solution]:
+    """Return the problem with signals that follow from the loads, and its solution.
+
+    Each is one more parameter behind the limb's: what an axis reads of its signal.
+
+    Args:
+        plain: The problem without.
+        solution: Its solution.
+        columns: Returns the signals of the axes at the rows of each set, shape (m, 6), by a solution.
+        std: Expected size of the parameters.
+        options: Of the fit.
+    """
+    limb_root = block_diag(plain.limb_root, np.eye(AXES) / std)
+    p, _, s = plain.basis.shape
+    basis = np.zeros((p + AXES, AXES, s + AXES))
+    basis[:p, :, :s] = plain.basis
+    # Each axis's signal, times its parameter, adds to the wrench along that axis.
+    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
+    problem = plain
+    start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
+    for _ in range(_ROUNDS):
+        parts = with_signals(plain.sets, columns(problem, solution), options, first=s)
+        problem = replace(
+            plain,
+            sets=parts,
+            added=np.pad(plain.added, ((0, 0), (0, AXES))),
+            whitening=whitening(parts),
+            basis=basis,
+            limb=np.pad(plain.limb, (0, AXES)),
+            limb_root=limb_root,
+        )
+        solution = solve(problem, [start])
+        start = solution.outer
+    return problem, solution
+
+
+def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:
+    """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
+    parts = with_signals(plain.sets, columns, options)
+    return replace(
+        plain,
+        sets=parts,
+        channel_lags=plain.channel_lags + columns[0].shape[1],
+        whitening=whitening(parts),
+    )
+
+
+def criterion(problem: Problem, solution: Solution) -> float:
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    left = whitened(problem, solution)
+    rows = sum(part.rows for part in problem.sets)
+    return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
+
+
+def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
+    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+
+    In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
+
+    Args:
+        parts: The sets, with n rows of k channels in all.
+        left: What a fit leaves of them, as :func:`whitened` returns it.
+    """
+    rows, channels = sum(map(len, left)), left[0].shape[1]
+    scatter = sum(one.T @ one for one in left)
+    size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
+    _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
+    logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
+    of_colour = channels * sum(part.log_colour for part in parts)
+    value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
+    return value if np.isfinite(value) else np.inf
+
+
+def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
+    """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
+    found = []
+    between = problem.unwhitened(solution.residual)
+    for part, one in zip(problem.sets, between, strict=True):
+        root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
+        found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
+    return found

@@ -8,14 +8,13 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, noisy_sets
 from scipy.fft import idct
 from scipy.stats import multivariate_normal
 
-from surefoot.calibration.in_situ.beside import deviance, whitened
 from surefoot.calibration.in_situ.calibrate import _evidence
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
 from surefoot.calibration.in_situ.data import InSituOptions, Task
 from surefoot.calibration.in_situ.problem import whitening
-from surefoot.calibration.in_situ.solve import solve, transforms
+from surefoot.calibration.in_situ.solve import deviance, solve, transforms, whitened
 
 COLOURS = {
     "white": Colour(),
