@@ -72,6 +72,9 @@ _DIFFERENCE = 1e-5
 _TURNS = 4
 """Turns by right angles from which an IMU's is searched, beside none."""
 
+_GLANCE = 8
+"""Evaluations by which these are chosen."""
+
 _AS_GOOD = 0.1
 """Share by which two costs may differ that are alike."""
 
@@ -338,7 +341,7 @@ def _turned(evidence: Evidence) -> Iterator[Cause]:
     found = []
     for turn in Rotation.create_group("O"):
         outer = _rotate(evidence.solution.outer[None], turn)[0]
-        cost = solve(replace(plain, added=_rotate(plain.added, turn)), [outer]).cost
+        cost = solve(replace(plain, added=_rotate(plain.added, turn)), [outer], _GLANCE).cost
         found.append((turn.magnitude() > 0.0, cost, turn.as_rotvec(), outer))
     # From none, and from the right angles that come next to it.
     tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]

@@ -54,7 +54,7 @@ _SEARCHES, _TURNED_SEARCHES = 3, 36
 _AS_GOOD = 10.0
 """Minima that cost this much more than the lowest are none."""
 
-_CONVERGED, _EVALUATIONS = 1e-14, 60
+_CONVERGED, _EVALUATIONS = 1e-9, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
@@ -128,9 +128,12 @@ def loop_shares(problem: Problem, solution: Solution) -> Vector:
     return solution.limb[problem.loops]
 
 
-def solve(problem: Problem, starts: Sequence[Vector]) -> Solution:
-    """Return the best of the minima next to starts, shape (p,), or (p + 3,) with the rotation vector."""
-    found = [_search(problem, start) for start in starts]
+def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUATIONS) -> Solution:
+    """Return the best of the minima next to starts, shape (p,), or (p + 3,) with the rotation vector.
+
+    A few evaluations come near enough to compare minima.
+    """
+    found = [_search(problem, start, evaluations) for start in starts]
     return expand(problem, min(found, key=_rank_of)[1])
 
 
@@ -149,7 +152,7 @@ def _rank_of(found: tuple[float, Vector]) -> tuple[bool, float]:
     return bool(outer[MASS] <= 0.0), cost
 
 
-def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
+def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) -> tuple[float, Vector]:
     """Return the cost and the outer unknowns at the minimum next to a start."""
     from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
@@ -160,7 +163,7 @@ def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
         lambda x: residual(x * scale),
         start / scale,
         jac=lambda x: residual.jacobian(x * scale) * scale,
-        max_nfev=_EVALUATIONS,
+        max_nfev=evaluations,
         **dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED),
     )
     return float(found.cost), found.x * scale
