@@ -34,6 +34,7 @@ from surefoot.calibration.in_situ.compress import means
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -439,14 +440,9 @@ def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:
     time, u, raw = rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
     share = (time - time[0]) / max(float(time[-1] - time[0]), np.finfo(float).tiny)
     offset = np.cos(np.pi * share[:, None] * np.arange(_DRIFT))
-    size = np.maximum(np.std(u, axis=0), np.finfo(float).tiny)
-    columns = np.concatenate([u / size, offset], axis=1)
-    left, singular, right = np.linalg.svd(columns, full_matrices=False)
-    kept = singular > 1e-9 * singular[0]
-    left = left[:, kept]
-    slope = (right[kept].T / singular[kept]) @ (left.T @ raw)
+    left, back = orthonormal(np.concatenate([u, offset], axis=1), 1e-9)
     residual = raw - left @ (left.T @ raw)
-    rate = np.gradient(u, time, axis=0) / size @ slope[: u.shape[1]]
+    rate = np.gradient(u, time, axis=0) @ (back @ (left.T @ raw))[: u.shape[1]]
     rate -= left @ (left.T @ rate)
     noise = np.linalg.pinv(residual.T @ residual / len(raw), rcond=1e-9, hermitian=True)
     return (

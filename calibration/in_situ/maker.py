@@ -232,7 +232,9 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     now = missed(factory)
     if now < limits.FACTORY_MISSES:
         return []
-    start = solution.outer if limb_known else problem.limb
+    start = solution.outer.copy()
+    if not limb_known:
+        start[: problem.parameters] = problem.limb
     tried = []
     for cost, ways in (
         (0.0, _other_readings(factory)),
