@@ -30,7 +30,7 @@ from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.hysteresis import fit_loops, likeliest_loops
+from surefoot.calibration.in_situ.hysteresis import fit_creep, fit_loops, likeliest_loops
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay, shift
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
@@ -198,8 +198,9 @@ def _fit(
     if warms and determined:
         chosen = with_gains(*chosen, options) or chosen
     loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
+    creep = fit_creep(sets, *chosen, options) if options.hysteresis else []
     fits = loops or [chosen]
-    chosen = likeliest_loops(chosen, loops)
+    chosen = likeliest_loops(chosen, loops + creep)
     if chosen[0] is not members[0].problem:
         members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
     if warms and determined:

@@ -78,8 +78,7 @@ def disagreement(problem: Problem, solution: Solution) -> Vector:
     used = np.array([np.diag(part.unwhiten) > 0.0 for part in problem.sets])
     shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
     rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
-    loops = problem.hysteresis or problem.channel_lags > 0
-    believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
+    believed = np.where((shown > rows) | problem.lags, _RAISES, _LOWERS)
     return np.asarray(np.sqrt((believed + shown) / (believed + rows)))
 
 
@@ -136,14 +135,15 @@ def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
 def slope_doubts(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
     """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
 
-    An axis, or a channel, gives by its share of hysteresis more for twice the swing.
+    An axis, or a channel, gives by its share of loops more for twice the swing, by that of creep in twice
+    the time.
     """
     A = solution.A
     C = weighted_inverse(A, noise)
     T = transforms(problem, solution)[:, :AXES]
     load = T[-1] @ problem.sets[-1].end.signals
     loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
-    if problem.hysteresis:
+    if not problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
         changes = np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:

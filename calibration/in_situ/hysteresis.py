@@ -22,6 +22,7 @@ does: then p is that of each channel's own load A_c w, and acts on the readings 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -44,7 +45,7 @@ from surefoot.calibration.in_situ.solve import (
     transforms,
 )
 
-__all__ = ["fit_loops", "likeliest_loops", "shows_loops"]
+__all__ = ["fit_creep", "fit_loops", "lag_shares", "likeliest_loops", "shows_loops"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -62,6 +63,10 @@ _PROPORTIONAL, _BACKLASH = np.ones(_PLAYS), 2.0 ** (_NARROW - 1) * np.eye(_PLAYS
 _CREEPING = np.geomspace(4.0, 128.0, 6)
 """Time constants of creep in s, an octave apart: faster ones look like a clock that is late, slower ones like
 a drift."""
+
+_NEARLY = 0.9
+"""Share of what loops and creep explain together that one of them explains where it is the law: of loops with
+other thresholds either explains 0.85, of the emulated sensors' own 0.94 and more."""
 
 _SHARE_STD = 0.05
 """Expected size of the shares; that of an axis that no load reaches stays at zero."""
@@ -102,10 +107,24 @@ def fit_loops(
     if not shows_loops(problem):
         return []
     laws = [partial(_play_sums, weights=weights) for weights in (_PROPORTIONAL, _BACKLASH)]
-    if all(data.time is not None for data in sets):
-        laws.append(partial(_creeps, steps=[_step(data) for data in sets]))
     loads = [_of_loads(sets, problem, solution, options, law) for law in laws]
     return [*loads, _of_channels(sets, problem, solution, options)]
+
+
+def fit_creep(
+    sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
+) -> list[Fitted]:
+    """Return the problem with loads that creep, alone and with loops in proportion; each with its solution.
+
+    Only for sets with times. It is no guide to a clock, as it lags like one.
+    """
+    if not shows_loops(problem) or any(data.time is None for data in sets):
+        return []
+    law = partial(_creeps, steps=[_step(data) for data in sets])
+    creeping, found = _of_loads(sets, problem, solution, options, law)
+    creeping = replace(creeping, creep=AXES)
+    loops = partial(_play_sums, weights=_PROPORTIONAL)
+    return [(creeping, found), _of_loads(sets, creeping, found, options, loops)]
 
 
 def shows_loops(problem: Problem) -> bool:
@@ -116,12 +135,25 @@ def shows_loops(problem: Problem) -> bool:
 def likeliest_loops(plain: Fitted, loops: Sequence[Fitted]) -> Fitted:
     """Return the likeliest of the problems with loops; the plain one where they explain too little."""
     # What leads the load is no hysteresis but two clocks that disagree.
-    lagging = [fitted for fitted in loops if _lags(loop_shares(*fitted))]
-    return min([plain, *lagging], key=lambda fitted: criterion(*fitted))
+    fits = [plain, *(fitted for fitted in loops if _lags(lag_shares(*fitted)))]
+    costs = [criterion(*fitted) for fitted in fits]
+    order = np.argsort(costs)
+    best = int(order[0])
+    if fits[best][0].creep and fits[best][0].hysteresis:
+        # Both together follow a law of another make as well; one that explains nearly as much is the law.
+        single = int(order[1])
+        best = single if costs[0] - costs[single] > _NEARLY * (costs[0] - costs[best]) else best
+    return fits[best]
 
 
-def _lags(shares: NDArray[np.float64]) -> bool:
+def _lags(shares: Vector) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
+
+
+def lag_shares(problem: Problem, solution: Solution) -> Vector:
+    """Return by what share of its load each axis, (6,), or channel, (k,), lags, by loops and all creep."""
+    shares = loop_shares(problem, solution)
+    return shares + (len(_CREEPING) - 1) * solution.limb[problem.creeps] if problem.creep else shares
 
 
 def _of_loads(

@@ -20,7 +20,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.hysteresis import shows_loops
+from surefoot.calibration.in_situ.hysteresis import lag_shares, shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
@@ -34,7 +34,7 @@ from surefoot.calibration.in_situ.linear import of_unit_length
 from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise
-from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
+from surefoot.calibration.in_situ.solve import Solution, solve, transforms
 from surefoot.calibration.in_situ.temperature import drifting
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
@@ -101,7 +101,7 @@ def fit_of(solved: Solved) -> InSituFit:
         findings += known.findings(FitColumns.of(len(noise)))
     answer, doubts = answer_of(problem, solution, noise), None
     roots = [_members_root(solved, solution, noise)]
-    if problem.hysteresis or problem.channel_lags:
+    if problem.lags:
         doubts = slope_doubts(problem, solution, noise)
         roots += _slope_columns(doubts, len(answer))
     if problem.maker is not None and task.options.factory_std is None:
@@ -132,9 +132,7 @@ def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShar
     parts, limb, k = problem.sets, solution.limb, len(solution.A)
     predicted = solution.response @ transforms(problem, solution)
     stats, set_stats = _stats(problem, solution, known)
-    columns, shares = FitColumns.of(k), None
-    if problem.hysteresis or problem.channel_lags:
-        shares = loop_shares(problem, solution)
+    columns, shares = FitColumns.of(k), lag_shares(problem, solution)
     return InSituFit(
         matrix=answer[columns.matrix].reshape(AXES, k),
         offset=answer[columns.offset],
@@ -154,7 +152,7 @@ def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShar
         set_names=tuple(part.name for part in parts),
         temperature_reference=solved.reference or 0.0,
         temperature_gain=limb[problem.of_loads][: problem.gains] if problem.gains else None,
-        hysteresis=shares if problem.hysteresis else None,
+        hysteresis=shares if problem.lags and not problem.channel_lags else None,
         channel_hysteresis=shares if problem.channel_lags else None,
         data_share=known.share,
         accelerometer_bias=solved.sphere.bias,

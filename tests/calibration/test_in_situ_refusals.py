@@ -127,7 +127,13 @@ REFUSALS = {
 }
 
 
-@pytest.mark.parametrize(("make", "message"), REFUSALS.values(), ids=REFUSALS.keys())
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        pytest.param(*row, id=name, marks=pytest.mark.slow if name.startswith("a place") else ())
+        for name, row in REFUSALS.items()
+    ],
+)
 def test_refuses_with_the_reason_and_the_cure(make, message):
     made = make(leg_sets())
     sets, options = made if isinstance(made, tuple) else (made, None)
@@ -199,7 +205,7 @@ CAUSES = {
 @pytest.mark.parametrize(
     ("factory", "make", "cause", "cure"),
     [
-        pytest.param(*row, id=name, marks=() if name in ("a step", "sets exchanged") else pytest.mark.slow)
+        pytest.param(*row, id=name, marks=() if name == "sets exchanged" else pytest.mark.slow)
         for name, row in CAUSES.items()
     ],
 )
@@ -239,7 +245,7 @@ TRANSFORMS = {
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        pytest.param(*row, id=name, marks=pytest.mark.slow if name in ("inverted", "N mm") else ())
+        pytest.param(*row, id=name, marks=() if name == "torques first" else pytest.mark.slow)
         for name, row in TRANSFORMS.items()
     ],
 )
