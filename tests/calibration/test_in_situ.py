@@ -485,8 +485,8 @@ def creeping(wrench, share, times, dt=0.1):
 
 
 def test_a_sensor_that_creeps_is_as_sure_as_it_is_right():
-    """Neither time constant is one of the law's; loops alone were off by five deviations in ten entries."""
-    matrix, mass, com, _ = SENSORS["leg"]
+    """Neither time constant is one of the law's."""
+    matrix, mass, _, _ = SENSORS["leg"]
     rng = np.random.default_rng(42)
 
     def read(wrench):
