@@ -26,7 +26,6 @@ from vector_speed import step as vector_step
 
 import surefoot
 from surefoot.envs.nao.env import SUBSTEPS
-from surefoot.experiments.policy.tasks import EXPECTED_LOADS
 from surefoot.experiments.policy.view import make_task
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
@@ -68,7 +67,7 @@ def stacks() -> dict[str, gym.Env[Any, Any]]:
         "environment": bare(),
         "FootSensors": sensed(),
         "SelfCalibration(none)": SelfCalibration(sensed(), "none"),
-        "SelfCalibration(moment)": SelfCalibration(sensed(), "moment", **EXPECTED_LOADS),
+        "SelfCalibration(moment)": SelfCalibration(sensed(), "moment"),
         "a policy's feed, moment": make_task("moment", duration=120.0)[0],
     }
 
@@ -118,7 +117,7 @@ def vectors(robots: int) -> dict[str, Any]:
         "environment": copies(),
         "FootSensors": felt(copies(TruthRow)),
         "SelfCalibration(none)": VectorSelfCalibration(felt(copies(TruthRow)), "none"),
-        "SelfCalibration(moment)": VectorSelfCalibration(felt(copies(TruthRow)), "moment", **EXPECTED_LOADS),
+        "SelfCalibration(moment)": VectorSelfCalibration(felt(copies(TruthRow)), "moment"),
     }
 
 

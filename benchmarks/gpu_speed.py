@@ -65,7 +65,7 @@ def main() -> None:
     )
     parser.add_argument("--robots", type=int, default=4096)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--methods", nargs="+", default=["momentum"], choices=list(METHODS))
+    parser.add_argument("--methods", nargs="+", default=["moment"], choices=list(METHODS))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     device, robots = torch.device(arguments.device), arguments.robots

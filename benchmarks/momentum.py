@@ -39,8 +39,8 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 
 Floats = NDArray[np.float64]
 
-METHODS = ("none", "tare", "window", "moment", "momentum", "integrated")
-"""``integrated`` is ``momentum`` on accelerations that it adds up itself, as logs have them."""
+METHODS = ("none", "tare", "window", "moment", "integrated")
+"""``integrated`` is ``moment`` on accelerations that it adds up itself, as logs have them."""
 
 LOADED = 0.05
 """Share of the weight from which on a foot's centre of pressure counts."""
@@ -186,7 +186,7 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
-    env = SelfCalibration(sensors, "momentum")
+    env = SelfCalibration(sensors, "moment")
     env.reset(seed=seed)
     robot, source, core = env.robot, sensors.source, sensors.robot
     model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
@@ -236,8 +236,8 @@ def stream(folder: Path, name: str, seed: int, start: str) -> Stream:
 
 def play(one: Stream, method: str, **options: Any) -> Iterator[Any]:
     """Yield a method's estimates of a stream."""
-    beliefs: Any = one.momenta if method == "momentum" else one.accelerations
-    name = "momentum" if method == "integrated" else method
+    beliefs: Any = one.momenta if method == "moment" else one.accelerations
+    name = "moment" if method == "integrated" else method
     calibrator = FootCalibrator(
         one.layout,
         name,

@@ -27,13 +27,16 @@ TARGETS = {
 }
 FLAGS = ("-std=c99", "-Os", "-ffp-contract=off", "-DSF_SINGLE", "-fno-asynchronous-unwind-tables")
 FILTER = """
-void begin(const sf_config *c, sf_state *s, sf_work *w) { sf_calibrator_init_with(c, s, w); }
-void fell(const sf_config *c, sf_state *s, sf_work *w) { sf_calibrator_retract_with(c, s, w); }
-void sample(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw, const sf_reference *r,
+typedef sf_moment_config own;
+typedef sf_moment_state state;
+typedef sf_moment_work work;
+void begin(const sf_config *c, const own *m, state *s, work *w) { sf_moment_init(c, m, s, w); }
+void fell(const sf_config *c, const own *m, state *s) { sf_moment_retract(c, m, s); }
+void sample(const sf_config *c, const own *m, state *s, work *w, const sf_real *raw, const sf_reference *r,
             sf_estimate *e) {
-    sf_calibrator_step_with(c, s, w, raw, r, c->dt, e);
+    sf_moment_step(c, m, s, w, raw, r, c->dt, e);
 }
-const unsigned state_size[] = {sizeof(sf_state)}, work_size[] = {sizeof(sf_work)};
+const unsigned state_size[] = {sizeof(state)}, work_size[] = {sizeof(work)};
 """
 BELIEFS = """
 #define SF_BODIES 26

@@ -55,7 +55,7 @@ typedef struct {
     sf_cells cells;
     sf_telemetry telemetry;
     sf_beliefs beliefs;
-    sf_state filter;
+    sf_moment_state filter;
     sf_held held;
     sf_random stream[2];
     sf_real counts[K];
@@ -63,7 +63,7 @@ typedef struct {
     sf_shown shown;
     int at;
 } robot_state;
-static sf_work work;
+static sf_moment_work work;
 static sf_real arrived[SF_LINK_ROOM * SF_PACKET];
 static double spent[PARTS], mark, price;
 static int timed, of_process;
@@ -102,8 +102,8 @@ static void step(robot_state *r, const input *all) {
                           row + 2 * J + 7, row + 2 * J + 4);
     sf_beliefs_sample(&timing, &r->beliefs, in->about, in->planned, 0, &belief);
     passed(BELIEFS);
-    if (belief.fell) sf_calibrator_retract_with(&robot, &r->filter, &work);
-    sf_calibrator_step_with(&robot, &r->filter, &work, r->counts, &belief.reference, robot.dt, &r->estimate);
+    if (belief.fell) sf_moment_retract(&robot, &moment, &r->filter);
+    sf_moment_step(&robot, &moment, &r->filter, &work, r->counts, &belief.reference, robot.dt, &r->estimate);
     passed(FILTER);
     sf_beliefs_soles(&timing, &r->beliefs, in->now, soles);
     sf_view_show(&robot, &view, &r->held, &r->estimate, soles, &r->shown);
@@ -138,7 +138,7 @@ int main(int argc, char **argv) {
     source->stream[0] = cells_stream, source->stream[1] = telemetry_stream;
     source->held.cop_std[0] = source->held.cop_std[1] = view.cop_bound;
     sf_beliefs_init(&source->beliefs);
-    sf_calibrator_init_with(&robot, &source->filter, &work);
+    sf_moment_init(&robot, &moment, &source->filter, &work);
     for (int t = 0; argc == 3 && t < length; t++) {
         step(source, all);
         for (int i = 0; i < K; i++) row[i] = source->estimate.force[i];

@@ -19,10 +19,9 @@ from typing import Any, TypeVar
 from surefoot.calibration.baselines import TareState
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
-from surefoot.calibration.moment.state import MomentState
-from surefoot.calibration.momentum.motion import Track
-from surefoot.calibration.momentum.state import Belief, Kept, MomentumState, Publication, SuspectState
-from surefoot.calibration.momentum.state import TareState as MomentumTare
+from surefoot.calibration.moment.motion import Track
+from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, SuspectState
+from surefoot.calibration.moment.state import TareState as FootTares
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
 
@@ -38,18 +37,12 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         WindowState: ("step", "theta", "standing", "walking", "all_walking"),
         StandingState: StandingState._fields,
         MomentState: (
-            *("step", "mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
-            *("kept_mean", "kept_covariance", "noise", "misfit", "rate", "unproven"),
-        ),
-        MomentumState: (
             *("time", "belief", "drifted", "noise", "tare", "shift", "published", "covariance", "kept"),
         ),
         SuspectState: ("noise", "known"),
         Track: (),
-        **{kind: kind._fields for kind in (Belief, Publication, MomentumTare, Kept)},
-        ChannelState: (
-            *("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),
-        ),
+        **{kind: kind._fields for kind in (Belief, Publication, FootTares, Kept)},
+        ChannelState: (*("moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),),
     }
 )
 """Fields that outlive an episode, by the class of the state; its others belong to the stream. The class

@@ -92,8 +92,6 @@ class Estimate(NamedTuple):
         nis: Normalised innovation squared of the update at this sample, shape (), NaN at samples without
             one; or ``None``.
         nis_rows: Number of rows, its degrees of freedom, shape (), or ``None``.
-        matrix: Scales of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
-            (K, K); ``None`` where there is one scale a channel.
         cop_measured: Centre of pressure of the forces as they were read, in m, shape (2,), NaN where they
             have none; ``cop`` itself where readings have no age.
         undetermined: Share of each scale's variance at the start that the data have left, from 0 to 1, shape
@@ -116,7 +114,6 @@ class Estimate(NamedTuple):
     cop_covariance: Array | None = None
     nis: Array | None = None
     nis_rows: Array | None = None
-    matrix: Array | None = None
     cop_measured: Array | None = None
     undetermined: Array | None = None
     contact_probability: Array | None = None

@@ -73,7 +73,7 @@ class FootCalibrator:
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "momentum",
+        method: str = "moment",
         *,
         mass: float,
         initial: Parameters | None = None,
@@ -129,7 +129,7 @@ class FootCalibrator:
         Args:
             raw: Readings, shape (K,). NaN: no sample arrived.
             reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record; method
-                ``"momentum"`` takes a :class:`~surefoot.calibration.MomentumReference` as well.
+                ``"moment"`` takes a :class:`~surefoot.calibration.MomentumReference` as well.
             dt: Time since the last sample in s; the nominal one by default.
 
         Returns:

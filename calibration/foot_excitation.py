@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.moment.bound import BoundRows, Passage
-from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.bound import LogPassages, Passage
+from surefoot.calibration.moment.config import MomentConfig
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup, setup_from_options
@@ -125,12 +125,12 @@ def plan_foot_excitation(
     setup, rest = setup_from_options(
         layout, mass=robot.mass, initial=None, dt=robot.dt, lag=robot.lag, options=options
     )
-    config = MomentFilterConfig(**rest)
-    logs = {name: _bound_rows(setup, motion, config) for name, motion in robot.motions.items()}
+    config = MomentConfig(**rest)
+    logs = {name: _passages_of(setup, motion, config) for name, motion in robot.motions.items()}
     first = next(iter(logs.values()))
     choice = _Choice(
         _Aim(goal, logs),
-        {name: log.passage() for name, log in logs.items()},
+        {name: log.whole() for name, log in logs.items()},
         {name: robot.dt * len(motion.force) for name, motion in robot.motions.items()},
         first.start,
     )
@@ -156,9 +156,9 @@ def plan_foot_excitation(
     )
 
 
-def _bound_rows(setup: OnlineSetup, motion: FootMotion, config: MomentFilterConfig) -> BoundRows:
+def _passages_of(setup: OnlineSetup, motion: FootMotion, config: MomentConfig) -> LogPassages:
     shape = motion.force.shape
-    return BoundRows(setup, *motion, Parameters(np.ones(shape), np.zeros(shape)), config)
+    return LogPassages(setup, *motion, Parameters(np.ones(shape), np.zeros(shape)), config)
 
 
 class _Choice:
@@ -219,19 +219,19 @@ class _Way(NamedTuple):
 class _Aim:
     """What a covariance means for the goal: the largest of some traces, trace(W S)."""
 
-    def __init__(self, goal: str, logs: Mapping[str, BoundRows]) -> None:
+    def __init__(self, goal: str, logs: Mapping[str, LogPassages]) -> None:
         weights = []
         for log in logs.values():
-            to_force, _, to_cop = log.spread_rows(slice(None))
+            to_force, _, to_cop = log.error_rows(slice(None))
             if goal == "cop":
                 rows = to_cop[np.isfinite(to_cop).all(axis=(1, 2))]
                 weights.append(np.einsum("nip,niq->pq", rows, rows)[None] / max(len(rows), 1))
             else:
                 weights.append(np.einsum("nip,niq->ipq", to_force, to_force) / len(to_force))
         self._weights = np.mean(weights, axis=0)
-        self._map = next(iter(logs.values())).unknowns.map
+        self._log = next(iter(logs.values()))
 
     def std(self, covariance: Floats) -> float:
         """Return the goal's standard deviation."""
-        traces = np.einsum("kpq,qp->k", self._weights, covariance[self._map, self._map])
+        traces = np.einsum("kpq,qp->k", self._weights, self._log.of_parameters(covariance, 0))
         return float(np.sqrt(traces.max()))

@@ -15,8 +15,7 @@ estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 
 | name | learns | from |
 |---|---|---|
-| ``"moment"`` | scales, offsets, the reference's errors, faults | the robot's motion, feet in the air |
-| ``"momentum"`` | scales, offsets, what holds the robot | the robot's velocity, feet in the air |
+| ``"moment"`` | scales, offsets, what holds the robot, faults | the robot's momentum, feet in the air |
 | ``"window"`` | scales and offsets | the robot's motion, standing and walking (CoP paper, Eqs. 12-14) |
 | ``"quasi-static"`` | scales and offsets | the centre of mass alone (Han's method) |
 | ``"tare"`` | offsets | feet in the air |
@@ -31,10 +30,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from surefoot.calibration.baselines import TareConfig, tare, uncorrected
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.stream import moment_filter
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.filter import momentum_filter
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.filter import moment_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import quasi_static, window
@@ -62,7 +59,6 @@ class MethodEntry(NamedTuple):
         momentum: Whether it would rather learn from a
             :class:`~surefoot.calibration.reference.MomentumReference`.
         contact: Whether it reports how likely feet bear load, and what it could not determine.
-        feet: For how many feet it is made; ``None`` for any number.
     """
 
     build: Callable[..., OnlineMethod]
@@ -70,12 +66,10 @@ class MethodEntry(NamedTuple):
     certain: bool = False
     momentum: bool = False
     contact: bool = False
-    feet: int | None = None
 
 
 _METHODS = {
-    "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True, feet=2),
-    "momentum": MethodEntry(momentum_filter, MomentumConfig, certain=True, momentum=True, contact=True),
+    "moment": MethodEntry(moment_filter, MomentConfig, certain=True, momentum=True, contact=True),
     "window": MethodEntry(window, WindowConfig),
     "quasi-static": MethodEntry(quasi_static, WindowConfig),
     "tare": MethodEntry(tare, TareConfig),
@@ -170,15 +164,11 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     >>> online_method("windows", ...)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: Method 'windows' does not exist. Available: 'moment', 'momentum', ..., 'tare', 'none'.
+    ValueError: Method 'windows' does not exist. Available: 'moment', 'window', ..., 'tare', 'none'.
     """
     name = method_name(name)
     entry = method_entry(name)
-    build, config, feet = entry.build, entry.config, len(setup.layout.feet)
-    if entry.feet is not None and feet > entry.feet:
-        raise ValueError(
-            f"Method {name!r} is for robots on {entry.feet} feet, got {feet}; 'momentum' takes any number."
-        )
+    build, config = entry.build, entry.config
     known = [] if config is None else [field.name for field in fields(config)]
     unknown = [option for option in options if option not in known]
     if unknown:

@@ -41,7 +41,7 @@ class Reference(NamedTuple):
 
 
 class MomentumReference(NamedTuple):
-    """One sample of a robot's beliefs as momentum, for method ``"momentum"``; a log has N first in all.
+    """One sample of a robot's beliefs as momentum, for method ``"moment"``; a log has N first in all.
 
     A robot measures velocities, not accelerations. All fields are of the *end* of the interval that the
     reading covers, in one level frame that neither turns nor moves with the robot: a sole that stands stays

@@ -54,7 +54,7 @@ def main(robots: int = 256, device: str = "cpu", seconds: float = 20.0) -> tuple
     chance = torch.Generator(device).manual_seed(1)
     feet = FootSensorsModule("hx711-load-cells", robots, device, dt=DT)
     options = {"mass": MASS, "dt": DT, "initial": feet.nominal}
-    names = ("none", "momentum")
+    names = ("none", "moment")
     methods = [SelfCalibrationModule(LAYOUT, name, robots, device, **options) for name in names]
     clock = torch.randint(CYCLE, (robots,), generator=chance, device=device)
     for step in range(round(seconds / DT)):

@@ -33,7 +33,7 @@ def calibrator_of(robot: dict, method: str) -> FootCalibrator:
     return FootCalibrator(FeetLayout(tuple(feet)), method, initial=start, **options)
 
 
-def run(lines: Iterable[str], answer: Callable[[str], None], method: str = "momentum") -> np.ndarray:
+def run(lines: Iterable[str], answer: Callable[[str], None], method: str = "moment") -> np.ndarray:
     """Calibrate sample by sample.
 
     Returns:
@@ -75,7 +75,7 @@ def follow(path: Path, patience: float = 5.0) -> Iterator[str]:
                 time.sleep(0.001)
 
 
-def serve(listener: socket.socket, method: str = "momentum") -> np.ndarray:
+def serve(listener: socket.socket, method: str = "moment") -> np.ndarray:
     """Take one connection and answer on it."""
     connection, _ = listener.accept()
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -86,7 +86,7 @@ def serve(listener: socket.socket, method: str = "momentum") -> np.ndarray:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Calibrate a stream as it comes.")
     parser.add_argument("source", help="tcp:PORT to listen on, or file:PATH that grows")
-    parser.add_argument("--method", default="momentum")
+    parser.add_argument("--method", default="moment")
     given = parser.parse_args()
     kind, _, where = given.source.partition(":")
     if kind == "tcp":

@@ -80,7 +80,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     """Stand; return the rms error of the vertical force in N, by the data sheet and calibrated."""
     feet = FootSensorsModule(sized(preset("hx711-load-cells"), MASS * GRAVITY), robots, device, dt=DT)
     given = {"mass": MASS, "dt": DT, "initial": feet.nominal}
-    calibrator = SelfCalibrationModule(LAYOUT, "momentum", robots, device, **given)
+    calibrator = SelfCalibrationModule(LAYOUT, "moment", robots, device, **given)
     watched = cache(Robots)
 
     def truth(env):

@@ -17,8 +17,7 @@ from surefoot.experiments.policy.view import PolicyView
 
 TRAINING = {"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0}
 
-# The robot is told what loads to expect: by how much they change its weight and move its centre of mass.
-CALIBRATED = {"method": "moment", "mass_change": 0.08, "com_change": 0.015}
+CALIBRATED = {"method": "moment"}
 
 
 def on_true_feet(**options):

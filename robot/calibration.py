@@ -50,10 +50,9 @@ class Learnt(NamedTuple):
     masses: Masses
 
 
-ALIASED: Final = {"force_noise": 0.5, "cop_noise": 0.014}
-"""Noise of feet that are read in one substep of a control step, as a share of the weight and in m: how far
-the last of ten substeps was from their mean on a G1 that walks with targets held for 20 ms (0.46 to 0.60, and
-8 to 14 mm). A robot that stands has none of it."""
+ALIASED: Final = 4.0
+"""Ripple of feet that are read in one substep of a control step: the last of ten substeps was from their mean
+as far on a G1 that walks with targets held for 20 ms."""
 
 
 def contact_force(weight: float) -> float:
@@ -95,7 +94,7 @@ class CalibrationSetup:
         self,
         owner: str,
         equipment: Equipment,
-        method: str = "momentum",
+        method: str = "moment",
         /,
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
@@ -125,8 +124,8 @@ class CalibrationSetup:
             "force_threshold": contact_force(drawing.weight),
         }
         if equipment.seldom and self.method == "moment":
-            usual |= ALIASED
-        self.options = usual | layout_options(self.layout, drawing, self.method) | options
+            usual["ripple"] = ALIASED
+        self.options = usual | layout_options(self.layout, drawing) | options
         self.corners = sole_corners(drawing) if method_entry(self.method).momentum else None
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.

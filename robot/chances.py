@@ -47,7 +47,7 @@ class Chances:
             f"SelfCalibration has learnt nothing in {self._samples * dt:.0f} s, and readings stay at the "
             f"starting map: the robot was upright in {upright} % of the samples and had a foot surely on the "
             f"ground in {standing} %, for {self._longest * dt:.1f} s at most. It learns while a robot "
-            "stands or walks, and 'moment' hands out nothing that it has learnt for less than 1.5 s.",
+            "stands or walks.",
             stacklevel=4,
         )
         return True

@@ -92,12 +92,13 @@ PERFECT_LOAD_CELLS = LoadCells(
     polarity=(1,),
     input_noise=0.0,
     rate=None,
+    averaged=True,
     initial_scale_std=0.0,
     initial_offset_std=0.0,
     scale_drift=0.0,
     offset_drift=0.0,
 )
-"""Cells that report the true load at the instant they are read, in N."""
+"""Cells that report the true mean load since they were last read, in N."""
 
 ICUB_FORCE_TORQUE = ForceTorque()
 """Two sensors like the FTSens in an iCub's ankles."""
@@ -134,9 +135,8 @@ PERFECT_FORCE_TORQUE = ForceTorque(
     scale_drift=0.0,
     offset_drift_force=0.0,
     offset_drift_torque=0.0,
-    averaged=False,
 )
-"""Sensors that report the true wrench at the instant they are read, in N and N m."""
+"""Sensors that report the true mean wrench since they were last read, in N and N m."""
 
 ICUB_FTSENS_LEG = StrainGauges()
 """The old FTSens in an iCub's leg, number 39."""
@@ -192,9 +192,8 @@ PERFECT_IMU = Imu(
     gyroscope_resolution=0.0,
     accelerometer_range=0.0,
     gyroscope_range=0.0,
-    averaged=False,
 )
-"""An IMU that reports what happens at the instant it is read."""
+"""An IMU that reports what happened on the average since it was last read."""
 
 NAO_ENCODERS = Encoders()
 """The 12-bit joint encoders of a NAO."""

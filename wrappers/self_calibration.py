@@ -39,7 +39,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     | ``"undetermined"`` (K) | share of a scale's variance that is open | 0 | 1 | 1 |
     | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
-    The first four are shown by default; the two before the flags are those of method ``"momentum"``. A robot
+    The first four are shown by default; the two before the flags are those of method ``"moment"``. A robot
     of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above 5 N;
     below, the last one is held and flagged, as all are for feet without area. The reference that the
     calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
@@ -48,7 +48,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
-    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, of method ``"momentum"`` ``"contact_probability"`` (2) and
+    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, of method ``"moment"`` ``"contact_probability"`` (2) and
     ``"undetermined"`` (K), ``"reference"`` (a mapping of the fields of
     :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
     how many samples the reference is late.
@@ -86,7 +86,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        method: str = "momentum",
+        method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         show: Sequence[str] = DEFAULT,
@@ -180,7 +180,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     @property
     def reference(self) -> Any:
-        """The calibrator's last reference: a ``Reference``, or for ``"momentum"`` a ``MomentumReference``."""
+        """The calibrator's last reference: a ``Reference``, or for ``"moment"`` a ``MomentumReference``."""
         return self.robot.reference
 
     @property

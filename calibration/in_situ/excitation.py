@@ -12,7 +12,7 @@ in nats: by how much the logarithm of the volume of q's uncertainty shrinks. All
 and share the reading. Every mass that hangs brings an offset of its own, as offsets jump from set to set, so
 the first poses of a new mass bring little: masses are compared by what ``block`` poses with each would bring
 together (greedy, then each pose exchanged for the best beside the others: Fedorov, 1972), and the best
-block is taken, P is updated by it (:mod:`surefoot.calibration.moment.kalman`), and so on.
+block is taken, P is updated by it (:mod:`surefoot.calibration.kalman`), and so on.
 
 Covariances do not depend on what will be read but, as the model is bilinear, on the assumed A and
 limb. From a factory matrix alone a plan is good, not optimal: fit what was read and plan again.
@@ -38,7 +38,7 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     offset_covariance,
 )
-from surefoot.calibration.moment.kalman import kalman_step
+from surefoot.calibration.kalman import kalman_step
 
 __all__ = [
     "GOALS",

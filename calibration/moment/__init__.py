@@ -1,1 +1,1 @@
-"""The moment filter: scales and offsets from what forces and moments must add up to (docs/estimator.md)."""
+"""The moment filter: forces predict a robot's momentum, and what it knows of its motion measures it."""

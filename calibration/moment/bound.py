@@ -1,16 +1,13 @@
 r"""How well a log can be calibrated at all: the posterior Cramér-Rao bound.
 
-Scales and offsets that are random walks, seen through rows that are linear in them with independent
-normal errors, can be known no better than with the covariance of the recursion (Tichavský, Muravchik and
-Nehorai, 1998, in the linear case)
-
-.. math:: S_k^{-1} = (S_{k-1} + Q)^{-1} + H_k' R_k^{-1} H_k,
-
-in which nothing is estimated: H is made with the *true* scales and offsets, which a simulated log knows. It
-holds for the model as it is assumed (priors, drift and noise of
-:class:`~surefoot.calibration.moment.config.MomentFilterConfig`), on the motion that the log holds: where a
-robot stands still, the bound is high. A mass and a vertical bias that the filter only considers are free
-here, as nothing forbids to estimate them.
+Scales and zeros that are random walks, seen through rows that are linear in them with independent normal
+errors, can be known no better than with the covariance of the recursion (Tichavský, Muravchik and Nehorai,
+1998, in the linear case). It is the filter's own without its estimates: its rows are made with the *true*
+scales and offsets, which a simulated log knows, nobody holds the robot, and how bad the sensors are and how
+loud rows are is as stated. So it holds for the model as it is assumed
+(:class:`~surefoot.calibration.moment.config.MomentConfig`), on the motion that the log holds: where a robot
+stands still, it is high. A mass that the filter only considers is free here, as nothing forbids to estimate
+it.
 """
 
 from typing import NamedTuple
@@ -19,17 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.cop import cop_of_moments
-from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.kalman import kalman_step
-from surefoot.calibration.moment.newton_euler import NewtonEuler
-from surefoot.calibration.moment.parity import Parity
-from surefoot.calibration.moment.rows import Block, Rows
-from surefoot.calibration.moment.tare import Tare
-from surefoot.calibration.moment.uncertainty import Uncertainty, to_cop, variances
-from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.moment.blocks import Block
+from surefoot.calibration.moment.columns import Spread, first_variance
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.filter import MomentFilter
+from surefoot.calibration.moment.health import map_covariance, to_cop
+from surefoot.calibration.moment.model import Rows
+from surefoot.calibration.moment.modes import FREE, wrench_variance
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 Floats = NDArray[np.float64]
@@ -54,9 +49,9 @@ class Bound(NamedTuple):
 def posterior_bound(
     setup: OnlineSetup,
     raw: Floats,
-    reference: Reference,
+    reference: Reference | MomentumReference,
     truth: Parameters,
-    config: MomentFilterConfig | None = None,
+    config: MomentConfig | None = None,
 ) -> Bound:
     """Compute the bound of a log.
 
@@ -70,134 +65,16 @@ def posterior_bound(
     Raises:
         ValueError: If a shape does not fit, or a reading is missing.
     """
-    log = BoundRows(setup, raw, reference, truth, config)
-    covariance, spread = log.start, _Spread(log)
-    for end, rows in log.blocks:
-        spread.add(covariance, slice(end - log.every, end))
-        if rows is not None:
-            covariance = log.step(covariance, rows)
-    spread.add(covariance, slice(len(raw) // log.every * log.every, len(raw)))
-    return Bound(*spread.result(), log.of_parameters(covariance))
-
-
-class BoundRows:
-    """The rows of a log, made of the truth; arguments and errors are those of :func:`posterior_bound`.
-
-    Attributes:
-        every: Samples of a block.
-        start: Covariance to start from, shape (N, N).
-        blocks: Where each block ends, and its rows: ``None`` for the first, which lack samples before them.
-        unknowns: The unknowns.
-        path: The unknowns as they truly were, shape (samples, N).
-    """
-
-    def __init__(
-        self,
-        setup: OnlineSetup,
-        raw: Floats,
-        reference: Reference,
-        truth: Parameters,
-        config: MomentFilterConfig | None = None,
-    ) -> None:
-        config = config or MomentFilterConfig()
-        raw = self._checked(setup, np.asarray(raw, dtype=np.float64), reference, truth)
-        self.unknowns = unknowns = Unknowns(setup, config)
-        self._uncertainty = Uncertainty(unknowns)
-        newton_euler = NewtonEuler(setup, config, unknowns)
-        tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
-        start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
-        learnt = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
-        samples = _Samples(setup, raw, reference)
-        self.every = every = config.every
-        self.start: Floats = np.diag(unknowns.std**2)
-        self._walk = np.diag(unknowns.walk * every * setup.dt)
-        self._free = np.ones(unknowns.size)
-        self._setup, self._samples = setup, samples
-        self.path: Floats = np.tile(unknowns.start, (len(raw), 1))
-        self.path[:, : unknowns.channels] = learnt.scale
-        self.path[:, unknowns.offset] = learnt.offset / (learnt.scale * unknowns.unit)
-        self.blocks: list[tuple[int, Rows | None]] = []
-        for end in range(every, len(raw) + 1, every):
-            if end < config.span:
-                self.blocks.append((end, None))
-                continue
-            mean = self.path[end - 1]
-            block = samples.block(end - config.span, end)
-            rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
-            rows = rows.beside(tare.rows(mean, block, *tare.hanging(mean, block)))
-            if parity.matters:
-                rows = rows.beside(parity.rows(mean, block))
-            used = (rows.H != 0.0).any(axis=1)
-            self.blocks.append((end, Rows(*(part[used] for part in rows))))
-
-    def passage(self) -> "Passage":
-        """Return what all of it makes of any covariance."""
-        identity, none = np.eye(len(self._walk)), np.zeros_like(self._walk)
-        whole = Passage(identity, none, none)
-        for _, rows in self.blocks:
-            if rows is not None:
-                information = rows.H.T @ (rows.H / rows.variance[:, None])
-                whole = whole.then(Passage(identity, none, self._walk))
-                whole = whole.then(Passage(identity, information, none))
-        return whole
-
-    def aged(self, covariance: Floats) -> Floats:
-        """Return the covariance of scales and offsets, shape (P + K, P + K), which drift on after a block."""
-        of_map = self.unknowns.map
-        aged: Floats = (covariance + np.diag(self.unknowns.age * self.unknowns.walk))[of_map, of_map]
-        return aged
-
-    def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
-        """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
-        of_channels: Floats = self._uncertainty.of_parameters(self.path[sample], self.aged(covariance))
-        return of_channels
-
-    def step(self, covariance: Floats, rows: Rows) -> Floats:
-        """Return the covariance after one more block."""
-        nothing = np.zeros(len(covariance))
-        covariance = covariance + self._walk
-        step = kalman_step(nothing, covariance, *rows, self._free, np.inf)
-        return step.covariance  # type: ignore[no-any-return]
-
-    def spread_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return what errors of the map do to forces, the vertical force and the CoP of some samples.
-
-        Returns:
-            Rows that take what ``unknowns.map`` names to forces in N, shape (n, K, P), to the vertical force
-            on all feet in N, shape (n, 1, P), and to the centre of pressure in m, shape (n, 2, P).
-        """
-        found = [self._spread_rows(k) for k in range(*part.indices(len(self.path)))]
-        force, vgrf, cop = (np.array(rows) for rows in zip(*found, strict=True))
-        return force, vgrf, cop
-
-    def _spread_rows(self, k: int) -> tuple[Floats, Floats, Floats]:
-        """Return the same of one sample."""
-        force, rows, mean = self._samples.force[k], self._samples.rows[k], self.path[k]
-        to_force = self._uncertainty.to_force(mean, force)
-        moments = rows @ self.unknowns.force(mean, force)
-        cop = cop_of_moments(moments[0], moments[1:], self._setup.force_threshold)
-        row = rows @ to_force
-        return to_force, row[:1], to_cop(row, cop, moments[0])
-
-    @staticmethod
-    def _checked(setup: OnlineSetup, raw: Floats, reference: Reference, truth: Parameters) -> Floats:
-        setup.layout.check_raw(raw)
-        if raw.ndim != 2 or not np.isfinite(raw).all():
-            raise ValueError(
-                "'raw' must have shape (samples, channels) and hold no gaps: a bound knows of no faults."
-            )
-        for name, part in zip(Parameters._fields, truth, strict=True):
-            if np.shape(part) != raw.shape:
-                raise ValueError(
-                    f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
-                )
-        for name, part in zip(Reference._fields, reference, strict=True):
-            if np.shape(part)[:1] != raw.shape[:1]:
-                raise ValueError(
-                    f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
-                    f"got shape {np.shape(part)}."
-                )
-        return raw
+    log = LogPassages(setup, raw, reference, truth, config)
+    covariance, begin = log.start, 0
+    parts = []
+    for end, passage in log.blocks:
+        parts.append(log.deviations(covariance, slice(begin, end)))
+        covariance, begin = passage.after(covariance), end
+    if begin < len(log.raw):
+        parts.append(log.deviations(covariance, slice(begin, len(log.raw))))
+    force, vgrf, cop = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Bound(force, vgrf, cop, log.of_parameters(covariance))
 
 
 class Passage(NamedTuple):
@@ -216,6 +93,17 @@ class Passage(NamedTuple):
     information: Floats
     added: Floats
 
+    @classmethod
+    def move(cls, carried: Floats, added: Floats) -> "Passage":
+        """Return that of a transition which adds a variance."""
+        return cls(carried, np.zeros_like(added), added)
+
+    @classmethod
+    def learn(cls, H: Floats, variance: Floats) -> "Passage":
+        """Return that of rows, shapes (m, N) and (m, m)."""
+        N = H.shape[1]
+        return cls(np.eye(N), H.T @ np.linalg.solve(variance, H), np.zeros((N, N)))
+
     def after(self, covariance: Floats) -> Floats:
         """Return the covariance after it, shape (N, N), for that before."""
         inner = np.eye(len(covariance)) + covariance @ self.information
@@ -233,48 +121,164 @@ class Passage(NamedTuple):
         )
 
 
-class _Samples:
-    """A log, checked and aligned as the estimator does it."""
+class LogPassages:
+    """The passages of a log's blocks, made of the truth; arguments and errors are of :func:`posterior_bound`.
 
-    def __init__(self, setup: OnlineSetup, raw: Floats, reference: Reference) -> None:
-        front = FrontEnd(setup, imu=False)
-        state, kept = front.init(raw[0]), []
-        for k, reading in enumerate(raw):
-            row = Reference(*(np.asarray(part)[k] for part in reference))
-            state, sample = front.observe(state, reading, row, setup.dt)
-            kept.append(sample)
-        self.force: Floats = np.array([sample.force for sample in kept])
-        self.rows: Floats = np.array([sample.rows for sample in kept]).sum(axis=1)
-        self._past: Floats = np.array([sample.past for sample in kept])
-        self._motion: Floats = np.array([sample.motion for sample in kept])
-        self._swing: Floats = np.array([sample.swing for sample in kept], dtype=np.float64)
-        self._stand: Floats = np.array([sample.stance.any() for sample in kept], dtype=np.float64)
-        physical = [front.motions.ground(motion)[2] for motion in self._motion]
-        self._use: Floats = np.array([sample.good for sample in kept]) & np.array(physical)
+    Attributes:
+        raw: Readings, shape (samples, K).
+        start: Covariance of the unknowns to start from, shape (N, N).
+        blocks: The sample that each block ends with, and what the block makes of a covariance.
+    """
 
-    def block(self, start: int, end: int) -> Block:
-        part = slice(start, end)
-        use = self._use[part].astype(np.float64)
-        return Block(self._past[part], self._motion[part], self._swing[part], use, self._stand[part])
+    def __init__(
+        self,
+        setup: OnlineSetup,
+        raw: Floats,
+        reference: Reference | MomentumReference,
+        truth: Parameters,
+        config: MomentConfig | None = None,
+    ) -> None:
+        config = config or MomentConfig()
+        self.raw = raw = _check(setup, np.asarray(raw, dtype=np.float64), reference, truth)
+        self._setup, self._filter = setup, MomentFilter(setup, config)
+        self._columns, self._spread = self._filter.columns, Spread.of(setup, config)
+        self.start: Floats = np.diag(first_variance(self._columns, self._spread, config, wide=1.0))
+        walk = np.zeros(self._columns.size)
+        walk[self._columns.scale] = config.scale_drift**2 / 60.0
+        walk[self._columns.drift] = (config.offset_drift * self._spread.unit) ** 2 / 60.0
+        self._walk = np.diag(walk)
+        self._path = self._follow(truth)
+        self._force = np.empty_like(raw)
+        self._rows = np.empty((len(raw), 3, raw.shape[1]))
+        self.blocks = self._read(reference)
 
+    def whole(self) -> Passage:
+        """Return what all of it makes of any covariance, the momentum unknown at its beginning."""
+        whole = self._begin(None)
+        for _, passage in self.blocks:
+            whole = whole.then(passage)
+        return whole
 
-class _Spread:
-    """What a covariance means for forces and centres of pressure."""
+    def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
+        """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
+        part, weight = self._columns.map, self._setup.weight
+        learnt: Floats = map_covariance(self._path[sample], covariance[part, part], self._columns, weight)
+        return learnt
 
-    def __init__(self, log: BoundRows) -> None:
-        self._log = log
-        self._parts: list[tuple[Floats, Floats, Floats]] = []
+    def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
+        """Return what errors of (a, b) do to forces, the vertical force and the CoP of some samples.
 
-    def add(self, covariance: Floats, part: slice) -> None:
-        covariance = self._log.aged(covariance)
-        if part.start >= part.stop:
-            return
-        parts = self._log.spread_rows(part)
-        force_std, vgrf_std, cop_std = (
-            np.sqrt([variances(rows, covariance) for rows in one]) for one in parts
+        Returns:
+            Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N,
+            shape (n, 1, 2K), and to the centre of pressure in m, shape (n, 2, 2K); NaN without load.
+        """
+        weight, columns = self._setup.weight, self._columns
+        found = []
+        for force, rows, known in zip(self._force[part], self._rows[part], self._path[part], strict=True):
+            to_force = np.hstack([np.diag(force), np.eye(len(force))])
+            a, b, u = (known[of] for of in (columns.scale, columns.offset, columns.drift))
+            moments = rows @ (a * force + (b + a * u) * weight)
+            cop = cop_of_moments(moments[0], moments[1:], self._setup.force_threshold)
+            row = rows @ to_force
+            found.append((to_force, row[:1], to_cop(row, cop, moments[0])))
+        to_force, to_vgrf, to_pressure = (np.array(rows) for rows in zip(*found, strict=True))
+        return to_force, to_vgrf, to_pressure
+
+    def deviations(self, covariance: Floats, part: slice) -> tuple[Floats, Floats, Floats]:
+        """Return standard deviations of forces, the vertical force and the CoP of some samples.
+
+        Args:
+            covariance: Of the unknowns, shape (N, N).
+            part: The samples.
+        """
+        learnt = np.array([self.of_parameters(covariance, k) for k in range(*part.indices(len(self.raw)))])
+        force, vgrf, cop = (
+            np.sqrt(np.einsum("nij,njk,nik->ni", rows, learnt, rows)) for rows in self.error_rows(part)
         )
-        self._parts.append((force_std, vgrf_std[:, 0], cop_std))
+        return force, vgrf[:, 0], cop
 
-    def result(self) -> tuple[Floats, Floats, Floats]:
-        force, vgrf, cop = (np.concatenate(part) for part in zip(*self._parts, strict=True))
-        return force, vgrf, cop
+    def _follow(self, truth: Parameters) -> Floats:
+        """Return the true scales, offsets and drift at each sample, shape (samples, M)."""
+        start = Parameters(*(np.asarray(part, dtype=np.float64) for part in self._setup.initial))
+        true = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
+        offset = true.offset / self._setup.weight
+        return np.hstack(
+            [true.scale, np.tile(offset[0], (len(offset), 1)), (offset - offset[0]) / true.scale]
+        )
+
+    def _read(self, reference: Reference | MomentumReference) -> list[tuple[int, Passage]]:
+        """Read the log as the filter does, and return its blocks."""
+        filter_, setup = self._filter, self._setup
+        momentum = isinstance(reference, MomentumReference)
+        state, last = filter_.init(self.raw[0]), None
+        blocks = []
+        for k, reading in enumerate(self.raw):
+            row = type(reference)(*(np.asarray(part)[k] for part in reference))
+            front, sample = filter_.front_end.observe(state.front, reading, row, setup.dt)
+            self._force[k], self._rows[k] = sample.force, sample.rows.sum(axis=0)
+            state = filter_.blocks.collect(state._replace(front=front), sample, momentum, setup.dt)
+            if state.waiting <= 0:
+                # Something was wrong with a sample, and the momentum begins anew.
+                last = None
+            if filter_.blocks.full(state):
+                block = filter_.blocks.block(state)
+                passage, rows = self._pass(block, k, last)
+                blocks.append((k, passage))
+                state, last = filter_.blocks.begin(state), rows if state.track.valid else None
+        return blocks
+
+    def _pass(self, block: Block, k: int, last: Rows | None) -> tuple[Passage, Rows]:
+        """Return what a block makes of a covariance, and its rows; ``last`` are those of the block before."""
+        columns, T = self._columns, block.duration
+        N, known = columns.size, self._path[k]
+        identity, none = np.eye(N), np.zeros((N, N))
+        passage = Passage.move(identity, self._walk * T)
+        H, variance = self._filter.tare.rows(block, known)
+        if len(H):
+            passage = passage.then(Passage.learn(H, variance))
+        rows = self._filter.model.rows(block, known, np.zeros(len(known) // 3))
+        if last is None:
+            return passage.then(self._begin(rows)), rows
+        moved, _ = self._filter.model.move(rows.point - last.point, block.velocity.mean(axis=0))
+        decay, added = np.eye(N), none.copy()
+        share = np.exp(-T / FREE.time)
+        decay[columns.wrench, columns.wrench] *= share
+        added[columns.wrench, columns.wrench] = np.diag(wrench_variance(FREE, rows) * (1.0 - share**2))
+        passage = passage.then(Passage.move(decay @ moved, added))
+        passage = passage.then(Passage.learn(rows.mean, rows.variance + rows.walk / 3.0))
+        forward, walk = identity.copy(), none.copy()
+        forward[columns.momentum], walk[columns.momentum, columns.momentum] = rows.end, rows.walk
+        return passage.then(Passage.move(forward, walk)), rows
+
+    def _begin(self, rows: Rows | None) -> Passage:
+        """Let the momentum and the wrench begin anew, with what is measured if there is anything."""
+        columns, N = self._columns, self._columns.size
+        carried, added = np.eye(N), np.zeros((N, N))
+        for part in (columns.momentum, columns.wrench):
+            carried[part, part] = 0.0
+        if rows is not None:
+            added[columns.momentum, columns.momentum] = rows.variance
+            added[columns.wrench, columns.wrench] = np.diag(wrench_variance(FREE, rows))
+        return Passage.move(carried, added)
+
+
+def _check(
+    setup: OnlineSetup, raw: Floats, reference: Reference | MomentumReference, truth: Parameters
+) -> Floats:
+    setup.layout.check_raw(raw)
+    if raw.ndim != 2 or not np.isfinite(raw).all():
+        raise ValueError(
+            "'raw' must have shape (samples, channels) and hold no gaps: a bound knows of no faults."
+        )
+    for name, part in zip(Parameters._fields, truth, strict=True):
+        if np.shape(part) != raw.shape:
+            raise ValueError(
+                f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
+            )
+    for name, part in zip(reference._fields, reference, strict=True):
+        if np.shape(part)[:1] != raw.shape[:1]:
+            raise ValueError(
+                f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
+                f"got shape {np.shape(part)}."
+            )
+    return raw

@@ -5,7 +5,7 @@ Three things give a channel away:
 * **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
-* **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.hypotheses`.
+* **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
 are put right. What was learnt in the last seconds is dropped then, because it was learnt from wrong
@@ -15,17 +15,11 @@ readings. A channel that agrees with its reconstruction again comes back.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.moment.hypotheses import SUSPICION, TRUST, Contradiction, Hypotheses
-from surefoot.calibration.moment.rows import Residuals
 from surefoot.calibration.moment.stand_in import StandIn
 from surefoot.calibration.setup import OnlineSetup
-
-__all__ = ["LONGEST_LEAP", "TRUST", "ChannelFaults", "ChannelState"]
-
 
 LONGEST_LEAP = 3
 """Samples in a row that a reading may be away before it is believed."""
@@ -36,17 +30,14 @@ _LEAP_SCALES = 0.3, 3.0
 _ALONE = 4.0
 """How many times further than any other cell of its foot a reading must leap to be an error."""
 
+_SPIKE = 0.02
+"""Load in body weights that a reading is away by from both of its neighbours in time to be an error."""
+
 _BUMPY = 1.5
 """Leaps of other channels of late from which on leaps are blows: a robot that bounces, and no faulty cell."""
 
 _BUMP_MEMORY = 0.993
 """Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
-
-_WELL = 0.5 * SUSPICION
-"""Mean squared normalised residual of a block below which nothing seems wrong."""
-
-_WAIT = 6.0
-"""Blocks that learning waits for while channels are under suspicion."""
 
 _MOVING = 0.02
 """Change of a reading within a block in body weights that shows that the foot's load changes."""
@@ -69,17 +60,12 @@ A load that changes by less than the first shows nothing."""
 
 
 class ChannelState(NamedTuple):
-    """What is known of the channels' faults; H hypotheses.
+    """What is known of the channels' faults.
 
     Attributes:
         last: Last readings that were believed, F0 in N, shape (K,).
         leaps: Samples in a row that were held for leaping, shape (K,).
         leapt: How often each channel leapt of late, shape (K,).
-        trust: Blocks in which nothing seemed wrong.
-        doubt: Blocks since something seemed wrong, 0 while nothing does.
-        scores: As in :class:`~surefoot.calibration.moment.hypotheses.Evidence`, shape (1 + H + 1,).
-        size: As there, shape (H,).
-        load: As there, shape (3, 4).
         moments: How cells share loads, shape (K, K).
         lost: Channels that are out (0 or 1), shape (K,).
         kind: Flags of what is wrong with each channel, shape (K,).
@@ -93,11 +79,6 @@ class ChannelState(NamedTuple):
     last: Array
     leaps: Array
     leapt: Array
-    trust: float
-    doubt: float
-    scores: Array
-    size: Array
-    load: Array
     moments: Array
     lost: Array
     kind: Array
@@ -132,16 +113,14 @@ class ChannelFaults:
     Args:
         setup: The robot.
         leap: Change of a force in one sample in body weights that no foot makes.
-        change: Standard deviations of what a load changes, (centre of mass in foot lengths (2), mass), shape
-            (3,).
         memory: Blocks that shares of load are remembered for.
     """
 
-    def __init__(self, setup: OnlineSetup, leap: float, change: NDArray[np.float64], memory: float) -> None:
+    def __init__(self, setup: OnlineSetup, leap: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
-        self.hypotheses = Hypotheses(setup, self.stand_in.cells, change)
         self._leap, self._weight = leap * setup.weight, setup.weight
         foot = setup.layout.foot_of_channel
+        self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
 
     @property
@@ -154,17 +133,12 @@ class ChannelFaults:
 
     def init(self, resting: Array) -> ChannelState:
         """Return the state of sound channels, of which F0 is ``resting``; see :class:`ChannelState`."""
-        K, hypotheses = len(resting), self.hypotheses.count
+        K = len(resting)
         zero = np.zeros(K)
         return ChannelState(
             last=resting,
             leaps=np.full(K, LONGEST_LEAP, dtype=np.int64),
             leapt=zero,
-            trust=0.0,
-            doubt=0.0,
-            scores=np.zeros(1 + hypotheses + 1),
-            size=np.zeros(hypotheses),
-            load=np.zeros((3, 4)),
             moments=self.stand_in.init(),
             lost=zero,
             kind=np.zeros(K, dtype=np.int64),
@@ -205,6 +179,26 @@ class ChannelFaults:
         flags = state.kind | int(Flag.SPIKE) * leaping
         return state._replace(last=used, leaps=leaps, leapt=leapt), used, read & ~leaping, flags
 
+    def smooth(self, before: Array, row: Array, after: Array, weight: float) -> Array:
+        """Put readings that were wrong for one sample between their neighbours.
+
+        A plate shares what it bears among its cells: no load comes and goes in one of them alone.
+
+        Args:
+            before: F0 and whether it was read (0 or 1) of the sample before, shape (2K,).
+            row: The same of the sample.
+            after: Of the sample after it.
+            weight: The robot's weight in the unit of F0.
+        """
+        K = len(self._plates)
+        past, now, coming = before[:K], row[:K], after[:K]
+        away = np.abs(now - np.clip(now, np.minimum(past, coming), np.maximum(past, coming)))
+        spike = (away > _SPIKE * weight) & (away > _ALONE * (self._plates * away).max(axis=1))
+        spike &= (self._plates.sum(axis=1) > 0.5) & (row[K:] > 0.5)
+        if not spike.any():
+            return row
+        return np.concatenate([np.where(spike, 0.5 * (past + coming), now), row[K:]])
+
     def silent(self, state: ChannelState, force: Array, read: Array) -> ChannelState:
         """Find channels that are silent, or always read the same.
 
@@ -227,40 +221,6 @@ class ChannelFaults:
         kind = np.where(stuck, kind, 0) | int(Flag.MISSING) * missing
         return self._lose(state, (stuck | missing) & (state.lost < 0.5) & self.stand_in.cells, kind)
 
-    def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, bool, bool]:
-        """Hold hypotheses against the robot's motion.
-
-        Args:
-            state: What is known.
-            seen: What the block shows.
-
-        Returns:
-            The state; whether a fault was found; and whether it is a load.
-        """
-        mean, hypotheses = seen.residuals.mean, self.hypotheses
-        state = state._replace(trust=state.trust + (mean < _WELL))
-        # Most of the time nothing is wrong, and no hypothesis needs to be tried.
-        if not (mean > SUSPICION or state.doubt > 0.5):
-            return state, False, False
-        others, _ = self.stand_in.others(state.moments, state.lost)
-        error, change = hypotheses.changes(seen, others)
-        evidence = hypotheses.evidence(seen, error, change, state.doubt, state.scores, state.size, state.load)
-        fault, load = hypotheses.decide(evidence, state.trust, state.lost)
-        decided = load or fault is not None
-        state = state._replace(
-            doubt=0.0 if decided else evidence.doubt,
-            scores=evidence.scores,
-            size=evidence.size,
-            load=evidence.load,
-            trust=TRUST if load else state.trust,
-        )
-        if fault is None:
-            return state, False, load
-        if fault < hypotheses.out.stop:
-            return self.lose(state, fault), True, False
-        wiring, kind = hypotheses.repair(fault, state.wiring, state.kind)
-        return state._replace(wiring=wiring, kind=kind, altered=1), True, False
-
     def lose(self, state: ChannelState, channel: int) -> ChannelState:
         """Take a channel out that is dead."""
         out = np.arange(len(state.lost)) == channel
@@ -270,19 +230,6 @@ class ChannelFaults:
         """Put channels right by a signed permutation, and turn flags of them, shapes (K, K) and (K,)."""
         return state._replace(wiring=turned @ state.wiring, kind=state.kind ^ kind, altered=1)
 
-    def suspects(self, state: ChannelState, residuals: Residuals) -> bool:
-        """Return whether to wait with learning, as something seems wrong since short."""
-        suspected = residuals.mean > SUSPICION or state.doubt > 0.5
-        return suspected and state.doubt < _WAIT and state.trust >= TRUST
-
-    def unexplained(self, state: ChannelState) -> bool:
-        """Return whether something has long seemed wrong and no channel explains it."""
-        return state.doubt >= _WAIT and bool(state.scores[0] > SUSPICION)
-
-    def explicable(self, state: ChannelState) -> bool:
-        """Return whether something seems wrong that a fault or a load could explain."""
-        return state.doubt > 0.5 and self.hypotheses.promising(state.scores)
-
     def learn(self, state: ChannelState, force: Array, good: bool) -> ChannelState:
         """Learn how cells share loads while nothing is wrong, and let channels come back.
 
@@ -291,7 +238,7 @@ class ChannelFaults:
             force: Calibrated forces of a block by the channels' own readings in N, shape (n, K).
             good: Whether the block could be learnt from.
         """
-        if good and state.doubt < 0.5 and (state.lost < 0.5).all():
+        if good and (state.lost < 0.5).all():
             state = state._replace(moments=self.stand_in.learn(state.moments, force))
         if not state.altered:
             return state

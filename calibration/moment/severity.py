@@ -1,106 +1,192 @@
-r"""How far sensors were off at the start, learnt from what the filter has seen.
+r"""How bad the sensors are: the posterior under several priors, weighed by evidence.
 
-Options state standard deviations of scales and offsets at the start. Robots begin with others: cells that
-were calibrated with weights are twenty times better, neglected ones several times worse. A wide prior does
-harm to a calibrated robot, as all that its reference gets wrong is then taken for an error of the sensors; a
-narrow one does harm to the others.
+The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds what the data say: the information
+I = P^-1 - P0^-1, and i = P^-1 (x - x0), of the map alone: the rest of the state has one prior, and is
+integrated out. Under another prior D,
 
-So the filter begins with a wide prior N(x0, P0), and its posterior N(m, P) is given others afterwards. It
-holds what the data alone say: the information P^-1 - P0^-1, and P^-1 (m - x0) about where the sensors are.
-With D the diagonal prior of two severities, one of all scales and one of all offsets,
+    V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
-    V = (P^-1 - P0^-1 + D^-1)^-1,    m_D = x0 + V P^-1 (m - x0),
-    2 log evidence = (m_D - x0)' V^-1 (m_D - x0) - log det(D V^-1),
-
-exactly so for sensors that stay as they are. What is handed out is the mean of all m_D by their evidence,
-with the covariance of that mixture; what is stated is taken for likelier beforehand, and so decides on a
-robot that hardly moves. The filter itself goes on as it was: a severity that proves wrong later has cost
-nothing.
+exactly so for sensors that stay as they are. What is handed out is the mixture of all of them. A mixture of
+modes may be wider than P0 in some direction: there the data say nothing. What has drifted since the start has
+one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
+started.
 """
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.moment.columns import SMALLEST_DRIFT, WIDE, Columns, Spread, first_mean
+from surefoot.calibration.moment.modes import combine
+from surefoot.calibration.moment.state import Publication
 
-SEVERITIES = (0.04, 0.2, 1.0, 5.0)
+SEVERITIES = (0.04, 0.2, 1.0, 3.0)
 """How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
 
-LIKELY = (0.1, 0.1, 0.7, 0.1)
-"""How likely each of them is before anything was seen."""
+LIKELY = (0.04, 0.08, 0.78, 0.1)
+"""How likely each of them is before anything was seen: a few directions that happen to agree are no proof of
+good sensors, and a swing shows eight offsets at once."""
 
-FIRST_WIDTH = 8.0
-"""Stated standard deviations of the prior that the filter begins with."""
-
-_LEAST = 8.0
-"""Least share of its starting variance that anything is known to, in roundings of its numbers."""
+LEAST_SHARE = 1e-12
+"""Least share of its variance that anything is known to: less is rounding."""
 
 
-class LearntSeverity:
-    """Gives a posterior the prior that its own evidence asks for.
+class Weighed(NamedTuple):
+    """The posteriors of J modes under all severities; M unknowns, K channels.
 
-    Args:
-        unknowns: The unknowns.
+    Attributes:
+        evidence: Logarithm of how much likelier the data are than under the wide prior, shape (J,).
+        mean: Scales, offsets and drift, shape (J, M).
+        covariance: Theirs, shape (J, M, M).
+        undetermined: Share of each scale's variance that the data have left, shape (J, K).
     """
 
-    def __init__(self, unknowns: Unknowns) -> None:
-        self.unknowns = unknowns
-        widths = unknowns.scales, unknowns.channels
-        severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
-        self._variance = np.stack(severities) ** 2
-        self._likely = 2.0 * np.log([np.prod(pair) for pair in product(LIKELY, repeat=2)])
-        self._stated = unknowns.std[unknowns.map] ** 2
-        self._start = unknowns.start[unknowns.map]
+    evidence: Array
+    mean: Array
+    covariance: Array
+    undetermined: Array
 
-    def stated(self, drift: Array) -> Array:
-        """Return the variances that are stated of scales and offsets that have drifted since the start.
+    def publish(self, chance: Array) -> Publication:
+        """Return what all modes hold together, by how likely they are, shape (J,)."""
+        mean, covariance = combine(chance, self.mean, self.covariance)
+        return Publication(mean, covariance, np.clip(chance @ self.undetermined, 0.0, 1.0))
+
+
+class SeverityConstants(NamedTuple):
+    """Constants of priors, by their names in C; module constants of such names say what they are.
+
+    Attributes:
+        spread_scale, spread_offset, unit: As of
+            :class:`~surefoot.calibration.moment.columns.Spread`.
+    """
+
+    spread_scale: Array
+    spread_offset: Array
+    unit: Array
+    severities: tuple[float, ...] = SEVERITIES
+    likely: tuple[float, ...] = LIKELY
+    wide: float = WIDE
+    smallest_drift: float = SMALLEST_DRIFT
+    least_share: float = LEAST_SHARE
+
+
+class Severity:
+    """Weighs priors for one setup.
+
+    Args:
+        columns: The unknowns.
+        spread: How sure they are at the start, as stated.
+    """
+
+    def __init__(self, columns: Columns, spread: Spread) -> None:
+        self._columns, self._spread = columns, spread
+        self._start = first_mean(columns)[columns.map]
+        pairs = list(product(range(len(SEVERITIES)), repeat=2))
+        self._of_scale, self._of_offset = (
+            np.array([SEVERITIES[pair[part]] for pair in pairs]) ** 2 for part in (0, 1)
+        )
+        self._likely = np.log([LIKELY[i] * LIKELY[j] for i, j in pairs])
+
+    def prior(self, scale: Array, offset: Array, drifted: Array) -> Array:
+        """Return the variances of priors.
 
         Args:
-            drift: Variances that they have drifted by, shape (M,).
-        """
-        return self._stated + drift
-
-    def first(self, drift: Array) -> Array:
-        """Return the variances that the filter begins with, for sensors that have drifted since; as above."""
-        return FIRST_WIDTH**2 * self._stated + drift
-
-    def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: float) -> tuple[Array, Array]:
-        """Return scales and offsets under all severities together.
-
-        Args:
-            mean: The filter's unknowns, shape (N,).
-            covariance: Theirs, shape (N, N).
-            drift: Variances that scales and offsets have drifted by since the start, shape (M,).
-            misfit: Mean square of residuals over what is expected of them: above 1, the data are worth that
-                many times less.
+            scale: Factor on the stated variances of scales, shape (S,).
+            offset: The same of offsets, shape (S,).
+            drifted: Variances that scales and zeros have drifted by, shape (2,).
 
         Returns:
-            Scales and offsets, shape (M,), and their covariance, shape (M, M).
+            Shape (S, M).
         """
-        of_map = self.unknowns.map
-        stated, prior = self.stated(drift), self.first(drift)
-        # In standard deviations of the prior: P0 is 1, P has the shares along the axes.
-        std = np.sqrt(prior)
-        units = np.outer(std, std)
-        share, axes = np.linalg.eigh(covariance[of_map, of_map] / units)
-        share = np.clip(share, _LEAST * np.finfo(np.float64).eps, 1.0)
-        worth = 1.0 / max(misfit, 1.0)
-        seen = (axes * (worth * (1.0 / share - 1.0))) @ axes.T
-        off = (mean[of_map] - self._start) / std
-        pull = axes @ ((axes.T @ off) * (worth / share))
+        spread = self._spread
+        parts = (
+            scale[:, None] * (spread.scale + drifted[0]),
+            offset[:, None] * spread.offset,
+            np.ones((len(offset), 1)) * (drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2),
+        )
+        return np.concatenate(parts, axis=1)
 
-        # One prior D after the other, first in all that follows.
-        D = self._variance * (stated / prior)
-        precision = seen + np.eye(len(std)) / D[:, None, :]
+    @property
+    def constants(self) -> SeverityConstants:
+        """Constants, by their names in C."""
+        spread = self._spread
+        return SeverityConstants(spread.scale, spread.offset, spread.unit)
+
+    def evidence(self, mean: Array, covariance: Array, drifted: Array) -> Array:
+        """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
+        return _total(self._compare(mean, covariance, drifted).evidence)
+
+    def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Weighed:
+        """Return the posteriors under all severities together.
+
+        Args:
+            mean: The filter's unknowns, shape (J, N).
+            covariance: Theirs, shape (J, N, N).
+            drifted: As of :meth:`prior`.
+        """
+        K = self._spread.scale.size
+        std, prior, precision, found, evidence = self._compare(mean, covariance, drifted)
         V = np.linalg.inv(precision)
-        found = V @ pull
-        _, size = np.linalg.slogdet(precision)
-        evidence = found @ pull - size - np.log(D).sum(axis=1) + self._likely
-        weight = np.exp(0.5 * (evidence - evidence.max()))
-        weight = weight / weight.sum()
-        mixed = weight @ found
-        apart = found - mixed
-        V = np.tensordot(weight, V, 1) + (weight * apart.T) @ apart
-        return self._start + std * mixed, 0.5 * (V + V.T) * units
+        weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        parts = [combine(*one) for one in zip(weight, found, V, strict=True)]
+        mixed, within = (np.stack(part) for part in zip(*parts, strict=True))
+        return Weighed(
+            evidence=_total(evidence),
+            mean=self._start + std * mixed,
+            covariance=0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std),
+            undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
+        )
+
+    def _compare(self, mean: Array, covariance: Array, drifted: Array) -> "_Compared":
+        """Hold all severities against the data; arguments as of :meth:`weigh`."""
+        of = self._columns.map
+        wide = np.array([WIDE**2])
+        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1]]))[0])
+        # In standard deviations of the wide prior, which is 1 there.
+        share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
+        share = np.clip(share, LEAST_SHARE, None)
+        informed = share < 1.0
+        information = np.where(informed, 1.0 / share - 1.0, 0.0)
+        off = np.einsum("jmi,jm->ji", axes, (mean[:, of] - self._start) / std)
+        pull = np.einsum("jmi,ji->jm", axes, np.where(informed, off / share, 0.0))
+        precision = np.einsum("jmi,ji,jni->jmn", axes, information, axes)[:, None]
+        prior = self.prior(self._of_scale, self._of_offset, drifted) / std**2
+        at = np.arange(len(std))
+        precision = np.repeat(precision, len(prior), axis=1)
+        precision[..., at, at] += 1.0 / prior
+        found = np.linalg.solve(precision, pull[:, None, :, None])[..., 0]
+        evidence = 0.5 * (
+            np.einsum("jsm,jm->js", found, pull) - np.linalg.slogdet(precision)[1] - np.log(prior).sum(axis=1)
+        )
+        # Under the wide prior itself, against which the others are weighed.
+        known = 1.0 + information
+        mine = 0.5 * np.where(informed, (off / share) ** 2 / known - np.log(known), 0.0).sum(axis=1)
+        return _Compared(std, prior, precision, found, evidence + self._likely - mine[:, None])
+
+
+class _Compared(NamedTuple):
+    """All severities against the data of J modes, in standard deviations of the wide prior; S severities.
+
+    Attributes:
+        std: These standard deviations, shape (M,).
+        prior: Variances of the severities' priors, shape (S, M).
+        precision: Of the posteriors, shape (J, S, M, M).
+        found: Their means, less the start, shape (J, S, M).
+        evidence: Logarithm of how much likelier each is than the wide prior, shape (J, S).
+    """
+
+    std: Array
+    prior: Array
+    precision: Array
+    found: Array
+    evidence: Array
+
+
+def _total(evidence: Array) -> Array:
+    """Return the logarithmic evidence of all severities together, shapes (J, S) to (J,)."""
+    most = evidence.max(axis=1)
+    total: Array = most + np.log(np.exp(evidence - most[:, None]).sum(axis=1))
+    return total

@@ -5,75 +5,134 @@ from typing import NamedTuple
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
+from surefoot.calibration.moment.motion import Track
 
 
-class BlockColumns(NamedTuple):
-    """The places of the parts of a sample that waits until its block is full."""
+class Belief(NamedTuple):
+    """What the modes hold, and how likely they are; J modes, N unknowns.
 
-    force: slice
-    motion: slice
-    read: slice
-    swing: slice
-    stand: slice
-    sound: slice
+    Attributes:
+        mean: Shape (J, N).
+        covariance: Shape (J, N, N).
+        chance: Shape (J,).
+    """
+
+    mean: Array
+    covariance: Array
+    chance: Array
+
+
+class Publication(NamedTuple):
+    """What is handed out: the posterior of scales, offsets and drift, M unknowns.
+
+    Attributes:
+        mean: Shape (M,).
+        covariance: Shape (M, M).
+        undetermined: Share of each scale's variance that the data have left, shape (K,).
+    """
+
+    mean: Array
+    covariance: Array
+    undetermined: Array
+
+
+class TareState(NamedTuple):
+    """What the last tares of the feet showed.
+
+    Attributes:
+        reading: Mean reading of each channel in W, shape (K,).
+        centre: Reading that the offset belongs to: the first tare's, shape (K,).
+        time: When it ended in s, -1 before the first, shape (F,).
+        rate: By how many times sensors drift faster than stated.
+        followed: From how many tares that was learnt.
+    """
+
+    reading: Array
+    centre: Array
+    time: Array
+    rate: float
+    followed: int
+
+
+class Kept(NamedTuple):
+    """What was known some seconds ago, to go back to.
+
+    Attributes:
+        belief: What modes held, the last time but one.
+        published: What was handed out then.
+        next_belief: What they held the last time.
+        next_published: What was handed out then.
+        age: Time in s since the last time.
+    """
+
+    belief: Belief
+    published: Publication
+    next_belief: Belief
+    next_published: Publication
+    age: float
+
+
+class SuspectState(NamedTuple):
+    """What speaks against the readings; H suspects.
+
+    Attributes:
+        score: S, shape (H,).
+        before: Momentum measured at the last block's end, shape (C,).
+        error: Wrench that the last block left unexplained in W and W m, shape (C,).
+        noise: By how many times variances are larger than stated, shape (C,).
+        known: The unknowns before the momentum, from before anything spoke against a channel, shape (M,).
+        force: F0 of the samples of the last block, and more before it, in W, shape (n, K).
+    """
+
+    score: Array
+    before: Array
+    error: Array
+    noise: Array
+    known: Array
+    force: Array
 
 
 class MomentState(NamedTuple):
-    """What the moment filter remembers; F feet.
+    """All that the moment filter remembers.
 
     Attributes:
         front: What the way of a sample remembers.
-        step: Samples seen.
-        pending: The samples of the block under way behind the last ``2 settle`` of the one before, and room
-            for those to come: F0, the flat reference, which channels were read, which feet surely swing,
-            whether any surely stands, whether the reference is sound, shape (every + 2 settle, P); see
-            :class:`BlockColumns`.
-        mean: The unknowns, shape (N,).
-        covariance: Their covariance, shape (N, N).
-        drift: Variances that scales and offsets have drifted by since the start, shape (P + K,).
-        given: The unknowns as they are handed out, by a prior that is learnt as well, shape (N,).
-        given_covariance: Covariance of their scales and offsets, shape (P + K, P + K).
-        learnt: Covariance of (a, b) of each channel, shape (2K, 2K).
-        spread: Of that what single forces need, shape (3, K).
-        kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (2, N).
-        kept_covariance: Their covariances, of which the lower halves are kept, shape (2, N (N + 1) / 2).
-        noise: By how many times rows' variances are taken as larger than assumed, shape (kinds,).
-        misfit: Mean square of residuals before learning over what is expected of them.
-        rate: By how many times variances of sensors grow faster than stated.
-        swing_zero: Mean reading of each channel in its last swing, in units of offsets, shape (K,).
-        swing_ago: Blocks since that swing, -1 before the first, shape (F,).
-        swing_sum: Readings of the swing under way, added up, shape (K,).
-        swing_samples: Their number, shape (F,).
-        unproven: Blocks in use that must pass before what is learnt is handed out.
-        due: What is to be handed out of the last block: 0 nothing, 1 its uncertainty alone, 2 all.
-        quiet: Blocks in which the readings have not changed.
-        anchor: The readings from which on they have not, shape (K,).
-        status: Flags of the last update.
-        faults: What is known of faults.
+        track: The motion of late.
+        faults: What is known of channels' faults.
+        pending: Samples that wait, shape (n, S); :mod:`~surefoot.calibration.moment.blocks` says of what.
+        before: The sample before them, shape (S,).
+        waiting: How many wait; -1 before there is one before them.
+        linked: Whether the momentum is known at the sample before them.
+        point: o in m, of the last block, shape (3,).
+        time: Time in s since the start.
+        belief: What the modes hold.
+        drifted: Variances that scales and zeros have drifted by since the start, shape (2,).
+        noise: By how many times rows' variances are larger than stated, shape (C,).
+        tare: What tares showed.
+        suspects: What speaks against the readings.
+        shift: By how much zeros have leapt together in N, which is taken off the readings, shape (K,).
+        published: What is handed out.
+        covariance: Covariance of (a, b) by it, b in N, shape (2K, 2K).
+        kept: What was known some seconds ago.
+        status: Flags of the last block.
     """
 
     front: FrontState
-    step: int
-    pending: Array
-    mean: Array
-    covariance: Array
-    drift: Array
-    given: Array
-    given_covariance: Array
-    learnt: Array
-    spread: Array
-    kept_mean: Array
-    kept_covariance: Array
-    noise: Array
-    misfit: float
-    rate: float
-    swing_zero: Array
-    swing_ago: Array
-    swing_sum: Array
-    swing_samples: Array
-    unproven: float
-    due: float
-    quiet: float
-    anchor: Array
-    status: int
+    track: Track
     faults: ChannelState
+    pending: Array
+    before: Array
+    waiting: int
+    linked: int
+    point: Array
+    time: float
+    belief: Belief
+    drifted: Array
+    noise: Array
+    tare: TareState
+    suspects: SuspectState
+    shift: Array
+    published: Publication
+    covariance: Array
+    kept: Kept
+    status: int

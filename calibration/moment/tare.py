@@ -1,110 +1,216 @@
-"""The tare: rows of a foot in the air, whose channels read nothing but what is beyond their sensors."""
+r"""A foot in the air shows its zeros.
+
+Its mean reading r obeys a (r + u) + b = 0. At the first tare that ties b to a; from then on u is what the
+zeros have drifted since, known by definition, u = r_first - r, and the row says of scales what it said then.
+From tare to tare the readings show how fast zeros drift, and scales are thought to drift with them.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.distal import DistalMasses
-from surefoot.calibration.moment.rows import Block, Rows
-from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.moment.blocks import Block
+from surefoot.calibration.moment.columns import Columns, Spread
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.modes import update
+from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
 
-_SWING_SAMPLES = 16.0
-"""Samples that ``swing_noise`` is given for."""
+LEAST_SHARE = 0.45
+"""Share of a block's time that a foot must surely be in the air for."""
 
-_UP = 2
-"""The row of the vertical force in a wrench map."""
+NOISE_TIME = 0.2
+"""Time in s that the noise of a tare is stated for."""
+
+LEAST_APART = 0.3
+"""Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
+
+RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
+"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
+that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
+of which more counts no more (three standard deviations)."""
+
+STATED_RATE = 2.0
+"""Tares that the stated rate of drift counts for."""
+
+LEAP = 5.0
+"""Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
+
+LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
+"""Mean reading of a channel, and sum of a foot's, in body weights by the starting map, from which on a foot
+is not in the air after all: three offsets of sensors three times as bad as stated, and less than half of what
+a foot bears that stands."""
+
+
+class TareConstants(NamedTuple):
+    """Constants of tares, by their names in C; module constants of such names say what they are.
+
+    Attributes:
+        tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
+        tare_drift: Variance that a zero is stated to drift by in W^2/s, shape (K,).
+    """
+
+    tare_variance: Array
+    tare_drift: Array
+    tare_share: float = LEAST_SHARE
+    least_apart: float = LEAST_APART
+    rate_share: float = RATE_SHARE
+    smallest_rate: float = SMALLEST_RATE
+    largest_rate: float = LARGEST_RATE
+    tare_surprise: float = LARGEST_SURPRISE
+    stated_rate: float = STATED_RATE
+    tare_leap: float = LEAP
+    largest_load: float = LARGEST_LOAD
+    largest_sum: float = LARGEST_SUM
 
 
 class Tare:
-    """Writes the rows of one setup.
+    """The tares of one setup.
 
     Args:
         setup: The robot.
-        config: Options of the filter.
-        unknowns: The unknowns.
-
-    Attributes:
-        by_channel: Takes what each foot has to its channels (0 or 1), shape (F, K).
+        config: Options.
+        columns: The unknowns.
+        spread: How sure they are at the start.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
-        layout = setup.layout
-        self.unknowns, self.config = unknowns, config
-        self._weight = setup.weight
-        self._distal = DistalMasses(layout, setup.gravity, setup.dt, config.span)
-        self.by_channel = np.eye(len(layout.feet))[:, layout.foot_of_channel]
-        self._vertical = layout.wrench_map[:, _UP]
-        self._offsets = np.eye(layout.channels, unknowns.size, unknowns.offset.start)
+    def __init__(self, setup: OnlineSetup, config: MomentConfig, columns: Columns, spread: Spread) -> None:
+        self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
+        self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
+        self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
 
-    def hanging(self, mean: Array, block: Block, spare: Array | None = None) -> tuple[Array, Array]:
-        """Average readings while feet surely hang, with ``settle`` samples to spare on either side.
+    @property
+    def constants(self) -> TareConstants:
+        """Constants, by their names in C."""
+        return TareConstants(self._noise, self._drift)
+
+    def take(
+        self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
+    ) -> tuple[Belief, Array, TareState]:
+        """Tare the feet that hang in a block.
 
         Args:
-            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
-            spare: How forces of lost channels are made of the others', shape (K, K), or ``None``.
+            time: At its end in s.
+            belief: What modes hold.
+            published: What is handed out, about which a u is linear, shape (M,).
+            state: What tares showed before.
+            lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            Samples of each foot that count, shape (F,), and the mean reading of each channel over its foot's,
-            shape (K,).
+            The belief, what is handed out with the drift that is known now, and the state.
         """
-        settle, every, middle = self.config.settle, self.config.every, self.config.middle
-        swing = (block.swing > 0.5) & ~self._landed(mean, block, spare)
-        sure = np.all([swing[shift : shift + every] for shift in range(2 * settle + 1)], axis=0)
-        sure = sure * block.use[middle, None]
-        count, by_channel = sure.sum(axis=0), sure @ self.by_channel
-        total = (by_channel * block.force[middle]).sum(axis=0)
-        return count, total / np.maximum(by_channel.sum(axis=0), 1.0)
+        for foot, channels, reading, seconds in self._hanging(block, lost):
+            belief, published, state = self._tare(
+                foot, channels, reading, seconds, time, belief, published, state
+            )
+        return belief, published, state
 
-    def _landed(self, mean: Array, block: Block, spare: Array | None) -> Array:
-        """Find feet that already carry weight where they should swing still, shape (n, F).
-
-        They carry more than in another sample of the swing, whatever their offsets are.
-        """
-        force = self.unknowns.force(mean, block.force)
-        if spare is not None:
-            force = force @ spare.T
-        load = force @ self._vertical.T / self._weight
-        least = np.where(block.swing > 0.5, load, np.inf).min(axis=0)
-        return load > least + self.config.swing_load
-
-    def load(self, mean: Array, reading: Array, spare: Array | None = None) -> tuple[Array, Array]:
-        """Write the vertical force of each foot for a mean reading, about a level sole.
+    def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
+        """Write the rows of the feet that hang in a block.
 
         Args:
-            mean: The unknowns as they are estimated, shape (N,).
-            reading: Forces by the starting map in N, shape (K,).
-            spare: How forces of lost channels are made of the others', shape (K, K), or ``None``.
-
-        Returns:
-            In body weights, shape (F,), and what scales and offsets do to it, shape (F, P + K).
-        """
-        unknowns = self.unknowns
-        up = (self._vertical if spare is None else self._vertical @ spare) / self._weight
-        scales = unknowns.by_scale(up, unknowns.tared(mean, reading))
-        return scales @ mean[unknowns.scale], np.hstack([scales, unknowns.by_offset(up, mean)])
-
-    def rows(self, mean: Array, block: Block, count: Array, reading: Array) -> Rows:
-        """Write that feet in the air read nothing but what is beyond their sensors.
-
-        Divided by the scales, this is a row of the offsets alone.
-
-        Args:
-            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
-            count: Samples of each foot that count, shape (F,).
-            reading: Mean reading of each channel over them, shape (K,).
+            known: True scales, offsets and drift, shape (M,).
 
         Returns:
-            One row a channel.
+            Rows, shape (m, N), and their variance, shape (m, m).
         """
-        number = count @ self.by_channel
-        y = -reading / self.unknowns.unit
-        if self._distal.matter:
-            y = y + self._distal.felt(block.motion) / (self.unknowns.unit * self.unknowns.own_scales(mean))
-        return Rows(self._offsets, y, self.variance(number)).keep(number > 0.5)
+        columns = self._columns
+        a, b = known[columns.scale], known[columns.offset]
+        found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
+        for _, at, _, seconds in self._hanging(block, np.zeros(len(a))):
+            found.append(self._write(at, -b[at] / a[at], a[at]))
+            variance.append(a[at] ** 2 * self._noise[at] / seconds)
+        return np.vstack(found), np.diag(np.concatenate(variance))
 
-    def variance(self, number: Array) -> Array:
-        """Return the variance of a mean reading over so many samples, in squared units of an offset."""
-        return self.config.swing_noise**2 * _SWING_SAMPLES / np.maximum(number, 1.0)
+    def _hanging(self, block: Block, lost: Array) -> Iterator[tuple[int, NDArray[np.int64], Array, float]]:
+        """Find feet that hang: each with its channels that are not lost, their mean reading, and seconds."""
+        for foot, of_foot in enumerate(self._feet):
+            channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
+            reading, seconds = self._reading(block, foot, channels)
+            if seconds >= LEAST_SHARE * block.duration:
+                yield foot, channels, reading, seconds
+
+    def _write(self, channels: NDArray[np.int64], centre: Array, a: Array) -> Array:
+        """Return the rows a centre + b + a u of some channels, shape (m, N)."""
+        columns, rows = self._columns, np.arange(len(channels))
+        H = np.zeros((len(channels), columns.size))
+        H[rows, channels + columns.scale.start] = centre
+        H[rows, channels + columns.offset.start] = 1.0
+        H[rows, channels + columns.drift.start] = a
+        return H
+
+    def _reading(self, block: Block, foot: int, channels: NDArray[np.int64]) -> tuple[Array, float]:
+        """Return a foot's mean reading in the air, and how long it hung in s."""
+        swing = block.swing[:, foot] > 0.5
+        # The sample before and the one after are in the air as well.
+        sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
+        sure &= (block.read[:, channels] > 0.5).all(axis=1)
+        if not (sure.any() and channels.size):
+            return np.zeros(len(channels)), 0.0
+        reading = block.force[np.ix_(sure, channels)].mean(axis=0)
+        large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
+        total = abs(float((reading / self._unit[channels]).sum()))
+        in_air = not large.any() and total <= LARGEST_SUM
+        return reading, float(block.dt[sure].sum()) * in_air
+
+    def _tare(
+        self,
+        foot: int,
+        channels: NDArray[np.int64],
+        reading: Array,
+        seconds: float,
+        time: float,
+        belief: Belief,
+        published: Array,
+        state: TareState,
+    ) -> tuple[Belief, Array, TareState]:
+        columns = self._columns
+        at = channels
+        scale, drift = at + columns.scale.start, at + columns.drift.start
+        a, last = published[scale], float(state.time[foot])
+        noise = self._noise[channels] / seconds
+        centre = reading + published[drift] if last < 0.0 else state.centre[channels]
+
+        walked = noise * 2.0
+        leapt = np.zeros(len(at), dtype=bool)
+        rate, followed = state.rate, state.followed
+        if last >= 0.0:
+            change = reading - state.reading[channels]
+            walked = walked + rate**2 * self._drift[channels] * (time - last)
+            leapt = change**2 > LEAP**2 * walked
+            if time - last > LEAST_APART:
+                rate, followed = self._follow(rate, followed, change, walked), followed + 1
+        H = self._write(at, centre, a)
+        asked = a * (centre - reading)
+        means, covariances = [], []
+        for mean, covariance in zip(belief.mean, belief.covariance, strict=True):
+            if leapt.any():
+                covariance = covariance.copy()
+                covariance[drift[leapt], drift[leapt]] += (reading - state.reading[channels])[leapt] ** 2
+            mean, covariance = update(
+                mean, covariance, H, asked - H @ mean, np.diag(a**2 * noise), columns.mass
+            )
+            means.append(mean)
+            covariances.append(covariance)
+        published = published.copy()
+        published[drift] = centre - reading
+        shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
+        shown[channels], centres[channels], times[foot] = reading, centre, time
+        belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
+        return belief, published, TareState(shown, centres, times, rate, followed)
+
+    def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
+        """Return by how many times sensors drift faster than stated, by what changed since the last tare.
+
+        What is common to a foot's channels is not drift alone: a sole's own inertia is in it.
+        """
+        count = len(change)
+        own = (change - change.mean()) ** 2 * count / max(count - 1, 1)
+        surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
+        share = max(RATE_SHARE, 1.0 / (followed + STATED_RATE))
+        return float(np.clip(rate * np.sqrt(1.0 + share * (surprise - 1.0)), SMALLEST_RATE, LARGEST_RATE))

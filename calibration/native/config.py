@@ -1,6 +1,6 @@
 """The constants of one robot, as the library wants them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +10,9 @@ from surefoot.calibration.baselines import TareConfig, tare
 from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.config import MomentConfig
 from surefoot.calibration.moment.faults import ChannelConstants, ChannelFaults
-from surefoot.calibration.moment.stream import MomentStream
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.filter import MomentumFilter
+from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
@@ -23,11 +21,11 @@ from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
 from surefoot.native import Library, c_header, required
 
-_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3, "momentum": 4}
+_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
 """Numbers of methods in ``library.c``."""
 
-_STATES = "state", "window_state", "tare_state", "front", "momentum_state"
-_OWN = None, "window_config", "tare_config", None, "momentum_config"
+_STATES = "moment_state", "window_state", "tare_state", "front"
+_OWN = "moment_config", "window_config", "tare_config", None
 """The records of their states, and of their own constants besides ``config``."""
 
 
@@ -43,8 +41,6 @@ class Constants(NamedTuple):
         front: The way of a sample.
         covariance: Name of the state's leaf that is the covariance of an estimate; or ``None``.
         contact: Whether it says how likely feet bear load, and what it could not determine.
-        matrix: Makes the scales of a calibration with cross-talk, shape (K, K), of what is handed out; or
-            ``None``.
     """
 
     number: int
@@ -55,7 +51,6 @@ class Constants(NamedTuple):
     front: FrontEnd
     covariance: str | None = None
     contact: bool = False
-    matrix: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def filter(self, library: Library) -> NDArray[Any]:
         """Return the record that the library is called with; it holds addresses of these."""
@@ -74,20 +69,13 @@ def constants_of(
     if method not in _METHODS:
         return None
     number, raw = _METHODS[method], np.zeros(setup.layout.channels)
-    values: dict[str, Any] = {}
     own: dict[str, Any] = {}
     like: Any
-    covariance = matrix = faults = None
+    covariance = faults = None
     if method == "moment":
-        moment = MomentStream(setup, MomentFilterConfig(**options))
-        front, like, faults = moment._front_end, moment.init(raw), moment._faults
-        # A header holds all fields of a record, those as well that are not used.
-        values, covariance = library.zeros("config") | _moment(moment), "learnt"
-        matrix = None if moment.unknowns.diagonal else moment.unknowns.matrix
-    elif method == "momentum":
-        momentum = MomentumFilter(setup, MomentumConfig(**options))
-        front, like, faults = momentum.front_end, momentum.init(raw), momentum.faults
-        own, covariance = _side_by_side(momentum.constants), "covariance"
+        moment = MomentFilter(setup, MomentConfig(**options))
+        front, like, faults = moment.front_end, moment.init(raw), moment.faults
+        own, covariance = _side_by_side(moment.constants), "covariance"
     elif number == 1:
         window = SlidingWindow(setup, WindowConfig(**options), quasi_static=method == "quasi-static")
         front, like, own = window._front_end, window.init(raw), _window(window)
@@ -103,26 +91,26 @@ def constants_of(
                 "spread": config.spread * setup.weight,
                 "limit": config.offset_range * setup.weight,
             }
-    record, name = library.filled("config", values | _robot(front, faults)), _OWN[number]
+    record, name = library.filled("config", _robot(front, faults)), _OWN[number]
     of_method = library.filled(name, own) if name else None
     if record is None or (name and of_method is None):
         return None
-    contact = method == "momentum"
-    found = Constants(number, record, of_method, _STATES[number], like, front, covariance, contact, matrix)
+    contact = method == "moment"
+    found = Constants(number, record, of_method, _STATES[number], like, front, covariance, contact)
     return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
 
 
 def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     """Return a header with the sizes and constants of one robot, for its controller.
 
-    It declares ``sf_config robot``, and besides ``sf_momentum_config momentum``,
+    It declares ``sf_config robot``, and besides ``sf_moment_config moment``,
     ``sf_window_config window`` or ``sf_tare_config tare``.
 
     Args:
         setup: The robot.
         method: A method of :data:`~surefoot.calibration.online.METHODS` that the library has.
         options: Fields of its config, such as
-            :class:`~surefoot.calibration.moment.config.MomentFilterConfig`.
+            :class:`~surefoot.calibration.moment.config.MomentConfig`.
 
     Raises:
         RuntimeError: If there is no library here.
@@ -133,19 +121,12 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
         raise ValueError(f"The library is not made for such a robot; {page('native')} has its limits.")
     record, own, name = found.config, found.own, _OWN[found.number]
     sizes = {"CHANNELS": int(record["channels"]), "FEET": int(record["feet"]), "LAG": int(record["kept"])}
-    if method == "moment":
-        sizes |= {name.upper(): int(record[name]) for name in ("every", "settle", "kinds")}
-        sizes["GROUPS"] = sizes["EVERY"] // int(record["average"])
-        sizes |= {"CELLS": int(record["cells"].sum()), "TALKS": int(record["talks"])}
-        # An array without an element is none in C.
-        sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
-        return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
     records = {"sf_config robot": record}
     if own is not None and name is not None:
         records[f"sf_{name} {name.removesuffix('_config')}"] = own
-        if method == "momentum":
+        if method == "moment":
             sizes |= {"COMPONENTS": int(own["components"]), "BLOCK": int(own["capacity"])}
-            return c_header("surefoot_momentum.h", sizes, records)
+            return c_header("surefoot_moment.h", sizes, records)
         if found.number == 1:
             sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}
     return c_header("surefoot_window.h", sizes, records)
@@ -228,55 +209,4 @@ def _window(window: SlidingWindow) -> dict[str, Any]:
         "largest": PLAUSIBLE_WEIGHTS * weight,
         "acceleration_threshold": standing.acceleration_threshold,
         "rate_threshold": standing.rate_threshold,
-    }
-
-
-def _moment(stream: MomentStream) -> dict[str, Any]:
-    """Return the moment filter's own constants by their names in ``sf_config``."""
-    config, unknowns = stream.config, stream.unknowns
-    newton, faults, parity = stream.newton_euler, stream._faults, stream.parity._parity
-    distal, hypotheses = newton._distal, faults.hypotheses
-    return {
-        "every": config.every,
-        "average": config.average,
-        "settle": config.settle,
-        "kinds": newton.kinds,
-        "sensors": len(distal._mass),
-        "parities": len(parity),
-        "pairs": len(hypotheses._first),
-        "keep_every": stream._keep_every,
-        "distal_matters": distal.matter,
-        "talks": unknowns.scales - unknowns.channels,
-        "talk_to": unknowns.out[unknowns.channels :],
-        "talk_from": unknowns.inp[unknowns.channels :],
-        "first": hypotheses._first,
-        "second": hypotheses._second,
-        "foot_of_sensor": distal._foot_of,
-        "unit": unknowns.unit,
-        "start": unknowns.start,
-        "first_variance": np.diagonal(stream._covariance),
-        "walk": stream._drifting._walk,
-        "learnt": unknowns.learnt,
-        "sure": unknowns.sure,
-        "change": np.diagonal(stream._change),
-        "stated": unknowns.std[unknowns.map] ** 2,
-        "row_scale": newton._scale,
-        "row_variance": newton._variance,
-        "timing_noise": config.timing_noise,
-        "gate": config.gate,
-        "reject": config.reject,
-        "still": config.still,
-        "mass_change": config.mass_change,
-        "swing_noise": config.swing_noise,
-        "swing_load": config.swing_load,
-        "parity_noise": config.parity_noise,
-        "parity": parity,
-        "load_largest": hypotheses._largest,
-        "load_loose": np.diagonal(hypotheses._loose),
-        "sensor_mass": distal._mass,
-        "sensor_com": distal._com,
-        "sensor_share": distal._share,
-        "felt": distal._felt,
-        "curve_every": distal._curves[config.every],
-        "curve_span": distal._curves[config.span],
     }

@@ -94,7 +94,7 @@ class NativeFilter:
         self._functions, self.constants = library.functions, constants
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
-        self._template, self._matrix = constants.like, constants.matrix
+        self._template = constants.like
         self.certain = constants.covariance is not None
         self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
@@ -103,15 +103,13 @@ class NativeFilter:
             "nis": (), "nis_rows": (), "undetermined": (K,), "contact_probability": (F,), "flags": (K,),
             "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
-        # What the library has no place for stays as it is at first: the other filter's hypotheses.
         leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
-        there = library.places[constants.state]
-        state = library.record(constants.state, {name: leaves[name] for name in leaves if name in there})
+        state = library.record(constants.state, leaves)
         given = {kind: _Given.of(library, kind, constants) for kind in constants.front.motions.taken}
         estimate = library.record("estimate", shapes)
         if state is None or estimate is None or None in given.values():
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
-        self._dtype, self._leaves = state, frozenset(state.names or ())
+        self._dtype = state
         self._given = {kind: one for kind, one in given.items() if one is not None}
         self.references = {kind: one.record for kind, one in self._given.items()}
         self.estimate = Record(estimate)
@@ -149,18 +147,13 @@ class NativeFilter:
             part, fitting = np.asarray(leaf), np.asarray(like)
             if (part.shape, part.dtype) != (fitting.shape, fitting.dtype):
                 return None
-            if _name(path) in self._leaves:
-                record[_name(path)] = part
-            elif not np.array_equal(part, fitting):
-                return None
+            record[_name(path)] = part
         return NativeState(record, self.constants.covariance)
 
     def unpack(self, state: NativeState) -> Any:
         """Return the library's state as a Python state, which shares nothing with it."""
 
         def own(path: tuple[str, ...], like: Any) -> Any:
-            if _name(path) not in self._leaves:
-                return np.copy(like) if isinstance(like, np.ndarray) else like
             part = state.record[_name(path)]
             return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
 
@@ -220,7 +213,6 @@ class NativeFilter:
         return found._replace(
             **(shares if self.constants.contact else {}),
             covariance=state.covariance,
-            matrix=None if self._matrix is None else self._matrix(state.record["given"]),
             force_std=one["force_std"],
             cop_covariance=one["cop_covariance"],
             nis=one["nis"][()],

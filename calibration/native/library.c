@@ -1,7 +1,6 @@
 /* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
-#include "surefoot_calibration.h"
-#include "surefoot_momentum.h"
+#include "surefoot_moment.h"
 #include "surefoot_strapdown.h"
 #include "surefoot_view.h"
 #include "surefoot_window.h"
@@ -10,8 +9,6 @@
 
 #define C_INT(field) PLACE(config, field, "int")
 #define C_REAL(field) PLACE(config, field, "real")
-#define S_REAL(field) PLACE(state, field, "real")
-#define S_WHOLE(field) PLACE(state, field, "whole")
 /* A field of a part of a record, under a name of its own: in a state the way to it. */
 #define PART(record, name, field, kind)                                                                      \
     {#record, #name, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
@@ -33,9 +30,9 @@
 #define V_REAL(field) PLACE(window_state, field, "real")
 #define V_WHOLE(field) PLACE(window_state, field, "whole")
 #define STANDING(field, kind) PART(window_state, standing_##field, standing.field, kind)
-#define O_REAL(field) PLACE(momentum_config, field, "real")
-#define N_REAL(field) PLACE(momentum_state, field, "real")
-#define IN(name, field, kind) PART(momentum_state, name, field, kind)
+#define O_REAL(field) PLACE(moment_config, field, "real")
+#define N_REAL(field) PLACE(moment_state, field, "real")
+#define IN(name, field, kind) PART(moment_state, name, field, kind)
 /* What modes hold, and what is handed out. */
 #define KNOWN(name, belief, published)                                                                       \
     IN(name##belief_mean, belief.mean, "real"), IN(name##belief_covariance, belief.covariance, "real"),      \
@@ -65,7 +62,7 @@ typedef struct {
 } sf_told;
 
 /* How one robot is calibrated: its constants, those of a method, and which one that is. */
-enum { MOMENT, WINDOW, TARE, UNCORRECTED, MOMENTUM };
+enum { MOMENT, WINDOW, TARE, UNCORRECTED };
 typedef struct {
     const sf_config *config;
     const void *own;
@@ -92,29 +89,12 @@ typedef struct {
 
 /* clang-format off */
 static const place places[] = {
-    WHOLE_OF(config), WHOLE_OF(state), WHOLE_OF(reference), WHOLE_OF(estimate), WHOLE_OF(work),
-    PLACE(work, newton, ""), PLACE(work, rows, ""), PLACE(work, covariance, "real"), PLACE(work, part, ""),
+    WHOLE_OF(config), WHOLE_OF(reference), WHOLE_OF(estimate),
 
-    C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
-    C_INT(sensors), C_INT(parities), C_INT(pairs), C_INT(keep_every),
-    C_INT(distal_matters), C_INT(talks), C_INT(talk_to), C_INT(talk_from), C_INT(foot_of_channel), C_INT(cells), C_INT(together), C_INT(first),
-    C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length),
-    C_REAL(reach), C_REAL(force_threshold), C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
-    C_REAL(highest), C_REAL(wrench_map), C_REAL(unit), C_REAL(start), C_REAL(first_variance),
-    C_REAL(walk), C_REAL(learnt), C_REAL(sure), C_REAL(change), C_REAL(stated), C_REAL(row_scale),
-    C_REAL(row_variance), C_REAL(timing_noise), C_REAL(gate), C_REAL(reject), C_REAL(still),
-    C_REAL(mass_change), C_REAL(swing_noise), C_REAL(swing_load), C_REAL(parity_noise),
-    C_REAL(parity), C_REAL(leap), C_REAL(renewal), C_REAL(prior), C_REAL(load_largest),
-    C_REAL(load_loose), C_REAL(sensor_mass), C_REAL(sensor_com), C_REAL(sensor_share), C_REAL(felt),
-    C_REAL(curve_every), C_REAL(curve_span),
-
-    FRONT_OF(state), S_WHOLE(step), S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
-    S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
-    S_REAL(noise), S_REAL(misfit), S_REAL(rate), S_REAL(swing_zero), S_REAL(swing_ago), S_REAL(swing_sum),
-    S_REAL(swing_samples), S_REAL(unproven), S_REAL(due), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
-    FAULTS_OF(state), PART(state, faults_trust, trust, "real"), PART(state, faults_doubt, doubt, "real"),
-    PART(state, faults_scores, scores, "real"), PART(state, faults_size, size, "real"),
-    PART(state, faults_load, load, "real"),
+    C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(foot_of_channel), C_INT(cells), C_INT(together),
+    C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length), C_REAL(reach), C_REAL(force_threshold),
+    C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest), C_REAL(highest), C_REAL(wrench_map), C_REAL(leap),
+    C_REAL(renewal), C_REAL(prior),
 
     WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),
     PLACE(filter, method, "whole"), WHOLE_OF(window_config), WHOLE_OF(window_state), WHOLE_OF(window_work),
@@ -142,12 +122,12 @@ static const place places[] = {
     PLACE(tare_state, airborne, "whole"), PLACE(tare_state, count, "whole"), T_REAL(mean), T_REAL(scatter),
     T_REAL(offset),
 
-    WHOLE_OF(momentum_config), WHOLE_OF(momentum_state), WHOLE_OF(momentum_work),
-    {"momentum_work", "numbers", "", 0, sizeof(sf_momentum_work)}, /* of which nobody reads one */
+    WHOLE_OF(moment_config), WHOLE_OF(moment_state), WHOLE_OF(moment_work),
+    {"moment_work", "numbers", "", 0, sizeof(sf_moment_work)}, /* of which nobody reads one */
 
-    PLACE(momentum_config, components, "int"), PLACE(momentum_config, capacity, "int"),
-    PLACE(momentum_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std),
-    O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(noise_share),
+    PLACE(moment_config, components, "int"), PLACE(moment_config, capacity, "int"),
+    PLACE(moment_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std), O_REAL(ahead),
+    O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(level), O_REAL(noise_share),
     O_REAL(largest_noise), O_REAL(largest_surprise), O_REAL(least_read), O_REAL(held_chance),
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),
     O_REAL(tare_drift), O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
@@ -159,11 +139,11 @@ static const place places[] = {
     O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
     O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
 
-    FRONT_OF(momentum_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
+    FRONT_OF(moment_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
     IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"),
-    IN(track_adrift, track.adrift, "real"), FAULTS_OF(momentum_state),
-    N_REAL(pending), N_REAL(before), PLACE(momentum_state, waiting, "whole"), PLACE(momentum_state, linked, "whole"),
+    IN(track_adrift, track.adrift, "real"), FAULTS_OF(moment_state),
+    N_REAL(pending), N_REAL(before), PLACE(moment_state, waiting, "whole"), PLACE(moment_state, linked, "whole"),
     N_REAL(point), N_REAL(time), N_REAL(drifted), N_REAL(noise), IN(tare_reading, tare.reading, "real"),
     IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
     IN(tare_followed, tare.followed, "whole"), IN(suspects_score, suspects.score, "real"),
@@ -171,7 +151,7 @@ static const place places[] = {
     IN(suspects_noise, suspects.noise, "real"), IN(suspects_known, suspects.known, "real"),
     IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published), N_REAL(covariance),
     KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
-    IN(kept_age, age, "real"), PLACE(momentum_state, status, "whole"),
+    IN(kept_age, age, "real"), PLACE(moment_state, status, "whole"),
 
     PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),
     PLACE(front, known, "whole"), PLACE(front, clean, "whole"),
@@ -258,18 +238,16 @@ static const place places[] = {
 LIBRARY_OF(places)
 
 EXPORTED int surefoot_fits(const sf_filter *f) {
-    return f->method == MOMENT   ? sf_calibrator_fits(f->config)
+    return f->method == MOMENT   ? sf_moment_fits(f->config, (const sf_moment_config *)f->own)
            : f->method == WINDOW ? sf_window_fits(f->config, (const sf_window_config *)f->own)
-           : f->method == MOMENTUM ? sf_momentum_fits(f->config, (const sf_momentum_config *)f->own)
-                                   : sf_robot_fits(f->config);
+                                 : sf_robot_fits(f->config);
 }
 #ifndef SF_NO_LIBC /* kernels call the headers themselves */
 /* Of which nothing is remembered; too large for the stacks of some threads. */
-static __thread sf_momentum_work momentum_work;
+static __thread sf_moment_work moment_work;
 
 EXPORTED void surefoot_init(const sf_filter *f, void *state) {
-    if (f->method == MOMENTUM) sf_momentum_init(f->config, f->own, state, &momentum_work);
-    if (f->method == MOMENT) sf_calibrator_init(f->config, state);
+    if (f->method == MOMENT) sf_moment_init(f->config, f->own, state, &moment_work);
     if (f->method == WINDOW) sf_window_init(f->config, f->own, state);
     if (f->method == TARE) sf_tare_init(f->config, state);
     if (f->method == UNCORRECTED) sf_front_init(f->config, state);
@@ -281,8 +259,7 @@ EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
     if (f->method == UNCORRECTED) sf_front_init(f->config, state);
 }
 EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
-    if (f->method == MOMENT) sf_calibrator_retract(f->config, state);
-    if (f->method == MOMENTUM) sf_momentum_retract(f->config, f->own, state);
+    if (f->method == MOMENT) sf_moment_retract(f->config, f->own, state);
 }
 /* Returns whether something new is handed out. */
 EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
@@ -291,9 +268,8 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
     const sf_real *imu[] = {belief->accelerometer, belief->gyroscope};
     sf_window_work work;
     switch (f->method) {
-    case MOMENT: return sf_calibrator_step(f->config, state, raw, reference, (sf_real)dt, out);
-    case MOMENTUM:
-        return sf_momentum_step(f->config, f->own, state, &momentum_work, raw, reference, (sf_real)dt, out);
+    case MOMENT:
+        return sf_moment_step(f->config, f->own, state, &moment_work, raw, reference, (sf_real)dt, out);
     case WINDOW:
         sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
         break;
@@ -364,10 +340,8 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     sf_view_show(config, at->view, at->held, at->estimate, soles, &told->shown);
     told->belief = *at->belief;
     told->estimate = *at->estimate;
-    const sf_real *covariance = at->filter->method == MOMENT     ? ((const sf_state *)at->state)->learnt
-                                : at->filter->method == MOMENTUM ? ((const sf_momentum_state *)at->state)->covariance
-                                                                 : NULL;
-    if (covariance) sf_copy(told->covariance, covariance, 4 * config->channels * config->channels);
+    if (at->filter->method == MOMENT)
+        sf_copy(told->covariance, ((const sf_moment_state *)at->state)->covariance, 4 * config->channels * config->channels);
     return found + 8 * fresh;
 }
 

@@ -1,5 +1,5 @@
 /* What one robot knows of its own motion without its feet's sensors, in C99: packets of joint angles and an
-   IMU in, the sf_reference that sf_calibrator_step takes out.
+   IMU in, the sf_reference that sf_moment_step takes out.
 
    The specification is the Python in robot/beliefs/: nominal.py, odometry.py, references.py and contacts.py, whose
    module docstrings derive it; docs/native.md tells how to use this file. Nothing is allocated, nothing is
@@ -11,7 +11,7 @@
        sf_beliefs_init(&beliefs);
        sf_beliefs_packet(&model, &timing, &beliefs, number, arrival, angle, accelerometer, gyroscope);
        sf_beliefs_sample(&timing, &beliefs, time, planned, hold, &belief);      once a sample of the feet
-       sf_calibrator_step(&config, &state, raw, &belief.reference, dt, &estimate);
+       sf_moment_step(&config, &moment, &state, &work, raw, &belief.reference, dt, &estimate);
 
    Moments are doubles whatever SF_SINGLE says: after an hour a float tells no milliseconds apart.
 
@@ -125,7 +125,7 @@ typedef struct {
     sf_reference reference;
     sf_real accelerometer[3], gyroscope[3]; /* as measured, IMU's axes: m/s^2, rad/s */
     unsigned char known;                    /* whether the reference is of numbers */
-    unsigned char fell; /* whether the robot was upright until now: time for sf_calibrator_retract */
+    unsigned char fell; /* whether the robot was upright until now: time for sf_moment_retract */
 } sf_belief;
 
 /* -------------------------------------------------------------------------------------- vectors of three */

@@ -87,6 +87,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LEAST_LEAP_SCALE ((sf_real)0.3)
 #define SF_LARGEST_LEAP_SCALE ((sf_real)3.0)
 #define SF_ALONE ((sf_real)4.0)
+#define SF_SPIKE_LOAD ((sf_real)0.02)
 #define SF_BUMPY ((sf_real)1.5)
 #define SF_BUMP_MEMORY ((sf_real)0.993)
 #define SF_MOVING ((sf_real)0.02)
@@ -112,9 +113,6 @@ typedef struct {
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
     sf_real leap, renewal;
     sf_real prior[SF_CHANNELS * SF_CHANNELS];
-#ifdef SF_OF_METHOD
-    SF_OF_METHOD /* those of the moment filter, where its header comes first */
-#endif
 } sf_config;
 
 /* What the robot believes of itself `lag` samples ago; see surefoot.calibration.reference.Reference. Of one that holds
@@ -652,6 +650,23 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
             kinds[i] |= SF_SPIKE;
         }
         s->last[i] = force[i];
+    }
+}
+
+/* ChannelFaults.smooth: put readings that were wrong for one sample between their neighbours. Rows begin with K forces
+   and K numbers that say whether they were read; weight: the robot's in the unit of forces. */
+SF_API void sf_smooth(const sf_config *c, const sf_real *before, sf_real *row, const sf_real *after, sf_real weight) {
+    int K = c->channels;
+    sf_real away[SF_CHANNELS];
+    for (int i = 0; i < K; i++)
+        away[i] = sf_fabs(row[i] - sf_clip(row[i], sf_min(before[i], after[i]), sf_max(before[i], after[i])));
+    for (int i = 0; i < K; i++) {
+        sf_real others = 0;
+        int mates = 0;
+        for (int j = 0; j < K; j++)
+            if (j != i && c->together[i * K + j]) mates++, others = sf_max(others, away[j]);
+        if (mates && away[i] > SF_SPIKE_LOAD * weight && away[i] > SF_ALONE * others && row[K + i] > (sf_real)0.5)
+            row[i] = (sf_real)0.5 * (before[i] + after[i]);
     }
 }
 

@@ -1,4 +1,4 @@
-/* What one robot knows of its momentum, in C99: as surefoot_beliefs.h, for method "momentum".
+/* What one robot knows of its momentum, in C99: as surefoot_beliefs.h, for method "moment".
 
    The specification is the Python in robot/beliefs/momentum.py, whose module docstring derives it; constants come from
    there.

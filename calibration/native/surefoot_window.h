@@ -1,7 +1,7 @@
 /* The methods that the moment filter is compared with, for one robot's feet, one step a sample, in C99: the
    CoP paper's sliding window (Eq. 14), with `quasi_static` Han's; a tare of swinging feet; the starting map as
    it is. The specification is the Python in calibration/window, standing.py and baselines.py; functions have its
-   names, and tests hold the two together. Checks, lag and estimates are those of surefoot_calibration.h, whose
+   names, and tests hold the two together. Checks, lag and estimates are those of surefoot_robot.h, whose
    sf_config says what these methods know of the robot; what is the moment filter's own in it stays zero. They
    claim no certainty: deviations and covariances of their estimates are NaN.
 
@@ -336,7 +336,7 @@ SF_API void sf_window_init(const sf_config *c, const sf_window_config *w, sf_win
     s->walking = s->all_walking = !w->standing_start;
 }
 
-/* SlidingWindow.update: take in one sample. raw, reference and dt as of sf_calibrator_step; imu: what
+/* SlidingWindow.update: take in one sample. raw, reference and dt as of sf_moment_step; imu: what
    accelerometer and gyroscope measured then in the IMU's axes, in m/s^2 and rad/s. */
 SF_API void sf_window_step(const sf_config *c, const sf_window_config *w, sf_window_state *s,
                            sf_window_work *work, const sf_real *raw, const sf_reference *reference,
@@ -386,7 +386,7 @@ SF_API void sf_tare_begin(const sf_config *c, sf_tare_state *s) {
     sf_copy(s->offset, offset, SF_CHANNELS);
 }
 
-/* tare: take in one sample; arguments as of sf_calibrator_step. */
+/* tare: take in one sample; arguments as of sf_moment_step. */
 SF_API void sf_tare_step(const sf_config *c, const sf_tare_config *t, sf_tare_state *s, const sf_real *raw,
                          const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
     int K = c->channels, enough[SF_CHANNELS], hangs[SF_FEET];
@@ -424,7 +424,7 @@ SF_API void sf_tare_step(const sf_config *c, const sf_tare_config *t, sf_tare_st
     sf_corrected(c, &s->front, &sample, ones, s->offset, 0, estimate);
 }
 
-/* uncorrected: take in one sample; arguments as of sf_calibrator_step. */
+/* uncorrected: take in one sample; arguments as of sf_moment_step. */
 SF_API void sf_uncorrected_step(const sf_config *c, sf_front *s, const sf_real *raw,
                                 const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
     sf_real ones[SF_CHANNELS], zeros[SF_CHANNELS];

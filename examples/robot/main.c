@@ -24,10 +24,11 @@ static void print(const sf_real *values, int n) {
 }
 
 int main(void) {
-    static sf_state state;
+    static sf_moment_state state;
+    static sf_moment_work work; /* of which nothing is remembered */
     static char line[4096];
     int K = robot.channels, F = robot.feet;
-    sf_calibrator_init(&robot, &state);
+    sf_moment_init(&robot, &moment, &state, &work);
     while (fgets(line, sizeof line, stdin)) {
         sf_reference reference;
         sf_estimate estimate;
@@ -43,11 +44,12 @@ int main(void) {
             fprintf(stderr, "A line needs %d numbers, got: %s", K + 10 + 14 * F, line);
             return 1;
         }
+        reference.momentum = 0; /* accelerations, which the filter adds up */
         for (int foot = 0; foot < F; foot++) {
             reference.stance[foot] = contacts[foot] != 0;
             reference.swing[foot] = contacts[F + foot] != 0;
         }
-        sf_calibrator_step(&robot, &state, counts, &reference, dt, &estimate);
+        sf_moment_step(&robot, &moment, &state, &work, counts, &reference, dt, &estimate);
         for (int axis = 0; axis < 2; axis++) cop_std[axis] = sf_sqrt(estimate.cop_covariance[3 * axis]);
         print(estimate.force, K);
         print(estimate.cop, 2);

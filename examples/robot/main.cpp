@@ -11,16 +11,17 @@
 
 class FootCalibrator {
 public:
-    FootCalibrator() { sf_calibrator_init(&robot, &state_); }
+    FootCalibrator() { sf_moment_init(&robot, &moment, &state_, &work_); }
 
     sf_estimate update(const std::vector<sf_real> &counts, const sf_reference &reference, sf_real dt) {
         sf_estimate estimate;
-        sf_calibrator_step(&robot, &state_, counts.data(), &reference, dt, &estimate);
+        sf_moment_step(&robot, &moment, &state_, &work_, counts.data(), &reference, dt, &estimate);
         return estimate;
     }
 
 private:
-    sf_state state_;  // a plain record: copies of the object go on by themselves
+    sf_moment_state state_;  // a plain record: copies of the object go on by themselves
+    sf_moment_work work_;    // of which nothing is remembered
 };
 
 static std::vector<sf_real> numbers(const std::string &line) {

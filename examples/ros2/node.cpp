@@ -66,8 +66,8 @@ public:
         cop_ = create_publisher<Point>("~/cop", 10);
         for (int foot = 0; foot < robot.feet; foot++)
             wrench_.push_back(create_publisher<Wrench>("~/wrench_" + std::to_string(foot), 10));
-        sf_calibrator_init(&config_, &state_);
-        sf_beliefs_init(&beliefs_);
+        sf_moment_init(&config_, &moment, &state_, &work_);
+        sf_momentum_beliefs_init(&beliefs_);
         from_joints_ = create_subscription<JointState>("joint_states", 10, [this](const JointState &m) { move(m); });
         from_imu_ = create_subscription<Imu>("imu", 10, [this](const Imu &m) { turn(m); });
         from_counts_ = create_subscription<Numbers>("counts", 10, [this](const Numbers &message) {
@@ -79,7 +79,7 @@ public:
         using Asked = std::shared_ptr<Trigger::Request>;
         using Told = std::shared_ptr<Trigger::Response>;
         start_ = create_service<Trigger>("~/start", [this](const Asked, Told told) {
-            sf_calibrator_init(&config_, &state_);
+            sf_moment_init(&config_, &moment, &state_, &work_);
             running_ = true;
             *told = done(true, "begun from the starting map");
         });
@@ -117,7 +117,7 @@ private:
     void turn(const Imu &message) {
         const auto &a = message.linear_acceleration, &w = message.angular_velocity;
         const sf_real force[3] = {a.x, a.y, a.z}, spin[3] = {w.x, w.y, w.z};
-        sf_beliefs_packet(&model, &timing, &beliefs_, packets_++, seconds(now()), angle_.data(), force, spin);
+        sf_momentum_packet(&model, &timing, &legs, &beliefs_, packets_++, seconds(now()), angle_.data(), force, spin);
     }
 
     static double seconds(const rclcpp::Time &time) { return 1e-9 * double(time.nanoseconds()); }
@@ -128,11 +128,11 @@ private:
         const double dt = last_.nanoseconds() ? (time - last_).seconds() : config_.dt;
         last_ = time;
         sf_belief belief;
-        const double moment = seconds(time) - config_.lag * timing.dt - age_;
-        sf_beliefs_sample(&timing, &beliefs_, moment, nullptr, frozen_, &belief);
-        if (belief.fell) sf_calibrator_retract(&config_, &state_);
+        const double about = seconds(time) - config_.lag * timing.dt - age_;
+        sf_momentum_sample(&timing, &beliefs_, about, nullptr, frozen_, &belief);
+        if (belief.fell) sf_moment_retract(&config_, &moment, &state_);
         sf_estimate answer;
-        sf_calibrator_step(&config_, &state_, counts.data(), &belief.reference, dt, &answer);
+        sf_moment_step(&config_, &moment, &state_, &work_, counts.data(), &belief.reference, dt, &answer);
         scale_.assign(answer.scale, answer.scale + robot.channels);
         offset_.assign(answer.offset, answer.offset + robot.channels);
         const int K = robot.channels;
@@ -191,8 +191,9 @@ private:
     }
 
     sf_config config_;  // that of robot.h with the map of the parameters
-    sf_state state_;
-    sf_beliefs beliefs_;
+    sf_moment_state state_;
+    sf_moment_work work_;  // of which nothing is remembered
+    sf_momentum_beliefs beliefs_;
     std::vector<sf_real> angle_;  // of the hinges in rad, the last that came
     std::vector<double> scale_, offset_;
     std::string level_, save_to_;

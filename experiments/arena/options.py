@@ -11,10 +11,6 @@ TRUE_MAP = "floor"
 """Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
 
 
-UNSCORED = "momentum"
-"""A method that is newer than the results: it is scored if it is named, until all are made anew."""
-
-
 @dataclass(frozen=True)
 class ArenaOptions:
     """How much a study of walks does; raise ValueError at a number out of range or an unknown method."""
@@ -54,9 +50,8 @@ class ArenaOptions:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """What is scored, in order: the true map and the methods, by default all but :data:`UNSCORED`."""
-        usual = (name for name in METHODS if name != UNSCORED)
-        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or usual))))
+        """What is scored, in order: the true map and the methods, by default all."""
+        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
 
     def quickly(self) -> "ArenaOptions":
         """Return the same with two seeds and short walks, to see whether all works."""

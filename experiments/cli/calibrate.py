@@ -24,7 +24,7 @@ def walk(
     log: Annotated[Path, Argument(help="A log: .parquet, .csv or a ROS bag.")],
     method: Annotated[
         str, Option(help="momentum, moment, window, quasi-static, tare, none, or module:name")
-    ] = "momentum",
+    ] = "moment",
     start: Annotated[
         str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
     ] = None,

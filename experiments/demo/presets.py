@@ -3,13 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.experiments.arena.options import UNSCORED, ArenaOptions
+from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS, SPEEDS
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 # Without weights there is no calibration from them.
-_LOOPED = tuple(feed for feed in FEEDS if feed not in ("weights", UNSCORED))
+_LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
 
 
 def full_options(

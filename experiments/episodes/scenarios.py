@@ -9,7 +9,7 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments.arena import scenarios
 from surefoot.experiments.arena.walks import INSTANT
-from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
+from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
@@ -30,7 +30,6 @@ class LoopScenario:
     options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
     sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
     beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
-    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # options by feed
     fault_of: str | None = None  # scenario of the arena that says which fault a seed draws
     of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
 
@@ -48,7 +47,7 @@ class LoopScenario:
     def calibration_for(self, feed: str) -> dict[str, Any] | None:
         """Return the options of a feed's calibration; ``None`` for the true one."""
         method = FEEDS[feed]
-        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
+        return None if method is None else {**method, **self.beliefs}
 
     def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
         """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
@@ -64,7 +63,7 @@ class LoopScenario:
 def scenario_of_task(name: str) -> LoopScenario:
     """Return the scenario in which policies for a task are evaluated."""
     task = task_named(name)
-    return LoopScenario(task.name, task.name, task.env_id, methods={"moment": dict(task.loads)}, of_task=True)
+    return LoopScenario(task.name, task.name, task.env_id, of_task=True)
 
 
 def _from_arena(scenario: scenarios.Scenario) -> LoopScenario:
@@ -87,13 +86,12 @@ def _table() -> dict[str, LoopScenario]:
         if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
     ]
     hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
-    loads = {"moment": dict(EXPECTED_LOADS)}
     own = (
         LoopScenario("hard-pushes", "walking, pushed hard", options={"speed": 0.04, **hard}),
         LoopScenario("stand", "standing", _STAND),
         LoopScenario("stand-pushes", "standing, pushed", _STAND, hard),
-        LoopScenario("balance", "balance under a payload and pushes", _BALANCE, methods=loads),
-        LoopScenario("carry", "walking under a payload and pushes", _CARRY, methods=loads),
+        LoopScenario("balance", "balance under a payload and pushes", _BALANCE),
+        LoopScenario("carry", "walking under a payload and pushes", _CARRY),
     )
     return {scenario.name: scenario for scenario in (*walked, *own)}
 

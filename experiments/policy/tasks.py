@@ -1,7 +1,7 @@
 """The tasks that a policy can be trained for, what differs between them, and the shipped policies."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.abc import Traversable
 from importlib.resources import as_file, files
 from types import MappingProxyType
@@ -11,12 +11,6 @@ from surefoot.controllers.policy import PolicyNetwork
 
 SENSORS = ("true", "randomised")
 """What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
-
-EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "com_change": 0.015})
-"""Options of a calibration: which loads the robot is to expect, but not which one an episode has."""
-
-HEAVY_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.15, "com_change": 0.03})
-"""The same where loads are heavy."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +27,6 @@ class Task:
     speed: float = 1.5  # change of a posture per second at a full command
     memory: float = 1.0  # time constant in s with which a posture returns
     hold: int = 4  # steps for which an action holds: 20 Hz, about as fast as a body can follow
-    loads: Mapping[str, float] = field(default_factory=lambda: EXPECTED_LOADS)  # options of the moment filter
     easier: str = ""  # whose policies are let in too, and serve where none is shipped for this one
 
 
@@ -70,13 +63,10 @@ _BALANCE_HARD = replace(
     name="balance-hard",
     env_id="surefoot/NaoBalanceHard-v0",
     training=MappingProxyType({**_BALANCE.training, "payload_time": (0.1, 4.0)}),
-    loads=HEAVY_LOADS,
     easier="balance",
 )
 
-_WALK_HARD = replace(
-    _WALK, name="walk-hard", env_id="surefoot/NaoCarryHard-v0", loads=HEAVY_LOADS, easier="walk"
-)
+_WALK_HARD = replace(_WALK, name="walk-hard", env_id="surefoot/NaoCarryHard-v0", easier="walk")
 
 TASKS: Mapping[str, Task] = MappingProxyType(
     {task.name: task for task in (_BALANCE, _WALK, _BALANCE_HARD, _WALK_HARD)}

@@ -28,7 +28,7 @@ def make_task(
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
     options, chosen = FEEDS[feed_named(feed)], task_named(task)
-    calibration = None if options is None else {**options, **(chosen.loads if feed == "moment" else {})}
+    calibration = None if options is None else dict(options)
     bare = gym.make(chosen.env_id, disable_env_checker=True, **env_options)
     return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 

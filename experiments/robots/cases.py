@@ -80,8 +80,7 @@ class _Together:
         given: dict[str, Any] = {name: getattr(one.setup, name) for name in of_setup}
         layout = one.setup.layout
         self.methods = [
-            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing, name)})
-            for name in METHODS
+            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing)}) for name in METHODS
         ]
 
     def native(self) -> None:

@@ -71,7 +71,7 @@ class _Line:
             dt=setup.dt,
             lag=setup.lag,
             age=setup.age,
-            **layout_options(env.layout, drawing, method),
+            **layout_options(env.layout, drawing),
         )
         self.view = FootView(DEFAULT, env.layout, setup.mass, drawing.flaw)
         self.estimate: Estimate

@@ -185,8 +185,6 @@ def _last(facts: Facts) -> dict[str, Any]:
         "covariance_relative": None if estimate.covariance is None else estimate.covariance[-1].tolist(),
         "notices": list(facts.notices),
     }
-    if estimate.matrix is not None:
-        last["matrix_relative"] = estimate.matrix[-1].tolist()
     return last
 
 

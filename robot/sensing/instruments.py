@@ -32,9 +32,6 @@ USUAL_LENGTH = 0.2
 PEAK: Final = 1.5
 """What a foot has to bear in body weights: the robot on one foot, and half as much again when it lands."""
 
-NO_LEAP = 1e3
-"""Change of a reading in body weights that no sample reaches."""
-
 
 class InstrumentsState(NamedTuple):
     """What hardware keeps while the power is on.
@@ -54,6 +51,7 @@ class CellsUnderFeet:
     Args:
         config: The cells.
         drawing: The robot.
+        dt: Duration of a control step in s.
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
@@ -66,7 +64,7 @@ class CellsUnderFeet:
     name: Final = "cells"
     kind: Final = CELLS
 
-    def __init__(self, config: LoadCells, drawing: RobotDrawing) -> None:
+    def __init__(self, config: LoadCells, drawing: RobotDrawing, dt: float) -> None:
         places, below = drawing.position_cell_sole, drawing.below_cells
         if places is None or below is None:
             raise ValueError(
@@ -81,7 +79,8 @@ class CellsUnderFeet:
             )
         self.config = config
         self.nominal = Parameters(config.nominal_scale, config.nominal_offset)
-        self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
+        self.slope, self.zero_code = config.slope, config.zero_code
+        self.age = config.nominal_age + (0.5 * dt if config.averaged and config.rate is None else 0.0)
         low, high = (np.full(self.channels, end) for end in config.code_range)
         self.code_range = low, high
         self.feet = tuple(
@@ -114,9 +113,8 @@ class CellsUnderFeet:
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
-        force: Floats = (
-            truth.force_cell[-1] + 0.0 if self.config.rate is None else truth.force_cell.mean(axis=0)
-        )
+        instant = self.config.rate is None and not self.config.averaged
+        force: Floats = truth.force_cell[-1] + 0.0 if instant else truth.force_cell.mean(axis=0)
         return force
 
     def true_map(self, state: LoadCellState) -> Parameters:
@@ -242,7 +240,7 @@ class Instruments:
                 f"Give load cells, six-axis sensors or one of each, got {[kind.__name__ for kind in kinds]}."
             )
         found: list[CellsUnderFeet | SensorsInAnkles] = [
-            CellsUnderFeet(device, drawing)
+            CellsUnderFeet(device, drawing, dt)
             if isinstance(device, LoadCells)
             else SensorsInAnkles(device, drawing, dt)
             for device in devices
@@ -378,25 +376,20 @@ def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
     )
 
 
-def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> dict[str, float]:
+def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float]:
     """Return the options of a calibrator that follow from what is under the feet.
 
-    A foot whose channels have no places of their own gets a length. A six-axis sensor's words come together:
-    one axis that leaps away alone is no broken word but a landing, and is not held.
+    A foot whose channels have no places of their own gets a length.
 
     Args:
         layout: The feet and their channels.
         drawing: The robot.
-        method: The calibrator.
     """
-    options: dict[str, float] = {}
-    if method == "moment" and all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors):
-        options["leap"] = NO_LEAP
     if all(foot.position_cell_sole is not None for foot in layout.feet):
-        return options
+        return {}
     places = drawing.position_cell_sole
     length = USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())
-    return options | {"foot_length": length}
+    return {"foot_length": length}
 
 
 def _weight(foot: FootLayout, gravity: float) -> Floats:

@@ -47,7 +47,11 @@ class LoadCells:
 
     rate: tuple[float, float] | None = (78.0, 94.0)
     """Lowest and highest conversion rate in 1/s; each chip draws its own rate and its own phase, and a
-    conversion is the mean load since the one before. ``None`` converts at the instant the host reads."""
+    conversion is the mean load since the one before. ``None`` converts when the host reads."""
+
+    averaged: bool = False
+    """Whether cells without a clock give the mean load since they were last read, as ideal ones do, or the
+    load of that instant. Those with a clock average over their conversions, whatever this says."""
 
     initial_scale_std: float = 0.12
     """Standard deviation of the relative error of a scale at power-up; 0.12 for cells never calibrated."""
@@ -126,6 +130,7 @@ class LoadCells:
             "rate",
             "be None or (lowest, highest) with 0 < lowest <= highest",
         )
+        require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
         require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
         require(
             not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,

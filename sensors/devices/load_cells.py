@@ -80,7 +80,8 @@ SCALE, OFFSET, RISE = 0, 1, 2
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
 
-    With a clock the reading is a block of substeps (:mod:`~surefoot.sensors.stages.clock`).
+    With a clock the reading is a block of substeps (:mod:`~surefoot.sensors.stages.clock`); without one it is
+    the load of the instant, or the mean where that is asked for.
     """
     element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [
@@ -111,7 +112,8 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
 
     ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes
     true loads in N in S equal substeps that fill dt, shape (S, K), and returns counts, shape (K,). Cells with
-    a clock average the load over each conversion; others take the last substep's.
+    a clock average the load over each conversion; others take the last substep's, or the mean if they are
+    ``averaged``.
 
     The spring elements are stepped once a block, at the load of its last conversion; the conversions before
     it, which the host never reads, leave no trace in them.
@@ -124,6 +126,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """
     low, high = config.code_range
     zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
+    averaged = config.averaged
     noise = config.noise_counts
     walks = np.array([[config.scale_drift], [config.offset_drift]])
     walking = np.flatnonzero(walks > 0.0)
@@ -162,7 +165,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         period, due, charge, held, error, thermal, window, felt, brought = state
         if remembers:
             block = np.where(np.isfinite(block), block, np.nan)
-        load = block[-1] + 0.0
+        load = block.mean(axis=0) if averaged else block[-1] + 0.0
         converts: Any = True
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)

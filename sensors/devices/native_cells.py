@@ -22,6 +22,7 @@ def _constants(config: LoadCells) -> dict[str, Any]:
     return {
         "channels": config.channels,
         "clocked": config.rate is not None,
+        "averaged": config.averaged,
         "settling": config.settling,
         "warms": config.warms,
         "plays": len(slacks),

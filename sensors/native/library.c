@@ -73,7 +73,7 @@ static const place places[] = {
 
     WHOLE_OF(cells_config), WHOLE_OF(cells),
 
-    C_INT(channels), C_INT(clocked), C_INT(settling), C_INT(warms), C_INT(plays), C_INT(creeps),
+    C_INT(channels), C_INT(clocked), C_INT(averaged), C_INT(settling), C_INT(warms), C_INT(plays), C_INT(creeps),
     C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise), C_REAL(scale_walk),
     C_REAL(offset_walk), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
     C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),

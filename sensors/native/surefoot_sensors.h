@@ -31,7 +31,7 @@
 #define SF_CELLS_OF_A_FOOT 4
 
 typedef struct {
-    int channels, clocked, settling, warms, plays, creeps;
+    int channels, clocked, averaged, settling, warms, plays, creeps;
     sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, noise, scale_walk, offset_walk;
     sf_real temperature_ramp, temperature_rise;
     /* The spring elements. */
@@ -158,6 +158,11 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
     for (int i = 0; i < K; i++) {
         const sf_real *own = block + i;
         number[i] = 0, load[i] = own[(substeps - 1) * K];
+        if (c->averaged) {
+            load[i] = 0;
+            for (int row = 0; row < substeps; row++) load[i] += own[row * K];
+            load[i] /= substeps;
+        }
         if (c->clocked) {
             number[i] = (sf_real)floor((dt - s->due[i]) / s->period[i]);
             sf_real period = s->period[i], at = s->due[i] + number[i] * period;

@@ -7,7 +7,6 @@
 
 #include <string.h>
 
-#include "surefoot_calibration.h"
 #include "surefoot_window.h"
 
 static unsigned long long bits = 88172645463325252ULL;
@@ -35,7 +34,6 @@ int main(int count, char **words) {
     static sf_config config;
     static sf_window_config window;
     static sf_tare_config tare;
-    static sf_state state, kept;
     static sf_window_state windowed;
     static sf_window_work work;
     static sf_tare_state tared;
@@ -46,14 +44,12 @@ int main(int count, char **words) {
     if (is_window && (fread(&window, sizeof window, 1, file) != 1 || !sf_window_fits(&config, &window)))
         return 2;
     if (is_tare && (fread(&tare, sizeof tare, 1, file) != 1 || !sf_robot_fits(&config))) return 2;
-    if (!is_window && !is_tare && !sf_calibrator_fits(&config)) return 2;
+    if (!is_window && !is_tare) return 2;
     fclose(file);
     sf_window_init(&config, &window, &windowed);
     sf_tare_init(&config, &tared);
     long samples = atol(words[2]);
-    int K = config.channels, N = sf_unknowns(&config), broken = -1, kind = 0;
-    if (!is_window && !is_tare) sf_calibrator_init(&config, &state);
-    kept = state;
+    int K = config.channels, broken = -1, kind = 0;
     for (long k = 0; k < samples; k++) {
         sf_reference reference = {{0, 0, (sf_real)0.26}, {0, 0, 0}, {0, 0, 0}, {0}, {0}, {1, 1}, {0, 0}};
         sf_real raw[SF_CHANNELS], phase = (sf_real)sin((double)k * 0.05),
@@ -89,40 +85,21 @@ int main(int count, char **words) {
         }
         sf_real inertial[6] = {0, 0, (sf_real)9.81, 0, 0, 0}, dt = chance(0.001) ? poison() : config.dt;
         const sf_real *imu[] = {inertial, inertial + 3};
-        if (is_window || is_tare) {
-            spoil(inertial, 6, 0.001);
-            if (is_window)
-                sf_window_step(&config, &window, &windowed, &work, raw, &reference, imu, dt, &estimate);
-            else sf_tare_step(&config, &tare, &tared, raw, &reference, dt, &estimate);
-            if (chance(0.0005)) sf_window_begin(&config, &windowed), sf_tare_begin(&config, &tared);
-            if (k % 20000 == 0) sf_window_init(&config, &window, &windowed);
-            if (!sf_all_finite(windowed.theta, 2 * K) ||
-                !sf_all_finite(windowed.samples, SF_WINDOW * (6 * K + 3)) ||
-                !sf_all_finite(windowed.standing.information, (2 * K + 3) * (2 * K + 3)) ||
-                !sf_all_finite(tared.offset, K) || !sf_all_finite(tared.scatter, K) ||
-                !sf_all_finite(estimate.force, K) || !sf_all_finite(estimate.wrench, 6 * config.feet) ||
-                sf_finite(estimate.cop[0]) != estimate.cop_valid) {
-                printf("not finite at sample %ld\n", k);
-                return 1;
-            }
-            continue;
-        }
-        sf_calibrator_step(&config, &state, raw, &reference, dt, &estimate);
-        if (chance(0.0005)) sf_calibrator_retract(&config, &state);
-        if (chance(0.0005)) kept = state;
-        if (chance(0.0005)) state = kept;
-        if (!sf_all_finite(state.mean, N) || !sf_all_finite(state.covariance, N * N) ||
-            !sf_all_finite(state.given, N) || !sf_all_finite(state.learnt, 4 * K * K) ||
-            !sf_finite(state.misfit) || !sf_all_finite(state.noise, config.kinds) ||
-            !sf_all_finite(state.faults.moments, K * K) || !sf_all_finite(state.faults.spare, K * K) ||
-            !sf_all_finite(state.scores, sf_hypotheses(&config) + 2) || !sf_all_finite(estimate.force, K) ||
-            !sf_all_finite(estimate.force_std, K) || !sf_all_finite(estimate.scale, K) ||
-            !sf_all_finite(estimate.wrench, 6 * config.feet) ||
+        spoil(inertial, 6, 0.001);
+        if (is_window) sf_window_step(&config, &window, &windowed, &work, raw, &reference, imu, dt, &estimate);
+        else sf_tare_step(&config, &tare, &tared, raw, &reference, dt, &estimate);
+        if (chance(0.0005)) sf_window_begin(&config, &windowed), sf_tare_begin(&config, &tared);
+        if (k % 20000 == 0) sf_window_init(&config, &window, &windowed);
+        if (!sf_all_finite(windowed.theta, 2 * K) ||
+            !sf_all_finite(windowed.samples, SF_WINDOW * (6 * K + 3)) ||
+            !sf_all_finite(windowed.standing.information, (2 * K + 3) * (2 * K + 3)) ||
+            !sf_all_finite(tared.offset, K) || !sf_all_finite(tared.scatter, K) ||
+            !sf_all_finite(estimate.force, K) || !sf_all_finite(estimate.wrench, 6 * config.feet) ||
             sf_finite(estimate.cop[0]) != estimate.cop_valid) {
             printf("not finite at sample %ld\n", k);
             return 1;
         }
     }
-    printf("%ld samples, state %lu bytes\n", samples, (unsigned long)sizeof state);
+    printf("%ld samples\n", samples);
     return 0;
 }

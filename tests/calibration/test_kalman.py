@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration.moment.kalman import kalman_step
+from surefoot.calibration.kalman import kalman_step
 
 NEVER = 1e9
 """A gate that no innovation reaches."""

@@ -66,11 +66,11 @@ def done(four):
 @pytest.mark.parametrize("name", NAMES)
 def test_perfect_sensors_and_beliefs_change_nothing(name):
     log = walk(0, 0.02, 3.0, 1.0, Faults(lag=2))
-    options = short(name) | ({"blur": 0.0} if name == "moment" else {})  # this reference follows at once
+    options = short(name)
     estimate = replay(LAYOUT, name, log.raw, log.reference, DT, mass=MASS, initial=NOMINAL, **options)
     # Han's reference leaves out the motion, which at 0.02 m/s is a small but real error.
     # What adds accelerations up leaks, and takes angular momentum that never comes back for an error.
-    allowed = {"quasi-static": 2.0, "momentum": 0.1}.get(name, 1e-6)
+    allowed = {"quasi-static": 2.0, "moment": 0.1}.get(name, 1e-6)
     np.testing.assert_allclose(estimate.force, log.force, atol=allowed)
     np.testing.assert_allclose(estimate.vgrf.sum(axis=1), log.vgrf, atol=allowed)
 
@@ -182,8 +182,8 @@ def test_a_missing_sample_is_held_and_flagged(name):
     held = log.force.copy()
     held[40, 2], held[41, 6], held[42] = held[39, 2], held[40, 6], held[41]
     held[42, 6] = held[40, 6]
-    # The momentum filter learns from held readings as well, as from ones that are less sure.
-    np.testing.assert_allclose(estimate.force, held, atol=1e-3 if name == "momentum" else 1e-6)
+    # The moment filter learns from held readings as well, as from ones that are less sure.
+    np.testing.assert_allclose(estimate.force, held, atol=1e-3 if name == "moment" else 1e-6)
     seen = estimate.flags & (Flag.MISSING | Flag.OUT_OF_RANGE)
     expected = np.zeros_like(seen)
     expected[40, 2], expected[41, 6], expected[42, :] = Flag.MISSING, Flag.OUT_OF_RANGE, Flag.OUT_OF_RANGE
@@ -270,9 +270,7 @@ def test_wrong_shapes_are_refused_at_the_door(name):
 
 
 def test_an_unknown_method_lists_what_exists():
-    message = (
-        r"Method 'magic' does not exist\. Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare'"
-    )
+    message = r"Method 'magic' does not exist\. Available: 'moment', 'window', 'quasi-static', 'tare'"
     with pytest.raises(ValueError, match=message):
         online_method("magic", SETUP)
 

@@ -90,7 +90,7 @@ def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path, undrawn: N
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.momentum.parquet").is_file()
+    assert (tmp_path / "new" / "walk.moment.parquet").is_file()
 
 
 def test_calibrating_from_weights(tmp_path: Path) -> None:
@@ -240,8 +240,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--method", "kalman"],
-        "Method 'kalman' does not exist. "
-        "Available: 'moment', 'momentum', 'window', 'quasi-static', 'tare', 'none'.",
+        "Method 'kalman' does not exist. Available: 'moment', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
         [*walk, path, "--start", "calibrated"],
@@ -268,7 +267,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(
         ["view", "--feed", "guess", "--video", "walk.mp4"],
         "There is no feed 'guess'. Available: 'true', 'none', 'weights', 'tare', 'quasi-static', 'window', "
-        "'momentum', 'moment'.",
+        "'moment'.",
     )
 
 

@@ -203,7 +203,7 @@ def test_a_calibrators_name_must_be_free(own):
         register_method("other", build, Fault)
     with pytest.raises(ValueError, match=r"Method 'mien' does not exist. Available: .*'none', 'mine'"):
         FootCalibrator(nao_shoe_layout(), "mien", mass=5.3)
-    with pytest.raises(ValueError, match=r"'mine' reports no covariance, .* \('moment', 'momentum'\) do"):
+    with pytest.raises(ValueError, match=r"'mine' reports no covariance, .* \('moment',\) do"):
         check_certainty(["cop_std"], "mine")
     register_method("bare", lambda setup: OnlineMethod(lambda raw: raw, lambda *given: None))
     with pytest.raises(TypeError, match="'bare' has a state ndarray without a FrontState as 'front'"):

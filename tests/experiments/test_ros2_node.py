@@ -10,12 +10,12 @@ import pytest
 import yaml
 
 from surefoot.calibration import OnlineSetup, Parameters
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native import NATIVE, c_source
 from surefoot.calibration.native.library import installed
+from surefoot.calibration.online import online_method
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE
 from surefoot.robot import Beliefs, TelemetryLayout
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import c_source as model_source
 from surefoot.sensors.transport.link import Packet
 
@@ -173,7 +173,8 @@ def test_the_node_publishes_what_python_finds(recorded_walk: Any, tmp_path: Path
     setup = OnlineSetup(initial=initial, **known)
     layout = TelemetryLayout(len(joints))
     link = facts["dt_s"], facts["delay_s"], facts["averaged"]
-    beliefs = Beliefs(model, layout, *link, lag=lag, dt=log.dt)
+    corners = np.stack([foot.position_cell_sole for foot in log.layout.feet])
+    beliefs = MomentumBeliefs(Beliefs(model, layout, *link, lag=lag, dt=log.dt), corners)
     for name in (
         "rclcpp/rclcpp.hpp",
         *(f"std_msgs/msg/{kind}.hpp" for kind in ("float64_multi_array", "int32_multi_array")),
@@ -200,7 +201,7 @@ def test_the_node_publishes_what_python_finds(recorded_walk: Any, tmp_path: Path
     times = np.rint(1e9 * log.time).astype(int) + 10**9
     angle = motion[[f"joint_{name}_rad" for name in joints]].to_numpy()
     imu = motion[[*ACCELEROMETER, *GYROSCOPE]].to_numpy()
-    stream = MomentStream(setup, MomentFilterConfig())
+    stream = online_method("moment", setup)
     state, fed, sent, expected = stream.init(log.raw[0]), 0, [spoken(times[0], "counts", [1.0])], []
     for k in range(SAMPLES):
         while arrivals[fed] <= times[k]:

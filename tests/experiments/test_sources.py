@@ -22,7 +22,7 @@ def test_what_an_episode_runs_is_in_its_hash():
         run_episode(zero_action, "moment", 3, duration=0.5)
     finally:
         sys.setprofile(None)
-    assert {"surefoot.envs.nao.balance", "surefoot.calibration.moment.stream"} <= ran
+    assert {"surefoot.envs.nao.balance", "surefoot.calibration.moment.filter"} <= ran
     packages = {name for name in ran if hasattr(sys.modules[name], "__path__")}
     assert ran - packages <= source_modules("surefoot.experiments.episodes.plan")
 

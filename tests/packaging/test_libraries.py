@@ -95,7 +95,7 @@ def test_it_says_where_the_headers_are(capsys):
     assert main(["--include"]) is None
     folders = [Path(option.removeprefix("-I")) for option in capsys.readouterr().out.split()]
     headers = {path.name for folder in folders for path in folder.glob("*.h")}
-    assert {"surefoot_calibration.h", "surefoot_beliefs.h", "surefoot_sensors.h", "library.h"} <= headers
+    assert {"surefoot_moment.h", "surefoot_beliefs.h", "surefoot_sensors.h", "library.h"} <= headers
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None or compiler() is None, reason="needs cmake and a compiler")

@@ -14,7 +14,7 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 
 def walking(seconds=8.0, **options):
     env = gym.make("surefoot/NaoWalk-v0", duration=seconds, disable_env_checker=True)
-    return SelfCalibration(FootSensors(env), "momentum", **options)
+    return SelfCalibration(FootSensors(env), "moment", **options)
 
 
 def run(env, steps, seed=0):
@@ -57,13 +57,13 @@ def test_the_frame_stands_still():
 def test_it_calibrates_a_robot_that_walks():
     env = walking(10.0)
     env.reset(seed=3)
-    off = {"momentum": [], "start": []}
+    off = {"moment": [], "start": []}
     for step in range(760):
         env.step(np.zeros(env.action_space.shape))
         if step > 520:
             true = env.unwrapped.truth.force_cell.mean(axis=0)
             start = env.robot.initial.force(env.env.robot.raw)
-            off["momentum"].append(env.robot.estimate.force - true)
+            off["moment"].append(env.robot.estimate.force - true)
             off["start"].append(start - true)
     found, before = (np.sqrt(np.mean(np.square(part))) for part in off.values())
     assert found < 0.8 * before

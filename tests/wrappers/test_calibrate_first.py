@@ -24,12 +24,12 @@ def feet(prelude, method="moment"):
 
 
 def test_an_episode_begins_certain(prelude):
-    env, lengths, off = CalibrateFirst(feet(prelude), enough=18e-3), set(), []
+    env, lengths, off = CalibrateFirst(feet(prelude), enough=8e-3), set(), []
     for seed in range(2, 6):
         _, info = env.reset(seed=seed)
         told = info["surefoot"]
         assert told["certain"]
-        assert told["cop_std"] <= 18e-3
+        assert told["cop_std"] <= 8e-3
         lengths.add(told["prelude_time"] / prelude.duration)
         assert not env.unwrapped.prelude.playing
         assert not env.wanted

@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(compiler() is None, reason="t
 HEADERS = "".join(
     f'#include "{name}.h"\n'
     for name in (
-        "device", "surefoot_calibration", "surefoot_momentum", "surefoot_strapdown", "surefoot_view",
+        "device", "surefoot_calibration", "surefoot_moment", "surefoot_strapdown", "surefoot_view",
         "surefoot_window", "surefoot_feet", "surefoot_telemetry",
     )
 )  # fmt: skip
@@ -50,9 +50,9 @@ STEP = """
         const sf_real *imu[] = {belief->accelerometer, belief->gyroscope}, *raw = in + robot * of->channels;
         sf_estimate *told = (sf_estimate *)found.data + robot;
         if (rows == 4)
-            sf_momentum_step(of, (const sf_momentum_config *)(of + 1),
-                             (sf_momentum_state *)state.data + robot,
-                             (sf_momentum_work *)stream.data + robot, raw, now, dt, told);
+            sf_moment_step(of, (const sf_moment_config *)(of + 1),
+                             (sf_moment_state *)state.data + robot,
+                             (sf_moment_work *)stream.data + robot, raw, now, dt, told);
         else if (rows == 1)
             sf_window_step(of, (const sf_window_config *)(of + 1), (sf_window_state *)state.data + robot,
                            (sf_window_work *)stream.data + robot, raw, now, imu, dt, told);
@@ -166,7 +166,7 @@ def walking(rng):
     )
 
 
-@pytest.mark.parametrize("method", ["momentum", "window", "tare", "none"])
+@pytest.mark.parametrize("method", ["moment", "window", "tare", "none"])
 def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, method):
     library = library_of(FILTER, tmp_path)
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
@@ -175,7 +175,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     state, beliefs = expected.copy(), np.zeros(ROBOTS, native.references[Reference].dtype)
     own, number = native.constants.own, native.constants.number
     constants = [one.reshape(1).view(np.uint8) for one in (native.constants.config, own) if one is not None]
-    size = library.places["momentum_work" if method == "momentum" else "window_work"][""][2]
+    size = library.places["moment_work" if method == "moment" else "window_work"][""][2]
     work = np.full(ROBOTS * size // 8, np.nan)  # nothing of it is remembered
     estimate, wanted = (np.zeros(ROBOTS, native.estimate.now.dtype) for _ in range(2))
     raw, motion = walking(np.random.default_rng(5))
@@ -189,7 +189,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
             library.functions.surefoot_step(at, *(part.ctypes.data for part in records), DT, out)
         same(estimate, wanted)
     same(state, expected)
-    if method == "momentum":
+    if method == "moment":
         assert estimate["flags"][1, 2] != 0
     learnt = np.abs(estimate["scale"] - 1.0) > 0.01, np.abs(estimate["offset"]) > 0.1
     sound = [0, 2]  # what the others learn while a cell is lost may be taken back
@@ -227,7 +227,7 @@ def test_all_headers_compile_for_a_gpu(module, tmp_path):
     text = Path(path).read_text(errors="replace")
     assert ".target sm_90" in text
     for function in (
-        "sf_momentum_step",
+        "sf_moment_step",
         "sf_window_step",
         "sf_cells_step",
         "sf_beliefs_packet",

@@ -52,7 +52,7 @@ def test_truth_is_never_looked_at(method: str, make_bare) -> None:
 
 
 def test_the_chance_of_contact_is_shown_by_the_method_that_weighs_it(make_bare) -> None:
-    env = SelfCalibration(FootSensors(make_bare()), "momentum", show=("contact_probability", "undetermined"))
+    env = SelfCalibration(FootSensors(make_bare()), "moment", show=("contact_probability", "undetermined"))
     for observation, info in walk(env, 60)[1:]:
         assert env.observation_space.contains(observation)
         for name in ("contact_probability", "undetermined"):
@@ -63,7 +63,7 @@ def test_the_chance_of_contact_is_shown_by_the_method_that_weighs_it(make_bare) 
     assert observation["undetermined"].mean() > 0.2
     with pytest.raises(
         ValueError,
-        match=r"Method 'tare' reports no chance of contact, .*\['undetermined'\] .* \('momentum',\)",
+        match=r"Method 'tare' reports no chance of contact, .*\['undetermined'\] .* \('moment',\)",
     ):
         SelfCalibration(FootSensors(make_bare()), "tare", show=("undetermined",))
 

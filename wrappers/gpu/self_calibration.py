@@ -1,6 +1,6 @@
 """Calibrators for thousands of robots at once: readings and beliefs in, calibrated forces out, on the device.
 
-    calibrator = SelfCalibrationModule(layout, "momentum", env.num_envs, env.device, mass=35.0,
+    calibrator = SelfCalibrationModule(layout, "moment", env.num_envs, env.device, mass=35.0,
                                        dt=env.step_dt, lag=0, initial=feet.nominal)
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
@@ -25,8 +25,8 @@ from surefoot.calibration import (
     Reference,
     online_method,
 )
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.filter import MomentumFilter
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.calibration.state import check_leaves
@@ -39,20 +39,13 @@ _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
 """What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,
 or to take back, if its robot is marked."""
 
-_HEADERS = "surefoot_calibration", "surefoot_beliefs", "surefoot_momentum", "surefoot_window"
+_HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_window"
 
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
-    """Return how large the momentum filter's arrays are, besides those of any method."""
-    own = MomentumFilter(setup, MomentumConfig(**options)).constants[0]._asdict()
+    """Return how large the moment filter's arrays are, besides those of any method."""
+    own = MomentFilter(setup, MomentConfig(**options)).constants[0]._asdict()
     return {"COMPONENTS": own["components"], "BLOCK": own["capacity"]}
-
-
-def _moment_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
-    """Return the same of the moment filter, for any options of the usual sizes."""
-    sensors = [sensor for foot in setup.layout.feet for sensor in foot.sensors]
-    six_axis = any(sensor.six_axis for sensor in sensors)
-    return {"CELLS": setup.layout.channels, "KINDS": 6 if six_axis else 3, "SENSORS": len(sensors)}
 
 
 class _Steps(NamedTuple):
@@ -74,19 +67,11 @@ _WINDOW = _Steps(
 )
 _STEPS = {
     "moment": _Steps(
-        "sf_state",
-        "sf_work",
-        "char",
-        "sf_calibrator_step_with(c, s, work, raw, &belief.reference, dt, out)",
-        "sf_calibrator_retract_with(c, s, work)",
-        _moment_sizes,
-    ),
-    "momentum": _Steps(
-        "sf_momentum_state",
-        "sf_momentum_work",
-        "sf_momentum_config",
-        "sf_momentum_step(c, m, s, work, raw, &belief.reference, dt, out)",
-        "sf_momentum_retract(c, m, s)",
+        "sf_moment_state",
+        "sf_moment_work",
+        "sf_moment_config",
+        "sf_moment_step(c, m, s, work, raw, &belief.reference, dt, out)",
+        "sf_moment_retract(c, m, s)",
         _block_sizes,
     ),
     "window": _WINDOW,
@@ -173,7 +158,7 @@ class SelfCalibrationModule(BatchModule):
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "momentum",
+        method: str = "moment",
         num_envs: int = 1,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
@@ -234,7 +219,6 @@ class SelfCalibrationModule(BatchModule):
             *(() if constants.contact else ("undetermined", "contact_probability")),
             *(() if certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
         )
-        self._talks = None if constants.matrix is None else self._scales(constants.config)
 
     def forward(
         self, counts: Tensor, reference: Reference | MomentumReference, step: int | None = None
@@ -243,7 +227,7 @@ class SelfCalibrationModule(BatchModule):
 
         Args:
             counts: Readings, shape (N, K); NaN where no sample arrived.
-            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...); method ``"momentum"``
+            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...); method ``"moment"``
                 takes a :class:`~surefoot.calibration.MomentumReference` as well.
             step: Number of the simulation step, if the module has no ``counter``.
 
@@ -272,10 +256,6 @@ class SelfCalibrationModule(BatchModule):
         one |= dict.fromkeys(self._untold)
         if self._covariance is not None:
             one["covariance"] = self._copy(self._learnt[self._covariance])
-        if self._talks is not None:
-            to, origin = self._talks
-            one["matrix"] = counts.new_zeros((*counts.shape, counts.shape[-1]))
-            one["matrix"][:, to, origin] = self._copy(self._learnt["given"][:, : len(to)])
         return Estimate(**{name: one.get(name) for name in Estimate._fields})
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
@@ -353,13 +333,6 @@ class SelfCalibrationModule(BatchModule):
 
     def _nothing(self, rows: int, size: int) -> Tensor:
         return torch.zeros((rows, size), dtype=torch.uint8, device=self.device)
-
-    def _scales(self, config: Any) -> tuple[Tensor, Tensor]:
-        """Return the channel that each scale acts on, and that on whose reading, shape (P,) each."""
-        own = list(range(self.setup.layout.channels))
-        places = (own + config[name].tolist() for name in ("talk_to", "talk_from"))
-        to, origin = (torch.tensor(place, device=self.device) for place in places)
-        return to, origin
 
     def _belief(self, name: str, values: Tensor, shape: torch.Size) -> Tensor:
         """Check one field of a reference."""

@@ -38,9 +38,7 @@ class BatchCalibration:
             that a nominal model can be made of: one free body, hinge joints, two feet.
     """
 
-    def __init__(
-        self, owner: str, sensors: BatchSensors, method: str = "momentum", /, **options: Any
-    ) -> None:
+    def __init__(self, owner: str, sensors: BatchSensors, method: str = "moment", /, **options: Any) -> None:
         self._sensors = sensors
         self.setup = setup = CalibrationSetup(owner, sensors.equipment, method, **options)
         self.robots = [RobotCalibration(setup, robot) for robot in sensors.robots]

@@ -129,7 +129,7 @@ class VecSelfCalibration(CalibrationFace, VecEnvWrapper):
 
     venv: VecFootSensors
 
-    def __init__(self, venv: VecEnv, method: str = "momentum", **options: Any) -> None:
+    def __init__(self, venv: VecEnv, method: str = "moment", **options: Any) -> None:
         if not isinstance(venv, VecFootSensors):
             raise TypeError(
                 "VecSelfCalibration calibrates the counts of VecFootSensors and goes right around them: "

@@ -43,7 +43,7 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             that a nominal model can be made of.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], method: str = "momentum", **options: Any) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], method: str = "moment", **options: Any) -> None:
         super().__init__(env)
         sensors = find_sensors(env, VectorSelfCalibration, VectorFootSensors, VectorWrapper).sensors
         self._sensors = sensors

@@ -1,20 +1,21 @@
-"""The momentum filter's model against what it is a model of, by differences and by hand."""
+"""The moment filter's model against what it is a model of, by differences and by hand."""
 
 import numpy as np
 import pytest
-from _momentum import move
+from _moment import move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
-from surefoot.calibration.momentum.columns import Columns, Spread, first_mean, first_variance
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.health import contact_probability
-from surefoot.calibration.momentum.model import Model
-from surefoot.calibration.momentum.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
-from surefoot.calibration.momentum.severity import LIKELY, SEVERITIES, Severity
-from surefoot.calibration.momentum.state import Belief, Block
+from surefoot.calibration.moment.blocks import Block
+from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.health import contact_probability
+from surefoot.calibration.moment.model import Model
+from surefoot.calibration.moment.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
+from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
+from surefoot.calibration.moment.state import Belief
 
-CONFIG = MomentumConfig()
+CONFIG = MomentConfig()
 WEIGHT = MASS * GRAVITY
 ANKLES = FeetLayout(
     tuple(FootLayout.force_torque(name, position_sensor_sole=(0.01, 0.0, 0.05)) for name in ("left", "right"))

@@ -1,66 +1,43 @@
-"""How the momentum filter runs over a stream; its theory is in :mod:`surefoot.calibration.momentum.config`.
+"""How the moment filter runs over a stream; its theory is in :mod:`surefoot.calibration.moment.config`."""
 
-Samples wait until a block's time is full. A block that has a gap, a bad reference or a foot that is not read
-teaches nothing, and what the robot's momentum is begins anew behind it.
-"""
-
-from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
-from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontEnd, Sample
+from surefoot.calibration.front_end.readings import FrontEnd, Sample
+from surefoot.calibration.moment.blocks import Block, Blocks
+from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
+from surefoot.calibration.moment.config import MomentConfig
 from surefoot.calibration.moment.faults import ChannelFaults
-from surefoot.calibration.momentum.columns import (
-    Columns,
-    Spread,
-    first_mean,
-    first_variance,
-)
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.health import (
-    LEAST_ROW,
-    MOST_LOAD,
+from surefoot.calibration.moment.health import (
     HealthConstants,
     contact_probability,
+    drift_on,
+    follow_noise,
     map_covariance,
     normalised,
     uncertainty,
 )
-from surefoot.calibration.momentum.model import Model, Rows
-from surefoot.calibration.momentum.modes import (
+from surefoot.calibration.moment.model import Model
+from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     FREE,
     MODE_CONSTANTS,
     MODES,
     begin,
+    begin_momentum,
     learn,
     load_evidence,
     mix,
     weigh_modes,
-    wrench_variance,
 )
-from surefoot.calibration.momentum.motion import (
-    MotionConstants,
-    Track,
-    follow_accelerations,
-    follow_momentum,
-    plausible,
-)
-from surefoot.calibration.momentum.severity import Severity, Weighed
-from surefoot.calibration.momentum.state import (
-    Belief,
-    Block,
-    Kept,
-    MomentumState,
-    Publication,
-    SampleColumns,
-    TareState,
-)
-from surefoot.calibration.momentum.suspects import Leap, SuspectConstants, Suspects
-from surefoot.calibration.momentum.tare import NOISE_TIME, Tare
+from surefoot.calibration.moment.motion import MotionConstants, Track
+from surefoot.calibration.moment.repairs import Repairs
+from surefoot.calibration.moment.severity import Severity, Weighed
+from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
+from surefoot.calibration.moment.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
@@ -83,9 +60,8 @@ PRODUCT_TIME = 20.0
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
 
-NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
-"""How much of a row's learnt noise one block decides: a second of ten; up to which factor on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations)."""
+LEVEL = 0.7
+"""Cosine of a sole's angle to the ground below which nobody stands on it: 45 degrees."""
 
 LEAST_READ = 0.25
 """Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
@@ -102,6 +78,7 @@ class FilterConstants(NamedTuple):
         capacity: Most samples of a block.
         first_variance: Variances at the start, shape (N,).
         walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
+        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
     """
 
     components: int
@@ -110,19 +87,18 @@ class FilterConstants(NamedTuple):
     walk: Array
     block: float
     mass_std: float
+    ahead: float
     kept_time: float = KEPT_TIME
     longest_pause: float = LONGEST_PAUSE
     product_time: float = PRODUCT_TIME
     largest_error: float = LARGEST_ERROR
-    noise_share: float = NOISE_SHARE
-    largest_noise: float = LARGEST_NOISE
-    largest_surprise: float = LARGEST_SURPRISE
+    level: float = LEVEL
     least_read: float = LEAST_READ
     held_chance: float = HELD_CHANCE
 
 
-class MomentumFilter:
-    """The momentum filter for one setup: pure functions that share constants.
+class MomentFilter:
+    """The moment filter for one setup: pure functions that share constants.
 
     Args:
         setup: The robot.
@@ -134,27 +110,31 @@ class MomentumFilter:
         columns: The unknowns.
         front_end: The way of a sample.
         faults: What finds faults of channels.
+        repairs: What finds wrong readings by the robot's motion.
+        blocks: What makes blocks of samples.
+        model: What makes rows of blocks.
+        tare: What tares feet.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentumConfig) -> None:
+    def __init__(self, setup: OnlineSetup, config: MomentConfig) -> None:
         self.setup, self.config = setup, config
         layout = setup.layout
         self._channels, self._feet = layout.channels, len(layout.feet)
         self.columns = columns = Columns.of(layout)
         self._spread = spread = Spread.of(setup, config)
         self.front_end = FrontEnd(setup, imu=False, momentum=True)
-        self._model = Model(setup, config, columns)
-        self._tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
+        self.model = Model(setup, config, columns)
+        self.tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
         six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
         # The words of a six-axis sensor come together: one that leaps away alone is a landing.
         leap = np.inf if six_axis else max(LEAP, LEAP_RATE * setup.dt)
-        change = np.array([config.com_std / setup.length] * 2 + [config.mass_std])
-        self.faults = ChannelFaults(setup, leap, change, SHARES_TIME / config.block)
-        self.suspects = Suspects(layout, self.faults.stand_in.cells, columns)
-        self._samples = SampleColumns.of(self._channels, self._feet)
-        self._capacity = ceil(config.block / setup.dt) + ceil(LONGEST_GAP)
+        self.faults = ChannelFaults(setup, leap, SHARES_TIME / config.block)
+        self.repairs = Repairs(layout, setup.weight, self.faults, columns, spread.unit)
+        self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
+        # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
+        self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
         self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
@@ -163,15 +143,16 @@ class MomentumFilter:
         config = self.config
         own = FilterConstants(
             self.columns.components,
-            self._capacity,
+            self.blocks.capacity,
             self._first_variance,
             self._walk,
             config.block,
             config.mass_std,
+            self._ahead,
         )
-        health = HealthConstants(MOST_LOAD, LEAST_ROW, self._reading_noise)
-        parts = self._model.constants, self._tare.constants, self._severity.constants
-        return own, *parts, health, MODE_CONSTANTS, MotionConstants(), SuspectConstants()
+        health = HealthConstants(reading_noise=self._reading_noise)
+        parts = self.model.constants, self.tare.constants, self._severity.constants
+        return own, *parts, health, MODE_CONSTANTS, MotionConstants(), self.repairs.constants
 
     @property
     def limits(self) -> dict[str, tuple[Any, Any]]:
@@ -182,7 +163,7 @@ class MomentumFilter:
             self.front_end.limits | shares | {"mean": (-most, most), "shift": (-most * weight, most * weight)}
         )
 
-    def init(self, raw: Array) -> MomentumState:
+    def init(self, raw: Array) -> MomentState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         front, columns, feet = self.front_end.init(raw), self.columns, self._feet
         means, covariances = [], []
@@ -197,12 +178,12 @@ class MomentumFilter:
         published = self._weigh(belief, drifted).publish(belief.chance)
         zero = np.zeros(self._channels)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
-        return MomentumState(
+        return MomentState(
             front=front,
             track=Track.begin(front.motion),
             faults=self.faults.init(resting),
-            pending=np.zeros((self._capacity, self._samples.dt.stop)),
-            before=np.zeros(self._samples.dt.stop),
+            pending=np.zeros((self.blocks.capacity, self.blocks.width)),
+            before=np.zeros(self.blocks.width),
             waiting=-1,
             linked=0,
             point=np.zeros(3),
@@ -211,28 +192,28 @@ class MomentumFilter:
             drifted=drifted,
             noise=np.ones(columns.components),
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
-            suspects=self.suspects.init(self._capacity),
+            suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
-            covariance=self._map_covariance(published),
+            covariance=self._map_covariance(published, 1.0),
             kept=Kept(belief, published, belief, published, 0.0),
             status=0,
         )
 
-    def retract(self, state: MomentumState) -> MomentumState:
+    def retract(self, state: MomentState) -> MomentState:
         """Take back what was learnt of late; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         kept = state.kept
         belief, published = kept.belief, kept.published
-        return self._break(state)._replace(
+        return self.blocks.break_off(state)._replace(
             belief=belief,
             published=published,
-            covariance=self._map_covariance(published),
+            covariance=self._map_covariance(published, state.tare.rate),
             kept=Kept(belief, published, belief, published, 0.0),
         )
 
     def update(
-        self, state: MomentumState, raw: Array, reference: Reference | MomentumReference, dt: float
-    ) -> tuple[MomentumState, Estimate]:
+        self, state: MomentState, raw: Array, reference: Reference | MomentumReference, dt: float
+    ) -> tuple[MomentState, Estimate]:
         """Take in one sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         faults, kinds = state.faults, state.faults.kind
         scale = state.published.mean[self.columns.scale]
@@ -243,54 +224,32 @@ class MomentumFilter:
             return force - state.shift, sure
 
         front, sample = self.front_end.observe(state.front, raw, reference, dt, repair)
+        if len(front.history) > 2:
+            # Of what was read last nobody knows yet whether it stays.
+            history, weight = front.history.copy(), self.setup.weight
+            history[-2] = self.faults.smooth(history[-3], history[-2], history[-1], weight)
+            front = front._replace(history=history)
         state = state._replace(front=front, faults=faults)
         if sample.gap and 0.0 < dt < np.inf:
             state = self._age(state, min(dt, LONGEST_PAUSE))
-        if not sample.sound:
-            state = self._break(state)
+        if self._lies(sample):
+            # What was learnt as it fell is taken back, once.
+            state = self.retract(state) if state.track.samples else state
+            state = state._replace(status=int(Flag.REJECTED))
         else:
-            state = self._collect(state, sample, isinstance(reference, MomentumReference), dt)
+            state = self.blocks.collect(state, sample, isinstance(reference, MomentumReference), dt)
         nis, rows = np.nan, 0.0
-        full = state.waiting >= 1 and (
-            state.pending[: state.waiting, self._samples.dt.start].sum()
-            >= self.config.block - 0.5 * self.setup.dt
-            or state.waiting == self._capacity
-        )
-        if full:
+        if self.blocks.full(state):
             state, nis, rows = self._learn(state)
             kinds = kinds | state.faults.kind
         return state, self._estimate(state, sample, kinds, nis, rows)
 
-    def _collect(self, state: MomentumState, sample: Sample, momentum: bool, dt: float) -> MomentumState:
-        """Put a sample to those that wait."""
-        columns, mass = self.front_end.motions.columns, self.setup.mass
-        if momentum:
-            track, pose = follow_momentum(state.track, sample.motion, columns, mass)
-        else:
-            track, pose = follow_accelerations(state.track, sample.motion, columns, mass, sample.stance, dt)
-            if not self.front_end.motions.ground(sample.motion)[2]:
-                return self._break(state)
-        if not plausible(track):
-            return self._break(state)
-        row = np.concatenate(
-            [
-                sample.past / self.setup.weight, sample.read, pose.end, pose.com, track.velocity, track.spin,
-                pose.sole.ravel(), pose.rotation.ravel(), sample.swing, [dt],
-            ]
-        )  # fmt: skip
-        if state.waiting < 0:
-            return state._replace(track=track, before=row, waiting=0)
-        pending = state.pending.copy()
-        pending[state.waiting] = row
-        return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
+    def _lies(self, sample: Sample) -> bool:
+        """Return whether no sole is level enough to stand on."""
+        _, rotation = self.front_end.motions.columns.soles(sample.motion)
+        return bool(sample.sound and rotation[:, 2, 2].max() < LEVEL)
 
-    def _break(self, state: MomentumState) -> MomentumState:
-        """Forget the samples that wait, and what the momentum is."""
-        return state._replace(
-            track=Track.begin(state.track.motion), pending=np.zeros_like(state.pending), waiting=-1, linked=0
-        )
-
-    def _age(self, state: MomentumState, duration: float) -> MomentumState:
+    def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
         walked = self._walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
@@ -304,21 +263,18 @@ class MomentumFilter:
             time=state.time + duration,
         )
 
-    def _learn(self, state: MomentumState) -> tuple[MomentumState, float, float]:
+    def _learn(self, state: MomentState) -> tuple[MomentState, float, float]:
         """Learn from the block that is full; return its innovation squared, normalised, and its rows too."""
-        samples = state.pending[: state.waiting]
-        block = Block.of(state.before, samples, self._samples, self._feet)
+        block = self.blocks.block(state)
         state = self._age(state, block.duration)
         faults = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
         if (faults.lost > state.faults.lost).any():
             # What was learnt of late was learnt from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
-        state = state._replace(
-            faults=faults, before=samples[-1], pending=np.zeros_like(state.pending), waiting=0, status=0
-        )
+        state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
-        belief, published, tare = self._tare.take(
+        belief, published, tare = self.tare.take(
             block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
         if (faults.lost > 0.5).any():
@@ -326,26 +282,24 @@ class MomentumFilter:
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
-        rows = self._model.rows(block, published, self._product(state, tare))
+        rows = self.model.rows(block, published, self._product(state, tare))
         columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows = bool(state.linked and state.track.valid)
         if follows:
-            transition, added = self._model.move(rows.point - state.point, block.velocity.mean(axis=0))
+            transition, added = self.model.move(rows.point - state.point, block.velocity.mean(axis=0))
             belief = belief._replace(
                 mean=belief.mean @ transition.T + added,
                 covariance=transition @ belief.covariance @ transition.T,
             )
             likeliest = belief.mean[belief.chance.argmax()]
             ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest
-            state, guilty, leap = self._suspect(state, block, rows, published, belief, transition, added)
-            if leap is not None:
-                return self._shift(state, leap), np.nan, 0.0
-            if guilty is not None:
-                return self._convict(state, guilty), np.nan, 0.0
+            state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
+            if wrong is not None:
+                return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
             rejected = abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration
         if not follows or rejected:
-            belief = self._begin_momentum(belief, rows)
+            belief = begin_momentum(belief, rows, columns)
             weighed = self._weigh(belief, state.drifted)
         else:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
@@ -356,14 +310,14 @@ class MomentumFilter:
             after = step.likelihood + weighed.evidence + load_evidence(belief, columns)
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
             nis = normalised(step.innovation, step.stated)
-            state = state._replace(
-                noise=self._follow_noise(state.noise, step.innovation, step.expected, rows, belief.chance[0])
-            )
+            noise = follow_noise(state.noise, step.innovation, step.expected, rows.variance, belief.chance[0])
+            state = state._replace(noise=noise)
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
         if not state.linked:
-            state = state._replace(suspects=self.suspects.follow(state.suspects, block.force, rows.at_end))
+            suspects = self.repairs.suspects.follow(state.suspects, block.force, rows.at_end)
+            state = state._replace(suspects=suspects)
         publication = weighed.publish(belief.chance)
         held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
         status = int(Flag.REJECTED) if rejected else held
@@ -373,71 +327,12 @@ class MomentumFilter:
             linked=int(state.track.valid),
             point=rows.point,
             published=publication,
-            covariance=self._map_covariance(publication),
+            covariance=self._map_covariance(publication, tare.rate),
             status=status,
         )
         return self._rest(state, block, good=not status), nis, float(len(rows.measured))
 
-    def _suspect(
-        self, state: MomentumState, block: Block, rows: Rows, published: Array, belief: Belief, moved: Array,
-        added: Array,
-    ) -> tuple[MomentumState, int | None, Leap | None]:  # fmt: skip
-        """Hold the readings' faults against a block; return who is guilty and what has leapt as well."""
-        columns, stand_in, suspects = self.columns, self.faults.stand_in, state.suspects
-        momentum, likeliest = columns.momentum, belief.chance.argmax()
-        robot = slice(columns.com.start, momentum.start)
-        known = np.concatenate([published, belief.mean[likeliest, robot]])
-        covariance = np.zeros((momentum.start, momentum.start))
-        covariance[columns.map, columns.map] = state.published.covariance
-        covariance[robot, robot] = belief.covariance[likeliest, robot, robot]
-        moved, added = moved[momentum, momentum], added[momentum]
-        suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
-        others, std = stand_in.others(state.faults.moments, state.faults.lost)
-        suspects, guilty, leap = self.suspects.weigh(
-            suspects, rows, known, covariance, others, std / self.setup.weight
-        )
-        suspects = self.suspects.follow(suspects, block.force, rows.at_end)
-        return state._replace(suspects=suspects), guilty, leap
-
-    def _convict(self, state: MomentumState, guilty: int) -> MomentumState:
-        """Put right what is wrong, and drop what was learnt of it."""
-        of, faults = self.suspects, state.faults
-        state = self._acquit(self.retract(state))
-        if guilty < of.out.stop:
-            return state._replace(faults=self.faults.lose(faults, guilty))
-        turned, kind = of.rewire(guilty)
-        return state._replace(faults=self.faults.rewire(faults, turned, kind), shift=turned @ state.shift)
-
-    def _shift(self, state: MomentumState, leap: Leap) -> MomentumState:
-        """Take a leap off the readings, as far as it was seen."""
-        columns, state = self.columns, self._acquit(self.retract(state))
-        by, open_to = leap.reading * self.setup.weight, leap.std**2
-        history, covariance = state.front.history.copy(), state.belief.covariance.copy()
-        history[:, : len(by)] -= by
-        at = np.arange(columns.drift.start, columns.drift.stop)
-        covariance[:, at, at] += open_to
-        return state._replace(
-            front=state.front._replace(history=history),
-            shift=state.shift + by,
-            belief=state.belief._replace(covariance=covariance),
-            drifted=state.drifted + np.array([0.0, (open_to / self._spread.unit**2).mean()]),
-        )
-
-    def _acquit(self, state: MomentumState) -> MomentumState:
-        """Let suspicions begin anew."""
-        return state._replace(suspects=state.suspects._replace(score=np.zeros(self.suspects.count)))
-
-    def _begin_momentum(self, belief: Belief, rows: Rows) -> Belief:
-        """Let the momentum begin with what is measured at the block's end."""
-        columns, mean, covariance = self.columns, belief.mean.copy(), belief.covariance.copy()
-        for i, mode in enumerate(MODES):
-            begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, rows))
-            begin(mean[i], covariance[i], columns.momentum, np.zeros(columns.components))
-            mean[i, columns.momentum] = rows.at_end
-            covariance[i, columns.momentum, columns.momentum] = rows.variance
-        return belief._replace(mean=mean, covariance=covariance)
-
-    def _rest(self, state: MomentumState, block: Block, good: bool) -> MomentumState:
+    def _rest(self, state: MomentState, block: Block, good: bool) -> MomentState:
         """Keep what is known now and then, and learn how cells share loads."""
         a, b = self._line(state)
         faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
@@ -448,7 +343,7 @@ class MomentumFilter:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
-    def _product(self, state: MomentumState, tare: TareState) -> Array:
+    def _product(self, state: MomentState, tare: TareState) -> Array:
         """Return variances of forces in W^2 by open errors of scale and drift together, shape (K,).
 
         They last longer than an outside wrench does: it is as much larger as it is shorter.
@@ -460,30 +355,26 @@ class MomentumFilter:
         product: Array = longer * variance[columns.scale] * variance[columns.drift]
         return product
 
-    def _follow_noise(
-        self, noise: Array, innovation: Array, expected: Array, rows: Rows, free: float
-    ) -> Array:
-        """Return by how many times rows' variances are larger than stated, learnt upwards only."""
-        variance = np.diagonal(expected)
-        share = np.diagonal(rows.variance) * noise / variance
-        surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
-        return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
-
     def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
         """Return what modes hold under all severities."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
-    def _map_covariance(self, published: Publication) -> Array:
-        return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight)
+    def _map_covariance(self, published: Publication, rate: float) -> Array:
+        """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
+        walked = np.outer(self._walk * rate**2 * self._ahead, np.ones(self._channels))
+        walked[1] *= self._spread.unit**2
+        mean, columns, weight = published.mean, self.columns, self.setup.weight
+        learnt = map_covariance(mean, published.covariance, columns, weight)
+        return drift_on(learnt, mean, columns, weight, walked)
 
-    def _line(self, state: MomentumState) -> tuple[Array, Array]:
+    def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""
         columns, mean = self.columns, state.published.mean
         a = mean[columns.scale]
         return a, (mean[columns.offset] + a * mean[columns.drift]) * self.setup.weight
 
     def _estimate(
-        self, state: MomentumState, sample: Sample, kinds: Array, nis: float, rows: float
+        self, state: MomentState, sample: Sample, kinds: Array, nis: float, rows: float
     ) -> Estimate:
         """Apply the map, and say how sure it is."""
         setup, faults = self.setup, state.faults
@@ -506,12 +397,12 @@ class MomentumFilter:
         )  # fmt: skip
 
 
-def momentum_filter(setup: OnlineSetup, config: MomentumConfig | None = None) -> OnlineMethod:
-    """Return the momentum filter as pure functions.
+def moment_filter(setup: OnlineSetup, config: MomentConfig | None = None) -> OnlineMethod:
+    """Return the moment filter as pure functions.
 
     Args:
         setup: The robot.
         config: Options.
     """
-    made = MomentumFilter(setup, config or MomentumConfig())
+    made = MomentFilter(setup, config or MomentConfig())
     return OnlineMethod(made.init, made.update, made.retract, made.limits)

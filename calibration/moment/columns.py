@@ -1,4 +1,4 @@
-"""The unknowns of the momentum filter by name, and how sure of them it starts.
+"""The unknowns of the moment filter by name, and how sure of them it starts.
 
 | part | number | unit | meaning |
 |---|---|---|---|
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.momentum.config import MomentumConfig
+from surefoot.calibration.moment.config import MomentConfig
 from surefoot.calibration.setup import OnlineSetup
 
 VERTICAL, SHEAR = 3, 6
@@ -82,7 +82,7 @@ class Spread(NamedTuple):
     unit: NDArray[np.float64]
 
     @classmethod
-    def of(cls, setup: OnlineSetup, config: MomentumConfig) -> "Spread":
+    def of(cls, setup: OnlineSetup, config: MomentConfig) -> "Spread":
         """Return those of a robot."""
         torque = ~(setup.layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
         unit = np.where(torque, setup.length, 1.0)
@@ -102,11 +102,20 @@ def first_mean(columns: Columns) -> NDArray[np.float64]:
     return mean
 
 
-def first_variance(columns: Columns, spread: Spread, config: MomentumConfig) -> NDArray[np.float64]:
-    """Return the variances that the filter runs on at the start, shape (N,); a wrench's are its mode's."""
+def first_variance(
+    columns: Columns, spread: Spread, config: MomentConfig, wide: float = WIDE
+) -> NDArray[np.float64]:
+    """Return the variances at the start, shape (N,), of which a wrench's are its mode's.
+
+    Args:
+        columns: The unknowns.
+        spread: What is stated of them.
+        config: Options.
+        wide: Factor on stated standard deviations of scales and offsets; that which the filter runs on.
+    """
     variance = np.zeros(columns.size)
-    variance[columns.scale] = WIDE**2 * spread.scale
-    variance[columns.offset] = WIDE**2 * spread.offset
+    variance[columns.scale] = wide**2 * spread.scale
+    variance[columns.offset] = wide**2 * spread.offset
     variance[columns.drift] = SMALLEST_DRIFT**2
     variance[columns.com] = spread.com
     variance[columns.mass] = config.mass_std**2

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.momentum.columns import Columns
-from surefoot.calibration.momentum.model import Rows, force_and_wrench
-from surefoot.calibration.momentum.state import Belief
+from surefoot.calibration.moment.columns import Columns
+from surefoot.calibration.moment.model import Rows, force_and_wrench
+from surefoot.calibration.moment.state import Belief
 
 
 class Mode(NamedTuple):
@@ -160,6 +160,17 @@ def begin(mean: Array, covariance: Array, part: slice, variance: Array) -> None:
     mean[part] = 0.0
     covariance[part], covariance[:, part] = 0.0, 0.0
     covariance[part, part] = np.diag(variance)
+
+
+def begin_momentum(belief: Belief, rows: Rows, columns: Columns) -> Belief:
+    """Let the momentum begin with what is measured at a block's end, and the wrench anew."""
+    mean, covariance = belief.mean.copy(), belief.covariance.copy()
+    for i, mode in enumerate(MODES):
+        begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, rows))
+        begin(mean[i], covariance[i], columns.momentum, np.zeros(columns.components))
+        mean[i, columns.momentum] = rows.at_end
+        covariance[i, columns.momentum, columns.momentum] = rows.variance
+    return belief._replace(mean=mean, covariance=covariance)
 
 
 def combine(chance: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:

@@ -22,10 +22,10 @@ import numpy as np
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.momentum.columns import Columns, first_mean
-from surefoot.calibration.momentum.model import Rows, force_and_wrench
-from surefoot.calibration.momentum.modes import FREE, wrench_variance
-from surefoot.calibration.momentum.state import SuspectState
+from surefoot.calibration.moment.columns import Columns, first_mean
+from surefoot.calibration.moment.model import Rows, force_and_wrench
+from surefoot.calibration.moment.modes import FREE, wrench_variance
+from surefoot.calibration.moment.state import SuspectState
 
 SURE = 21.0
 """Logarithmic evidence from which on a suspect is guilty: one of eighty in a thousand hours of blocks."""

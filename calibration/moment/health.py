@@ -8,8 +8,7 @@ from scipy.special import ndtr
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import Sample
-from surefoot.calibration.moment.uncertainty import to_cop, variances
-from surefoot.calibration.momentum.columns import Columns
+from surefoot.calibration.moment.columns import Columns
 
 MOST_LOAD = 1.5
 """Load in body weights up to which a foot that stands carries any with the same chance: a landing."""
@@ -18,18 +17,24 @@ LEAST_ROW = 1e-6
 """What a foot sees of the vertical at least, squared: a sole that stands on its edge sees nothing."""
 
 
+NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
+"""How much of a row's learnt noise one block decides: a second of ten; up to which factor on its variance it
+is believed; and the squared surprise of which more counts no more (three standard deviations)."""
+
+
 class HealthConstants(NamedTuple):
-    """Constants of estimates, by their names in C.
+    """Constants of estimates, by their names in C; module constants of such names say what they are.
 
     Attributes:
-        most_load: :data:`MOST_LOAD`.
-        least_row: :data:`LEAST_ROW`.
         reading_noise: Standard deviation of a channel's reading in N.
     """
 
-    most_load: float
-    least_row: float
     reading_noise: float
+    most_load: float = MOST_LOAD
+    least_row: float = LEAST_ROW
+    noise_share: float = NOISE_SHARE
+    largest_noise: float = LARGEST_NOISE
+    largest_surprise: float = LARGEST_SURPRISE
 
 
 def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:
@@ -50,6 +55,26 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     J[K + at, 2 * K + at] = published[columns.scale] * weight
     learnt: Array = J @ covariance @ J.T
     return 0.5 * (learnt + learnt.T)
+
+
+def drift_on(learnt: Array, published: Array, columns: Columns, weight: float, walked: Array) -> Array:
+    """Return the covariance of (a, b) after scales and zeros have drifted on.
+
+    Args:
+        learnt: That of (a, b), b in N, shape (2K, 2K).
+        published: Scales, offsets and drift, shape (M,).
+        columns: The unknowns.
+        weight: W in N.
+        walked: Variances that each scale, and each zero in W^2, drifts by, shape (2, K).
+    """
+    K = columns.scale.stop
+    at, learnt = np.arange(K), learnt.copy()
+    a, u = published[columns.scale] * weight, published[columns.drift] * weight
+    learnt[at, at] += walked[0]
+    learnt[at, K + at] += walked[0] * u
+    learnt[K + at, at] += walked[0] * u
+    learnt[K + at, K + at] += walked[0] * u**2 + walked[1] * a**2
+    return learnt
 
 
 def uncertainty(
@@ -106,3 +131,40 @@ def contact_probability(
 def normalised(innovation: Array, covariance: Array) -> float:
     """Return the normalised innovation squared."""
     return float(innovation @ np.linalg.solve(covariance, innovation))
+
+
+def follow_noise(noise: Array, innovation: Array, expected: Array, stated: Array, free: float) -> Array:
+    """Return by how many times rows' variances are larger than stated, learnt upwards only.
+
+    Args:
+        noise: By how many times they were thought to be, shape (C,).
+        innovation: Of a block, shape (C,).
+        expected: Its covariance, shape (C, C).
+        stated: Of the rows, shape (C, C).
+        free: Chance that nobody holds the robot.
+    """
+    variance = np.diagonal(expected)
+    share = np.diagonal(stated) * noise / variance
+    surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
+    return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
+
+
+def variances(row: Array, covariance: Array) -> Array:
+    """Return variances along rows, shapes (m, n) and (n, n) to (m,)."""
+    return ((row @ covariance) * row).sum(axis=1)
+
+
+def to_cop(row: Array, cop: Array, load: float) -> Array:
+    """Return rows that take what moments are known by to the centre of pressure, to first order.
+
+    With F_i = a_i F0_i + b_i and p = n / Fz they are (p_i - p) / Fz times the row (F0_i, 1) of each channel.
+
+    Args:
+        row: Rows of (Fz, Fz px, Fz py), shape (3, n).
+        cop: Centre of pressure in m, shape (2,).
+        load: Fz in N.
+
+    Returns:
+        Shape (2, n).
+    """
+    return (row[1:] - cop[:, None] * row[:1]) / load

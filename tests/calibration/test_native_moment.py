@@ -1,4 +1,4 @@
-"""The momentum filter in C against the Python that specifies it, and its header for a controller."""
+"""The moment filter in C against the Python that specifies it, and its header for a controller."""
 
 import pickle
 import subprocess
@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import test_native_filter as shared
-from _momentum import DT, Errors, move
+from _moment import DT, Errors, move
 from _native import SANITIZED, compile_program, library_of
 from _synthetic import LAYOUT, MASS, NOMINAL
 from test_native_filter import Log, play, robot, same_estimate, setup_of
 
 from surefoot.calibration import FootCalibrator, MomentumReference
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.momentum.config import MomentumConfig
-from surefoot.calibration.momentum.filter import MomentumFilter
+from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import NATIVE, c_source
 from surefoot.native import compiler
 
@@ -145,13 +145,13 @@ def test_the_library_is_the_python(library, made, lag):
     # A tare of forces that leap by a body weight takes nine digits of a covariance away.
     leap = made.__name__ == "spikes"
     far, often = ({"close": 1e-5, "spread": 10.0}, range(39, SAMPLES, 40)) if leap else ({}, 500)
-    state, _ = play(*robot(library, "cells", lag, "momentum"), log, exchange=often, **far)
+    state, _ = play(*robot(library, "cells", lag, "moment"), log, exchange=often, **far)
     assert np.isfinite(state.covariance).all()
     assert made is not held or state.belief.chance[1] < 0.5, "it was not let go"
 
 
 def test_a_robot_that_is_held_is_said_to_be(library):
-    _, native = robot(library, "cells", 0, "momentum")
+    _, native = robot(library, "cells", 0, "moment")
     log, state = held(), native.init()
     flags = [native.update(state, log.force[k], log.row(k), DT).flags[0] & Flag.HELD for k in range(SAMPLES)]
     assert any(flags[AT + 40 : AT + 160])
@@ -179,22 +179,22 @@ def test_accelerations_are_added_up_alike(library, layout, event):
     event(log)
     log.force = log.force[: AT + 240]
     far = {} if layout == "cells" else {"close": 1e-5, "spread": 10.0}
-    play(*robot(library, layout, 2, "momentum"), log, exchange=range(79, len(log.force), 80), **far)
+    play(*robot(library, layout, 2, "moment"), log, exchange=range(79, len(log.force), 80), **far)
 
 
 def test_every_constant_has_one_home(library):
     """What C is given are the fields of the Python's records, each once, and C has no others."""
-    filter_ = MomentumFilter(setup_of("cells"), MomentumConfig())
+    filter_ = MomentFilter(setup_of("cells"), MomentConfig())
     names = [name for part in filter_.constants for name in part._fields]
     assert len(names) == len(set(names))
-    assert set(names) == set(library.places["momentum_config"]) - {""}
+    assert set(names) == set(library.places["moment_config"]) - {""}
 
 
 def test_options_reach_the_library(library):
     log = MomentumLog(seed=4)
     log.force = log.force[:200]
     options = {"block": 0.15, "scale_std": 0.05, "offset_drift": 0.05, "velocity_noise": 0.02, "ripple": 0.5}
-    play(*robot(library, "cells", 1, "momentum", age=0.006, **options), log, exchange=100)
+    play(*robot(library, "cells", 1, "moment", age=0.006, **options), log, exchange=100)
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def calibrators(library, monkeypatch):
     made = []
     for found in (None, library):
         monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
-        made.append(FootCalibrator(LAYOUT, "momentum", mass=MASS, lag=0))
+        made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=0))
     return made
 
 
@@ -225,24 +225,6 @@ def test_states_are_kept_and_go_on_in_either(calibrators, tmp_path):
             same_estimate(expected, estimate)
 
 
-def test_a_state_with_faults_of_another_filter_is_left_to_python(library):
-    stream, native = robot(library, "cells", 0, "momentum")
-    state = stream.init(np.zeros(8))
-    doubting = state._replace(faults=state.faults._replace(doubt=2.0))
-    assert native.pack(state) is not None
-    assert native.pack(doubting) is None
-
-
-def test_moment_has_no_use_for_momentum(library, monkeypatch):
-    said, log = [], MomentumLog()
-    for found in (library, None):
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
-        with pytest.raises(TypeError, match="must be a Reference, got MomentumReference") as caught:
-            FootCalibrator(LAYOUT, "moment", mass=MASS, lag=0).update(log.force[0], log.row(0))
-        said.append(str(caught.value))
-    assert said[0] == said[1]
-
-
 PROGRAM = """
 #include <stdio.h>
 #include <stdlib.h>
@@ -258,13 +240,13 @@ static void spoil(sf_real *values, int n, double share) {
         if (uniform() < share) values[i] = all[(int)(uniform() * 11.0)];
 }
 int main(int count, char **words) {
-    static sf_momentum_state state, kept;
-    static sf_momentum_work work;
+    static sf_moment_state state, kept;
+    static sf_moment_work work;
     static sf_estimate e;
     long samples = count > 1 ? atol(words[1]) : 0;
-    int K = robot.channels, N = sf_states(&robot, &momentum);
-    if (!sf_momentum_fits(&robot, &momentum)) return 2;
-    sf_momentum_init(&robot, &momentum, &state, &work);
+    int K = robot.channels, N = sf_states(&robot, &moment);
+    if (!sf_moment_fits(&robot, &moment)) return 2;
+    sf_moment_init(&robot, &moment, &state, &work);
     kept = state;
     for (long k = 0; k < samples; k++) {
         sf_reference r;
@@ -291,12 +273,12 @@ int main(int count, char **words) {
             spoil(r.R_level_sole, 9 * robot.feet, 0.0005);
             spoil(&dt, 1, 0.001);
         }
-        sf_momentum_step(&robot, &momentum, &state, &work, raw, &r, dt, &e);
-        if (uniform() < 0.0005) sf_momentum_retract(&robot, &momentum, &state);
+        sf_moment_step(&robot, &moment, &state, &work, raw, &r, dt, &e);
+        if (uniform() < 0.0005) sf_moment_retract(&robot, &moment, &state);
         if (uniform() < 0.0005) kept = state;
         if (uniform() < 0.0005) state = kept;
         if (!sf_all_finite(state.belief.mean, 3 * N) || !sf_all_finite(state.belief.covariance, 3 * N * N) ||
-            !sf_all_finite(state.belief.chance, 3) || !sf_all_finite(state.noise, momentum.components) ||
+            !sf_all_finite(state.belief.chance, 3) || !sf_all_finite(state.noise, moment.components) ||
             !sf_all_finite(state.published.mean, sf_weighed(&robot)) || !sf_finite(state.tare.rate) ||
             !sf_all_finite(state.covariance, 4 * K * K) || !sf_all_finite(e.force, K) ||
             !sf_all_finite(e.force_std, K) || !sf_all_finite(e.undetermined, K) ||
@@ -314,7 +296,7 @@ int main(int count, char **words) {
 def program(library, folder, monkeypatch, layout, *flags):
     """Compile a program that feeds garbage to the filter of one robot."""
     monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
-    (folder / "robot.h").write_text(c_source(setup_of(layout), "momentum"))
+    (folder / "robot.h").write_text(c_source(setup_of(layout), "moment"))
     (folder / "main.c").write_text(PROGRAM)
     compile_program(NATIVE, folder / "main.c", folder / "main", f"-I{folder}", *flags)
     return folder / "main"

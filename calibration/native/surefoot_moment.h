@@ -1,21 +1,21 @@
-/* The momentum filter of one robot's feet in C99, one step a sample.
+/* The moment filter of one robot's feet in C99, one step a sample.
 
-   The specification is the Python in calibration/momentum, whose config.py derives it. A function here has the name of
+   The specification is the Python in calibration/moment, whose config.py derives it. A function here has the name of
    the Python function that it is equal to, and tests hold the two together; constants come from there and nowhere else.
 
-       sf_config robot; sf_momentum_config momentum;      constants, written by surefoot.calibration.native.c_source
-       sf_momentum_state state;                           all that is remembered, a plain record that may be copied
-       sf_momentum_work work;                             of which nothing is remembered
-       sf_momentum_init(&robot, &momentum, &state, &work);
-       sf_momentum_step(&robot, &momentum, &state, &work, raw, &reference, dt, &estimate);      once a sample
+       sf_config robot; sf_moment_config moment;        constants, written by surefoot.calibration.native.c_source
+       sf_moment_state state;                           all that is remembered, a plain record that may be copied
+       sf_moment_work work;                             of which nothing is remembered
+       sf_moment_init(&robot, &moment, &state, &work);
+       sf_moment_step(&robot, &moment, &state, &work, raw, &reference, dt, &estimate);      once a sample
 
    Numbers are doubles: what a zero has drifted is known a million times better at first than what a scale is.
 
    Before it is included: SF_COMPONENTS is 3 where no foot sees forces along the sole, and SF_BLOCK the most samples of
    a block, besides what surefoot_robot.h takes. */
 
-#ifndef SUREFOOT_MOMENTUM_H
-#define SUREFOOT_MOMENTUM_H
+#ifndef SUREFOOT_MOMENT_H
+#define SUREFOOT_MOMENT_H
 
 #include "surefoot_robot.h"
 
@@ -47,8 +47,8 @@
 /* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
 typedef struct {
     int components, capacity, held;
-    sf_real first_variance[SF_STATES], walk[2], block, mass_std, kept_time, longest_pause, product_time;
-    sf_real largest_error, noise_share, largest_noise, largest_surprise, least_read, held_chance;
+    sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
+    sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
@@ -59,7 +59,7 @@ typedef struct {
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
     sf_real leg_time, spin_time, first_speed, fastest;
     sf_real sure, contrast, alike, least_error, suspect_share, suspect_noise[2], suspect_surprise;
-} sf_momentum_config;
+} sf_moment_config;
 
 /* Belief: what the modes hold, and how likely they are. */
 typedef struct {
@@ -100,7 +100,7 @@ typedef struct {
     sf_real reading[SF_CHANNELS], std[SF_CHANNELS];
 } sf_leap;
 
-/* MomentumState */
+/* MomentState */
 typedef struct {
     sf_front front;
     sf_track track;
@@ -117,7 +117,7 @@ typedef struct {
     sf_known_then kept, next;
     sf_real age;
     sf_whole status;
-} sf_momentum_state;
+} sf_moment_state;
 
 /* Rows: what a block does to the momentum, and what measures it. */
 typedef struct {
@@ -127,7 +127,7 @@ typedef struct {
     sf_real variance[SF_COMPONENTS * SF_COMPONENTS], walk[SF_COMPONENTS * SF_COMPONENTS], lasting[SF_COMPONENTS];
     sf_real crossed[SF_COMPONENTS * SF_CHANNELS * SF_CHANNELS];
     sf_real point[3], velocity[3], duration, height;
-} sf_momentum_rows;
+} sf_moment_rows;
 
 /* The severities against the data of one mode, in standard deviations of the wide prior: number 4 * k + l is of the
    severity l of offsets. */
@@ -141,7 +141,7 @@ typedef struct {
 
 typedef struct {
     sf_modes belief, mixed;
-    sf_momentum_rows rows;
+    sf_moment_rows rows;
     sf_leap leap;
     sf_compared compared[SF_MODES];
     sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED]; /* of priors */
@@ -151,14 +151,14 @@ typedef struct {
     sf_real turned[4 * SF_REST * SF_CHANNELS], quads[4 * SF_REST * SF_REST];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
-} sf_momentum_work;
+} sf_moment_work;
 
 /* Where parts of the unknowns stand: scales from 0 on. */
 SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
 SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
-SF_API int sf_states(const sf_config *c, const sf_momentum_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
+SF_API int sf_states(const sf_config *c, const sf_moment_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
 
 /* Where parts of a sample stand that waits: forces in W and whether they were read first. */
 SF_API int sf_at_end(const sf_config *c) { return 2 * c->channels; }
@@ -172,7 +172,7 @@ SF_API int sf_at_dt(const sf_config *c) { return 2 * c->channels + 12 + 13 * c->
 SF_API int sf_waiting(const sf_config *c) { return 2 * c->channels + 13 + 13 * c->feet; }
 
 /* Return whether a robot fits into the arrays; call it once for constants that come from elsewhere. */
-SF_API int sf_momentum_fits(const sf_config *c, const sf_momentum_config *m) {
+SF_API int sf_moment_fits(const sf_config *c, const sf_moment_config *m) {
     return sizeof(sf_real) == sizeof(double) && sf_robot_fits(c) && (m->components == 3 || m->components == 6) &&
            m->components <= SF_COMPONENTS && m->capacity >= 1 && m->capacity <= SF_BLOCK && m->held >= 0 &&
            m->held < SF_MODES;
@@ -181,7 +181,7 @@ SF_API int sf_momentum_fits(const sf_config *c, const sf_momentum_config *m) {
 /* ------------------------------------------------------------------------------------------------- motion */
 
 /* Track.begin */
-SF_API void sf_track_begin(const sf_momentum_config *m, sf_track *s) {
+SF_API void sf_track_begin(const sf_moment_config *m, sf_track *s) {
     memset(s, 0, sizeof *s);
     s->adrift = m->leg_time;
 }
@@ -218,7 +218,7 @@ SF_API void sf_about_z(sf_real *out, sf_real angle, const sf_real *v) {
 }
 
 /* follow_accelerations */
-SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config *m, sf_track *s, const sf_real *motion,
+SF_API void sf_follow_accelerations(const sf_config *c, const sf_moment_config *m, sf_track *s, const sf_real *motion,
                                     const unsigned char *stance, sf_real dt, sf_pose *pose) {
     int F = c->feet, standing = 0, still[SF_FEET], count = 0;
     const sf_real *sole = sf_position(motion, 0), *rotation = sf_rotation(c, motion, 0);
@@ -289,7 +289,7 @@ SF_API void sf_follow_accelerations(const sf_config *c, const sf_momentum_config
 }
 
 /* plausible */
-SF_API int sf_track_plausible(const sf_momentum_config *m, const sf_track *s) {
+SF_API int sf_track_plausible(const sf_moment_config *m, const sf_track *s) {
     int good = 1;
     for (int k = 0; k < 3; k++)
         good = good && sf_fabs(s->velocity[k]) < m->fastest && sf_fabs(s->spin[k]) < m->fastest &&
@@ -309,7 +309,7 @@ SF_API int sf_component(int row) {
 SF_API int sf_is_force(int row) { return row == 0 || row == 3 || row == 4; }
 
 /* Model._point and _of_channels: o, and in w->unit what a unit of each channel does about it, shape (n, C, K). */
-SF_API void sf_units(const sf_config *c, const sf_momentum_config *m, const sf_real *samples, int n, sf_momentum_work *w) {
+SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n, sf_moment_work *w) {
     int K = c->channels, C = m->components, wide = sf_waiting(c);
     sf_real total = 0, x = 0, y = 0, T = 0, *point = w->rows.point, height = 0;
     for (int t = 0; t < n; t++) {
@@ -350,8 +350,8 @@ SF_API void sf_units(const sf_config *c, const sf_momentum_config *m, const sf_r
 }
 
 /* Model._measure: the stated variance of what was measured, by the mean arm from o. */
-SF_API void sf_measured_variance(const sf_config *c, const sf_momentum_config *m, const sf_real arm[3],
-                                 sf_momentum_rows *out) {
+SF_API void sf_measured_variance(const sf_config *c, const sf_moment_config *m, const sf_real arm[3],
+                                 sf_moment_rows *out) {
     int C = m->components;
     const sf_real *v = m->velocity_variance;
     sf_real turned[9] = {0, -arm[2], arm[1], arm[2], 0, -arm[0], -arm[1], arm[0], 0}, noise[36];
@@ -370,11 +370,11 @@ SF_API void sf_measured_variance(const sf_config *c, const sf_momentum_config *m
 
 /* Model.rows. published: scales, offsets and drift; lasting: variance of each channel's force that
    lasts, in W^2. */
-SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m, const sf_real *samples, int n,
-                                const sf_real *published, const sf_real *lasting, sf_momentum_work *w) {
+SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n,
+                                const sf_real *published, const sf_real *lasting, sf_moment_work *w) {
     int K = c->channels, C = m->components, N = sf_states(c, m), wide = sf_waiting(c), at = sf_momenta(c);
     const sf_real *a = published, *b = published + K, *u = published + 2 * K;
-    sf_momentum_rows *out = &w->rows;
+    sf_moment_rows *out = &w->rows;
     sf_real read[SF_CHANNELS] = {0}, x = 0, y = 0, norm, arm[3] = {0, 0, 0}, fewest;
     sf_real weighted[SF_COMPONENTS * SF_CHANNELS] = {0}, pulls[2 * SF_COMPONENTS] = {0}, shares[2] = {0, 0}, after;
     sf_real moved[SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
@@ -476,7 +476,7 @@ SF_API void sf_momentum_rows_of(const sf_config *c, const sf_momentum_config *m,
 }
 
 /* Model.move of a momentum: go on to a point o that has moved by `step` in m, H <- H - step x P. */
-SF_API void sf_move_momentum(const sf_config *c, const sf_momentum_config *m, const sf_real step[3],
+SF_API void sf_move_momentum(const sf_config *c, const sf_moment_config *m, const sf_real step[3],
                              const sf_real *velocity, sf_real *p) {
     int shear = m->components == 6;
     p[1] += -step[1] * p[0] + step[2] * (shear ? p[4] : velocity[1] / c->gravity);
@@ -485,7 +485,7 @@ SF_API void sf_move_momentum(const sf_config *c, const sf_momentum_config *m, co
 }
 
 /* Model.move, and what it does to the modes: go on to a point o that has moved by `step` in m. */
-SF_API void sf_momentum_move(const sf_config *c, const sf_momentum_config *m, const sf_real step[3],
+SF_API void sf_moment_move(const sf_config *c, const sf_moment_config *m, const sf_real step[3],
                              const sf_real *velocity, sf_modes *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
     struct {
@@ -506,7 +506,7 @@ SF_API void sf_momentum_move(const sf_config *c, const sf_momentum_config *m, co
 /* -------------------------------------------------------------------------------------------------- modes */
 
 /* wrench_variance */
-SF_API sf_real sf_wrench_variance(const sf_momentum_config *m, const sf_momentum_rows *rows, int mode, int row) {
+SF_API sf_real sf_wrench_variance(const sf_moment_config *m, const sf_moment_rows *rows, int mode, int row) {
     sf_real std = sf_is_force(row) ? m->mode_force[mode] : m->mode_torque[mode] * rows->height;
     return std * std + rows->lasting[row];
 }
@@ -526,7 +526,7 @@ SF_API void sf_mirror(sf_real *P, int N) {
 }
 
 /* mix: let modes turn into each other. */
-SF_API void sf_mix(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, const sf_momentum_rows *rows,
+SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes *s, const sf_moment_rows *rows,
                    sf_modes *out) {
     int C = m->components, N = sf_states(c, m), mass = sf_momenta(c) - 2, com = sf_coms(c), wrench = sf_momenta(c) + C;
     sf_real turning[SF_MODES][SF_MODES];
@@ -581,7 +581,7 @@ SF_API void sf_mix(const sf_config *c, const sf_momentum_config *m, const sf_mod
 
 /* update: take in rows, of which `predicted` is H P, by Joseph's form; one beyond the gate pulls no harder than at it.
    `first` to `last`: unknowns that are considered and not estimated. S: what the innovation is expected to be. */
-SF_API int sf_momentum_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
+SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
                               const sf_real *S, sf_real gate, int first, int last, sf_real *room) {
     sf_real L[SF_AT_ONCE * SF_AT_ONCE], V[SF_AT_ONCE * SF_AT_ONCE], *gain = room, *rest = room + rows * N;
     sf_copy(V, S, rows * rows);
@@ -630,10 +630,10 @@ SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real 
 }
 
 /* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
-SF_API int sf_momentum_learn(const sf_config *c, const sf_momentum_config *m, const sf_real *noise, sf_modes *s,
-                             sf_momentum_work *w, sf_taught *out) {
+SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const sf_real *noise, sf_modes *s,
+                             sf_moment_work *w, sf_taught *out) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c), wrench = at + C, likeliest = 0, good = 1;
-    const sf_momentum_rows *rows = &w->rows;
+    const sf_moment_rows *rows = &w->rows;
     for (int j = 1; j < SF_MODES; j++)
         if (s->chance[j] > s->chance[likeliest]) likeliest = j;
     for (int j = 0; j < SF_MODES; j++) {
@@ -665,7 +665,7 @@ SF_API int sf_momentum_learn(const sf_config *c, const sf_momentum_config *m, co
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
-        good = sf_momentum_update(mean, P, N, C, predicted, innovation, expected, m->gate, first, last, w->B) && good;
+        good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, m->gate, first, last, w->B) && good;
         sf_multiply(end, rows->end, P, C, N, N);
         for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
         sf_copy(mean + at, moved, C);
@@ -690,14 +690,14 @@ SF_API sf_real sf_log_below(sf_real x) {
 }
 
 /* load_evidence */
-SF_API sf_real sf_load_evidence(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, int j) {
+SF_API sf_real sf_load_evidence(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int j) {
     int N = sf_states(c, m), at = sf_momenta(c) - 2;
     if (!(m->mode_load[j] > 0)) return 0;
     return sf_log_below(-s->mean[j * N + at] / sf_sqrt(s->covariance[(j * N + at) * N + at]));
 }
 
 /* weigh_modes */
-SF_API void sf_weigh_modes(const sf_momentum_config *m, const sf_real *evidence, sf_real *chance) {
+SF_API void sf_weigh_modes(const sf_moment_config *m, const sf_real *evidence, sf_real *chance) {
     sf_real most = evidence[0], total = 0, sum = 0;
     for (int j = 1; j < SF_MODES; j++) most = sf_max(most, evidence[j]);
     for (int j = 0; j < SF_MODES; j++) total += chance[j] *= sf_exp(evidence[j] - most);
@@ -709,7 +709,7 @@ SF_API void sf_weigh_modes(const sf_momentum_config *m, const sf_real *evidence,
 
 /* Severity.prior: standard deviations of the wide prior, and in these the inverse variances of the others: of scales by
    the severity of scales, of all else by that of offsets. */
-SF_API void sf_priors(const sf_config *c, const sf_momentum_config *m, const sf_real *drifted, sf_momentum_work *w) {
+SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, const sf_real *drifted, sf_moment_work *w) {
     int K = c->channels, M = sf_weighed(c);
     sf_real square = m->wide * m->wide, least = m->smallest_drift * m->smallest_drift, of[2][SF_SEVERITIES] = {{0}};
     for (int i = 0; i < K; i++) {
@@ -868,8 +868,8 @@ SF_API int sf_wider(const sf_real *S, int M, sf_real *v, sf_real value[2], sf_re
 
 /* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
    `S` is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
-SF_API int sf_information(const sf_config *c, const sf_momentum_config *m, sf_real *S, const sf_real *off,
-                          sf_momentum_work *w, sf_real *pull, sf_real *mine) {
+SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, const sf_real *off,
+                          sf_moment_work *w, sf_real *pull, sf_real *mine) {
     int M = sf_weighed(c), wider;
     sf_real *room = w->A, *share = w->room, *L = w->axes, *v = w->room + 2 * M, own = 0, most = 0, value[2];
     /* As if it were as wide as the prior where it is wider: if that is nowhere else, an inverse is all. */
@@ -924,8 +924,8 @@ SF_API void sf_of_scales(const sf_config *c, const sf_compared *d, const sf_real
 
 /* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
    once: with the information A, B and C of scales, both and all else, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
-SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_real *mean, const sf_real *P, int N,
-                      sf_momentum_work *w, sf_compared *d) {
+SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_real *mean, const sf_real *P, int N,
+                      sf_moment_work *w, sf_compared *d) {
     int K = c->channels, M = sf_weighed(c), E = M - K;
     sf_real off[SF_WEIGHED], *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
     for (int i = 0; i < M; i++) {
@@ -982,7 +982,7 @@ SF_API int sf_compare(const sf_config *c, const sf_momentum_config *m, const sf_
 /* The posterior of one mode under all severities together, in standard deviations of the wide prior: its mean, shape
    (M,), and the lower half of its covariance. Severities of no weight in a mode of this chance are left out. With
    X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
-SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_momentum_work *w, sf_real *mean,
+SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_moment_work *w, sf_real *mean,
                          sf_real *covariance) {
     int K = c->channels, M = sf_weighed(c), E = M - K;
     sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_WEIGHED], lane[4] = {0, 0, 0, 0};
@@ -1044,7 +1044,7 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
 }
 
 /* Weighed.publish: what all modes hold together; overwrites w->compared. */
-SF_API void sf_momentum_publish(const sf_config *c, const sf_real *chance, sf_momentum_work *w, sf_publication *out) {
+SF_API void sf_moment_publish(const sf_config *c, const sf_real *chance, sf_moment_work *w, sf_publication *out) {
     int K = c->channels, M = sf_weighed(c);
     sf_real means[SF_MODES * SF_WEIGHED], *covariance = w->A;
     memset(out->mean, 0, (size_t)M * sizeof(sf_real));
@@ -1077,9 +1077,10 @@ SF_API void sf_momentum_publish(const sf_config *c, const sf_real *chance, sf_mo
 /* ----------------------------------------------------------------------------------------- health, report */
 
 /* map_covariance: the covariance of (a, b) of each channel, b in N, shape (2K, 2K). */
-SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_real *learnt) {
+SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, const sf_publication *p, sf_real rate,
+                              sf_real *learnt) {
     int K = c->channels, M = sf_weighed(c), wide = 2 * K;
-    sf_real W = c->weight, row[SF_WEIGHED];
+    sf_real W = c->weight, row[SF_WEIGHED], walked = m->walk[0] * (rate * rate) * m->ahead;
     for (int r = 0; r < wide; r++) {
         int i = r % K;
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
@@ -1093,6 +1094,15 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_publication *p, sf_re
         }
         for (int k = 0; k < r; k++)
             learnt[r * wide + k] = learnt[k * wide + r] = (sf_real)0.5 * (learnt[r * wide + k] + learnt[k * wide + r]);
+    }
+    /* drift_on: until the map is applied. */
+    for (int i = 0; i < K; i++) {
+        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W;
+        sf_real zero = m->walk[1] * (rate * rate) * m->ahead * (m->unit[i] * m->unit[i]);
+        learnt[i * wide + i] += walked;
+        learnt[i * wide + K + i] += walked * u;
+        learnt[(K + i) * wide + i] += walked * u;
+        learnt[(K + i) * wide + K + i] += walked * (u * u) + zero * (a * a);
     }
 }
 
@@ -1108,7 +1118,7 @@ SF_API void sf_products(const sf_config *c, const sf_real *S, const sf_real *one
 }
 
 /* contact_probability of one foot: its load in N, and the variance of that. */
-SF_API sf_real sf_contact(const sf_config *c, const sf_momentum_config *m, sf_real load, sf_real variance) {
+SF_API sf_real sf_contact(const sf_config *c, const sf_moment_config *m, sf_real load, sf_real variance) {
     sf_real std = sf_sqrt(variance), most = m->most_load * c->weight, far = sf_min(load / std, 30);
     sf_real below = (sf_real)(0.5 * erfc(-load / std / sqrt(2.0))),
             beyond = (sf_real)(0.5 * erfc(-(load - most) / std / sqrt(2.0)));
@@ -1119,7 +1129,7 @@ SF_API sf_real sf_contact(const sf_config *c, const sf_momentum_config *m, sf_re
     return with_load / (with_load + without);
 }
 
-/* MomentumFilter._line: a, and b in N, as they are handed out. */
+/* MomentFilter._line: a, and b in N, as they are handed out. */
 SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_real *b) {
     int K = c->channels;
     for (int i = 0; i < K; i++) {
@@ -1128,8 +1138,8 @@ SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_
     }
 }
 
-/* MomentumFilter._estimate: apply the map to the newest sample, and say how sure it is. */
-SF_API void sf_momentum_estimate(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s,
+/* MomentFilter._estimate: apply the map to the newest sample, and say how sure it is. */
+SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
                                  const sf_sample *sample, sf_estimate *out) {
     int K = c->channels, wide = 2 * K;
     const sf_real *F0 = sample->force, *S = s->covariance;
@@ -1190,7 +1200,7 @@ SF_API void sf_momentum_estimate(const sf_config *c, const sf_momentum_config *m
 /* --------------------------------------------------------------------------------------------------- tare */
 
 /* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
-SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s, int n,
+SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
                                   int foot, const int *channels, int count, sf_real *reading) {
     int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0;
     sf_real seconds = 0, total = 0;
@@ -1216,7 +1226,7 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_momentum_config *
 }
 
 /* Tare._follow: by how many times sensors drift faster than stated. */
-SF_API sf_real sf_followed_rate(const sf_momentum_config *m, const sf_tares *s, const sf_real *change,
+SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, const sf_real *change,
                                 const sf_real *expected, int count) {
     sf_real mean = 0, surprise = 0, share = sf_max(m->rate_share, 1 / ((sf_real)s->followed + m->stated_rate));
     for (int k = 0; k < count; k++) mean += change[k] / (sf_real)count;
@@ -1228,8 +1238,8 @@ SF_API sf_real sf_followed_rate(const sf_momentum_config *m, const sf_tares *s, 
 }
 
 /* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
-SF_API int sf_take_tare(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s, int n, sf_real duration,
-                        sf_modes *belief, sf_real *published, sf_tares *tare, sf_momentum_work *w) {
+SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
+                        sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c) - 2;
     for (int foot = 0; foot < c->feet; foot++) {
         int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
@@ -1274,7 +1284,7 @@ SF_API int sf_take_tare(const sf_config *c, const sf_momentum_config *m, const s
                     S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * published[i];
                     if (k == l) S[k * count + l] += published[i] * published[i] * noise[k];
                 }
-            good = sf_momentum_update(mean, P, N, count, predicted, innovation, S, m->gate, mass, mass + 1, w->B) && good;
+            good = sf_moment_update(mean, P, N, count, predicted, innovation, S, m->gate, mass, mass + 1, w->B) && good;
         }
         for (int k = 0; k < count; k++) {
             int i = channels[k];
@@ -1289,7 +1299,7 @@ SF_API int sf_take_tare(const sf_config *c, const sf_momentum_config *m, const s
 
 /* ------------------------------------------------------------------------------------------------- filter */
 
-SF_API void sf_copy_modes(const sf_config *c, const sf_momentum_config *m, sf_modes *to, const sf_modes *from) {
+SF_API void sf_copy_modes(const sf_config *c, const sf_moment_config *m, sf_modes *to, const sf_modes *from) {
     int N = sf_states(c, m);
     sf_copy(to->mean, from->mean, SF_MODES * N);
     sf_copy(to->covariance, from->covariance, SF_MODES * N * N);
@@ -1303,22 +1313,22 @@ SF_API void sf_copy_published(const sf_config *c, sf_publication *to, const sf_p
     sf_copy(to->undetermined, from->undetermined, c->channels);
 }
 
-SF_API void sf_copy_known(const sf_config *c, const sf_momentum_config *m, sf_known_then *to, const sf_modes *belief,
+SF_API void sf_copy_known(const sf_config *c, const sf_moment_config *m, sf_known_then *to, const sf_modes *belief,
                           const sf_publication *published) {
     sf_copy_modes(c, m, &to->belief, belief);
     sf_copy_published(c, &to->published, published);
 }
 
-/* MomentumFilter._break: forget the samples that wait, and what the momentum is. */
-SF_API void sf_break(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
+/* MomentFilter._break: forget the samples that wait, and what the momentum is. */
+SF_API void sf_break(const sf_config *c, const sf_moment_config *m, sf_moment_state *s) {
     sf_track_begin(m, &s->track);
     memset(s->pending, 0, (size_t)(m->capacity * sf_waiting(c)) * sizeof(sf_real));
     s->waiting = -1;
     s->linked = 0;
 }
 
-/* MomentumFilter._age: let scales and zeros drift for a time in s. */
-SF_API void sf_age(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_real duration) {
+/* MomentFilter._age: let scales and zeros drift for a time in s. */
+SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real duration) {
     int K = c->channels, N = sf_states(c, m);
     sf_real walked[2];
     for (int i = 0; i < 2; i++) {
@@ -1334,26 +1344,26 @@ SF_API void sf_age(const sf_config *c, const sf_momentum_config *m, sf_momentum_
     s->time += duration;
 }
 
-/* MomentumFilter._weigh: hold what modes are about against all severities, in w->compared. */
-SF_API int sf_weigh(const sf_config *c, const sf_momentum_config *m, const sf_modes *s, sf_momentum_work *w) {
+/* MomentFilter._weigh: hold what modes are about against all severities, in w->compared. */
+SF_API int sf_weigh(const sf_config *c, const sf_moment_config *m, const sf_modes *s, sf_moment_work *w) {
     int N = sf_states(c, m), good = 1;
     for (int j = 0; j < SF_MODES; j++)
         good = sf_compare(c, m, s->mean + j * N, s->covariance + j * N * N, N, w, &w->compared[j]) && good;
     return good;
 }
 
-/* MomentumFilter.retract: take back what was learnt of late. */
-SF_API void sf_momentum_retract(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s) {
+/* MomentFilter.retract: take back what was learnt of late. */
+SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_moment_state *s) {
     sf_break(c, m, s);
     sf_copy_modes(c, m, &s->belief, &s->kept.belief);
     sf_copy_published(c, &s->published, &s->kept.published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
-    sf_map_covariance(c, &s->published, s->covariance);
+    sf_map_covariance(c, m, &s->published, s->tare.rate, s->covariance);
     s->age = 0;
 }
 
-/* MomentumFilter.init: the state before any sample. */
-SF_API void sf_momentum_init(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w) {
+/* MomentFilter.init: the state before any sample. */
+SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c) - 2;
     sf_front_init(c, &s->front);
     sf_channel_faults_init(c, &s->faults, s->front.raw);
@@ -1382,14 +1392,14 @@ SF_API void sf_momentum_init(const sf_config *c, const sf_momentum_config *m, sf
     }
     sf_priors(c, m, s->drifted, w);
     sf_weigh(c, m, &s->belief, w);
-    sf_momentum_publish(c, s->belief.chance, w, &s->published);
-    sf_map_covariance(c, &s->published, s->covariance);
+    sf_moment_publish(c, s->belief.chance, w, &s->published);
+    sf_map_covariance(c, m, &s->published, 1, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
 }
 
-/* MomentumFilter._rest: keep what is known now and then, and learn how cells share loads. */
-SF_API void sf_rest(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w, int n,
+/* MomentFilter._rest: keep what is known now and then, and learn how cells share loads. */
+SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w, int n,
                     sf_real duration, int good) {
     int K = c->channels, wide = sf_waiting(c);
     sf_real a[SF_CHANNELS], b[SF_CHANNELS];
@@ -1404,8 +1414,8 @@ SF_API void sf_rest(const sf_config *c, const sf_momentum_config *m, sf_momentum
     } else s->age += duration;
 }
 
-/* MomentumFilter._product: variances of forces in W^2 by open errors of scale and drift together. */
-SF_API void sf_open_product(const sf_config *c, const sf_momentum_config *m, const sf_momentum_state *s,
+/* MomentFilter._product: variances of forces in W^2 by open errors of scale and drift together. */
+SF_API void sf_open_product(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
                             const sf_tares *tare, sf_real *product) {
     int K = c->channels, M = sf_weighed(c);
     const sf_real *P = s->published.covariance;
@@ -1416,8 +1426,8 @@ SF_API void sf_open_product(const sf_config *c, const sf_momentum_config *m, con
     }
 }
 
-/* MomentumFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
-SF_API void sf_begin_momentum(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows, sf_modes *s) {
+/* MomentFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
+SF_API void sf_begin_momentum(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows, sf_modes *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N;
@@ -1430,8 +1440,8 @@ SF_API void sf_begin_momentum(const sf_config *c, const sf_momentum_config *m, c
     }
 }
 
-/* MomentumFilter._follow_noise: by how many times rows' variances are larger than stated, learnt upwards only. */
-SF_API void sf_follow_noise(const sf_momentum_config *m, const sf_momentum_rows *rows, const sf_taught *step, sf_real free,
+/* MomentFilter._follow_noise: by how many times rows' variances are larger than stated, learnt upwards only. */
+SF_API void sf_follow_noise(const sf_moment_config *m, const sf_moment_rows *rows, const sf_taught *step, sf_real free,
                             sf_real *noise) {
     int C = m->components;
     for (int r = 0; r < C; r++) {
@@ -1465,7 +1475,7 @@ SF_API void sf_suspected(const sf_config *c, int suspect, int both[2]) {
 
 /* The factor of the covariance S and what else is unsure, of each channel a deviation that acts by `reach` or none; NaN
    where there is none. */
-SF_API void sf_factor(const sf_momentum_config *m, const sf_real *S, const sf_real *reach, int K, const sf_real *std,
+SF_API void sf_factor(const sf_moment_config *m, const sf_real *S, const sf_real *reach, int K, const sf_real *std,
                       sf_real *L) {
     int C = m->components;
     sf_copy(L, S, C * C);
@@ -1476,7 +1486,7 @@ SF_API void sf_factor(const sf_momentum_config *m, const sf_real *S, const sf_re
 }
 
 /* The logarithm of the likelihood of an innovation, by the factor of its covariance. */
-SF_API sf_real sf_evidence(const sf_momentum_config *m, const sf_real *L, const sf_real *e) {
+SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, const sf_real *e) {
     int C = m->components;
     sf_real x[SF_COMPONENTS], size = 0;
     sf_copy(x, e, C);
@@ -1486,7 +1496,7 @@ SF_API sf_real sf_evidence(const sf_momentum_config *m, const sf_real *L, const 
 }
 
 /* Suspects._error: what is left unexplained of rows that are linear about scales and drift `about`. */
-SF_API void sf_unexplained(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows,
+SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
                            const sf_real *before, const sf_real *about, const sf_real *known, sf_real *e) {
     int K = c->channels, N = sf_states(c, m);
     for (int r = 0; r < m->components; r++) {
@@ -1501,7 +1511,7 @@ SF_API void sf_unexplained(const sf_config *c, const sf_momentum_config *m, cons
 }
 
 /* Suspects._changes of one suspect, which is taken off an error. */
-SF_API void sf_less_suspect(const sf_config *c, const sf_momentum_config *m, const sf_momentum_rows *rows,
+SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
                             const sf_suspects *s, const sf_real *others, int suspect, sf_real *e) {
     int K = c->channels, N = sf_states(c, m), pairs = sf_pairs_of_cells(c), both[2], i, j;
     const sf_real *a = s->known;
@@ -1523,7 +1533,7 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_momentum_config *m, con
 
 /* Suspects._find_leap: the step of readings that explains an error best; returns whether there is one that does so better
    than `least`. */
-SF_API int sf_find_leap(const sf_config *c, const sf_momentum_config *m, const sf_suspects *s, const sf_real *S,
+SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_suspects *s, const sf_real *S,
                         const sf_real *reach, const sf_real *e, sf_real least, sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, std[SF_CHANNELS], acts[SF_CHANNELS], step[SF_CHANNELS], left[SF_COMPONENTS];
@@ -1565,8 +1575,8 @@ SF_API int sf_find_leap(const sf_config *c, const sf_momentum_config *m, const s
 
 /* Suspects.weigh: hold all suspects against a block; returns who is guilty, -1 for nobody, -2 for a leap. `known` are
    the unknowns before the momentum, `map` the covariance of what is handed out, P that of the likeliest mode. */
-SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf_suspects *s,
-                             const sf_channel_faults *faults, const sf_momentum_rows *rows, const sf_real *known,
+SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s,
+                             const sf_channel_faults *faults, const sf_moment_rows *rows, const sf_real *known,
                              const sf_real *map, const sf_real *P, sf_leap *leap) {
     int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c);
     int count = sf_suspects_of(c), best = 0, about[2], other_about[2];
@@ -1653,7 +1663,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_momentum_config *m, sf
 }
 
 /* Suspects.follow: note what was measured at a block's end, and what was read in it. */
-SF_API void sf_follow_suspects(const sf_config *c, const sf_momentum_config *m, sf_suspects *s, const sf_real *samples,
+SF_API void sf_follow_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s, const sf_real *samples,
                                int n, const sf_real *momentum) {
     int K = c->channels, wide = sf_waiting(c);
     sf_copy(s->before, momentum, m->components);
@@ -1661,9 +1671,9 @@ SF_API void sf_follow_suspects(const sf_config *c, const sf_momentum_config *m, 
     for (int t = 0; t < n; t++) sf_copy(s->force + (m->capacity + 2 - n + t) * K, samples + t * wide, K);
 }
 
-/* MomentumFilter._suspect: hold the readings' faults against the block of w->rows. */
-SF_API int sf_suspect(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, int n, const sf_real step[3],
-                      const sf_real *published, int likeliest, sf_momentum_work *w) {
+/* MomentFilter._suspect: hold the readings' faults against the block of w->rows. */
+SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int n, const sf_real step[3],
+                      const sf_real *published, int likeliest, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), M = sf_weighed(c), guilty;
     sf_real known[SF_WEIGHED + 4], rest[3] = {0, 0, 0};
     sf_move_momentum(c, m, step, w->rows.velocity, s->suspects.before);
@@ -1676,12 +1686,12 @@ SF_API int sf_suspect(const sf_config *c, const sf_momentum_config *m, sf_moment
     return guilty;
 }
 
-/* MomentumFilter._convict and _shift: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
-SF_API void sf_convict(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, int guilty,
+/* MomentFilter._convict and _shift: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
+SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int guilty,
                        const sf_leap *leap) {
     int K = c->channels, N = sf_states(c, m), both[2];
     memset(s->suspects.score, 0, sizeof s->suspects.score);
-    sf_momentum_retract(c, m, s);
+    sf_moment_retract(c, m, s);
     if (guilty < 0) {
         sf_real open = 0;
         for (int i = 0; i < K; i++) {
@@ -1714,18 +1724,18 @@ SF_API void sf_convict(const sf_config *c, const sf_momentum_config *m, sf_momen
     s->faults.kind[both[1]] ^= SF_SWAPPED;
 }
 
-/* The part of MomentumFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
-SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+/* The part of MomentFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
+SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
     int C = m->components, N = sf_states(c, m), likeliest = 0, good, guilty;
-    sf_momentum_rows *rows = &w->rows;
+    sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
     if (follows) {
         sf_real step[3], ahead;
         for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];
-        sf_momentum_move(c, m, step, rows->velocity, belief);
+        sf_moment_move(c, m, step, rows->velocity, belief);
         for (int j = 1; j < SF_MODES; j++)
             if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
         ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
@@ -1743,7 +1753,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_mome
         good = sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; j < SF_MODES; j++)
             before[j] = w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j);
-        good = good && sf_momentum_learn(c, m, s->noise, &w->mixed, w, &taught);
+        good = good && sf_moment_learn(c, m, s->noise, &w->mixed, w, &taught);
         good = good && sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; good && j < SF_MODES; j++)
             after[j] = taught.likelihood[j] + w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j) - before[j];
@@ -1756,16 +1766,16 @@ SF_API int sf_take_rows(const sf_config *c, const sf_momentum_config *m, sf_mome
     }
     if (!good) return SF_SINGULAR;
     if (!s->linked) sf_follow_suspects(c, m, &s->suspects, s->pending, n, rows->at_end);
-    sf_momentum_publish(c, belief->chance, w, &w->published);
+    sf_moment_publish(c, belief->chance, w, &w->published);
     if (!sf_all_finite(w->published.mean, sf_weighed(c))) return SF_SINGULAR;
     sf_copy_modes(c, m, &s->belief, belief);
     return 0;
 }
 
-/* MomentumFilter._learn: learn from the block that is full; how its innovation compares, and how many rows it had. */
-SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+/* MomentFilter._learn: learn from the block that is full; how its innovation compares, and how many rows it had. */
+SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                               sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting, held = 0, missing = 0, out = 0, rejected = 0;
+    int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting - 1, held = 0, missing = 0, out = 0, rejected = 0;
     sf_real duration = 0, lost[SF_CHANNELS], published[SF_WEIGHED], product[SF_CHANNELS];
     sf_tares tare;
     for (int t = 0; t < n; t++) duration += s->pending[t * wide + sf_at_dt(c)];
@@ -1775,7 +1785,7 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
     for (int i = 0; i < K; i++) {
         if (s->faults.lost[i] > lost[i]) {
             /* What was learnt of late was learnt from wrong readings. */
-            sf_momentum_retract(c, m, s);
+            sf_moment_retract(c, m, s);
             return;
         }
     }
@@ -1798,7 +1808,7 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
             s->linked = 0;
         } else {
             sf_open_product(c, m, s, &tare, product);
-            sf_momentum_rows_of(c, m, s->pending, n, published, product, w);
+            sf_moment_rows_of(c, m, s->pending, n, published, product, w);
             if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
             if (flag < 0) {
                 *nis = (sf_real)NAN;
@@ -1813,7 +1823,7 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
         if (!out && !missing) {
             held = s->belief.chance[m->held] > m->held_chance;
             sf_copy_published(c, &s->published, &w->published);
-            sf_map_covariance(c, &s->published, s->covariance);
+            sf_map_covariance(c, m, &s->published, tare.rate, s->covariance);
             sf_copy(s->point, w->rows.point, 3);
             s->tare = tare;
             s->status = rejected ? SF_REJECTED : held ? SF_HELD : 0;
@@ -1822,12 +1832,13 @@ SF_API void sf_momentum_block(const sf_config *c, const sf_momentum_config *m, s
     }
     sf_rest(c, m, s, w, n, duration, !missing && !out && !s->status);
     sf_copy(s->before, s->pending + (n - 1) * wide, wide);
-    memset(s->pending, 0, (size_t)(m->capacity * wide) * sizeof(sf_real));
-    s->waiting = 0;
+    sf_copy(s->pending, s->pending + n * wide, wide);
+    memset(s->pending + wide, 0, (size_t)((m->capacity - 1) * wide) * sizeof(sf_real));
+    s->waiting = 1;
 }
 
-/* MomentumFilter._collect: put a sample to those that wait. */
-SF_API void sf_collect(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, const sf_reference *reference,
+/* MomentFilter._collect: put a sample to those that wait. */
+SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, const sf_reference *reference,
                        sf_real dt) {
     int K = c->channels;
     const sf_real *motion = s->front.motion, *past = sf_past(c, &s->front);
@@ -1856,16 +1867,20 @@ SF_API void sf_collect(const sf_config *c, const sf_momentum_config *m, sf_momen
     sf_copy(row + sf_at_rotation(c), pose.rotation, 9 * c->feet);
     for (int foot = 0; foot < c->feet; foot++) row[sf_at_swing(c) + foot] = (sf_real)(reference->swing[foot] != 0);
     row[sf_at_dt(c)] = dt;
+    if (s->waiting > 1) {
+        const sf_real *before = s->waiting > 2 ? row - 2 * sf_waiting(c) : s->before;
+        sf_smooth(c, before, row - sf_waiting(c), row, 1);
+    }
 }
 
-/* MomentumFilter.update: take in one sample.
+/* MomentFilter.update: take in one sample.
 
    raw: K readings, NaN where none arrived. reference: the robot's beliefs `lag` samples ago. dt: time since
    the last sample in s. Values never stop it: what is not finite or not possible is held and flagged.
    Returns whether something new is handed out. */
-SF_API int sf_momentum_step(const sf_config *c, const sf_momentum_config *m, sf_momentum_state *s, sf_momentum_work *w,
+SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                             const sf_real *raw, const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
-    int K = c->channels, full = 0;
+    int K = c->channels, full = 0, lies = 1;
     sf_whole kinds[SF_CHANNELS];
     sf_real waited = 0;
     sf_sample sample;
@@ -1874,18 +1889,28 @@ SF_API int sf_momentum_step(const sf_config *c, const sf_momentum_config *m, sf_
     for (int i = 0; i < K; i++) sample.force[i] -= s->shift[i];
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));
-    if (!sample.sound || sample.gap) sf_break(c, m, s);
+    for (int foot = 0; foot < c->feet; foot++) lies = lies && sf_rotation(c, s->front.motion, foot)[8] < m->level;
+    if (sample.sound && !sample.gap && lies) {
+        /* What was learnt as it fell is taken back, once. */
+        if (s->track.samples) sf_moment_retract(c, m, s);
+        s->status = SF_REJECTED;
+    } else if (!sample.sound || sample.gap) sf_break(c, m, s);
     else sf_collect(c, m, s, reference, dt);
+    if (c->kept > 1) {
+        /* Of what was read last nobody knows yet whether it stays. */
+        sf_real *row = s->front.history + (c->kept - 1) * 2 * K;
+        sf_smooth(c, row - 2 * K, row, row + 2 * K, c->weight);
+    }
     estimate->nis = (sf_real)NAN;
     estimate->nis_rows = 0;
-    for (int t = 0; t < s->waiting; t++) waited += s->pending[t * sf_waiting(c) + sf_at_dt(c)];
-    full = s->waiting >= 1 && (waited >= m->block - (sf_real)0.5 * c->dt || s->waiting == m->capacity);
+    for (int t = 0; t + 1 < s->waiting; t++) waited += s->pending[t * sf_waiting(c) + sf_at_dt(c)];
+    full = s->waiting >= 2 && (waited >= m->block - (sf_real)0.5 * c->dt || s->waiting == m->capacity);
     if (full) {
-        sf_momentum_block(c, m, s, w, &estimate->nis, &estimate->nis_rows);
+        sf_moment_block(c, m, s, w, &estimate->nis, &estimate->nis_rows);
         for (int i = 0; i < K; i++) kinds[i] |= s->faults.kind[i];
     }
     for (int i = 0; i < K; i++) sample.flags[i] |= kinds[i];
-    sf_momentum_estimate(c, m, s, &sample, estimate);
+    sf_moment_estimate(c, m, s, &sample, estimate);
     return full;
 }
 

@@ -1,0 +1,170 @@
+"""Samples that wait until a block's time is full, and blocks made of them.
+
+A block with a gap, a bad reference or a foot that is not read teaches nothing, and what the robot's momentum
+is begins anew behind it.
+"""
+
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array, in_a_row
+from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontEnd, Sample
+from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.moment.motion import Track, follow_accelerations, follow_momentum, plausible
+from surefoot.calibration.moment.state import MomentState
+from surefoot.calibration.setup import OnlineSetup
+
+
+class SampleColumns(NamedTuple):
+    """Where the parts of a sample stand in a row of the samples that wait; F feet.
+
+    The motion is in axes that do not turn; :class:`Block` says what the parts are.
+    """
+
+    force: slice
+    read: slice
+    end: slice
+    com: slice
+    velocity: slice
+    spin: slice
+    sole: slice
+    rotation: slice
+    swing: slice
+    dt: slice
+
+    @classmethod
+    def of(cls, channels: int, feet: int) -> "SampleColumns":
+        """Return the columns of a robot."""
+        return cls(*in_a_row(channels, channels, 3, 3, 3, 3, 3 * feet, 9 * feet, feet, 1))
+
+
+class Block(NamedTuple):
+    """n samples in a row; K channels, F feet.
+
+    Attributes:
+        force: F0 in W, shape (n, K).
+        read: Whether it was read (0 or 1), shape (n, K).
+        end: Centre of mass at the ends of the samples' intervals in m, shape (n, 3).
+        com: Centre of mass while they were taken in m, shape (n, 3).
+        velocity: Its velocity at the ends in m/s, shape (n, 3).
+        spin: Angular momentum by the mass there in m^2/s, shape (n, 3).
+        sole: Soles while they were taken in m, shape (n, F, 3).
+        rotation: Their rotations to the axes that do not turn, shape (n, F, 3, 3).
+        swing: Feet surely in the air (0 or 1), the sample before the block first, shape (n + 1, F).
+        dt: Lengths of the intervals in s, shape (n,).
+    """
+
+    force: Array
+    read: Array
+    end: Array
+    com: Array
+    velocity: Array
+    spin: Array
+    sole: Array
+    rotation: Array
+    swing: Array
+    dt: Array
+
+    @classmethod
+    def of(cls, before: Array, samples: Array, columns: SampleColumns, feet: int) -> "Block":
+        """Take a block out of the row before it, and its own rows."""
+        return cls(
+            force=samples[:, columns.force],
+            read=samples[:, columns.read],
+            end=samples[:, columns.end],
+            com=samples[:, columns.com],
+            velocity=samples[:, columns.velocity],
+            spin=samples[:, columns.spin],
+            sole=samples[:, columns.sole].reshape(-1, feet, 3),
+            rotation=samples[:, columns.rotation].reshape(-1, feet, 3, 3),
+            swing=np.vstack([before[columns.swing], samples[:, columns.swing]]),
+            dt=samples[:, columns.dt.start],
+        )
+
+    @property
+    def duration(self) -> float:
+        """Its length in s."""
+        return float(self.dt.sum())
+
+
+class Blocks:
+    """Collects the samples of one setup.
+
+    Args:
+        front_end: The way of a sample.
+        duration: Of a block in s.
+        faults: Faults of channels.
+
+    Attributes:
+        capacity: Most samples of a block.
+        width: Numbers of a sample, S.
+    """
+
+    def __init__(self, front_end: FrontEnd, duration: float, faults: ChannelFaults) -> None:
+        self._setup: OnlineSetup = front_end.setup
+        self._motions, self._duration = front_end.motions, duration
+        self._feet = len(self._setup.layout.feet)
+        self._faults = faults
+        self._columns = SampleColumns.of(self._setup.layout.channels, self._feet)
+        self.capacity = ceil(duration / self._setup.dt) + ceil(LONGEST_GAP)
+        self.width = int(self._columns.dt.stop)
+
+    def collect(self, state: MomentState, sample: Sample, momentum: bool, dt: float) -> MomentState:
+        """Put a sample to those that wait.
+
+        Args:
+            state: What the filter knows.
+            sample: The sample.
+            momentum: Whether its reference holds momentum.
+            dt: Time since the one before in s.
+        """
+        if not sample.sound:
+            return self.break_off(state)
+        columns, mass = self._motions.columns, self._setup.mass
+        if momentum:
+            track, pose = follow_momentum(state.track, sample.motion, columns, mass)
+        else:
+            track, pose = follow_accelerations(state.track, sample.motion, columns, mass, sample.stance, dt)
+            if not self._motions.ground(sample.motion)[2]:
+                return self.break_off(state)
+        if not plausible(track):
+            return self.break_off(state)
+        row = np.concatenate(
+            [
+                sample.past / self._setup.weight, sample.read, pose.end, pose.com, track.velocity, track.spin,
+                pose.sole.ravel(), pose.rotation.ravel(), sample.swing, [dt],
+            ]
+        )  # fmt: skip
+        if state.waiting < 0:
+            return state._replace(track=track, before=row, waiting=0)
+        pending = state.pending.copy()
+        pending[state.waiting] = row
+        if state.waiting > 0:
+            before = pending[state.waiting - 2] if state.waiting > 1 else state.before
+            at, width = state.waiting - 1, self._columns.read.stop
+            pending[at, :width] = self._faults.smooth(before[:width], pending[at, :width], row[:width], 1.0)
+        return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
+
+    def break_off(self, state: MomentState) -> MomentState:
+        """Forget the samples that wait, and what the momentum is."""
+        return state._replace(
+            track=Track.begin(state.track.motion), pending=np.zeros_like(state.pending), waiting=-1, linked=0
+        )
+
+    def full(self, state: MomentState) -> bool:
+        """Return whether a block is full."""
+        time = state.pending[: max(state.waiting - 1, 0), self._columns.dt.start].sum()
+        enough = time >= self._duration - 0.5 * self._setup.dt or state.waiting == self.capacity
+        return bool(state.waiting >= 2 and enough)
+
+    def block(self, state: MomentState) -> Block:
+        """Return the block of the samples that wait."""
+        return Block.of(state.before, state.pending[: state.waiting - 1], self._columns, self._feet)
+
+    def begin(self, state: MomentState) -> MomentState:
+        """Begin the next block behind the samples that wait."""
+        pending = np.zeros_like(state.pending)
+        pending[0] = state.pending[state.waiting - 1]
+        return state._replace(before=state.pending[state.waiting - 2], pending=pending, waiting=1)

@@ -1,0 +1,120 @@
+"""What is done about readings that the robot's motion speaks against.
+
+A channel that is dead is taken out, flipped and exchanged ones are put right, and a leap that zeros make
+together is taken off the readings. What was learnt in the last seconds was learnt from wrong readings: the
+filter goes back before it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.moment.blocks import Block
+from surefoot.calibration.moment.columns import Columns
+from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.moment.model import Rows
+from surefoot.calibration.moment.state import Belief, MomentState
+from surefoot.calibration.moment.suspects import Leap, SuspectConstants, Suspects
+
+
+class Finding(NamedTuple):
+    """What is wrong with the readings.
+
+    Attributes:
+        guilty: A suspect of :class:`~surefoot.calibration.moment.suspects.Suspects`, or ``None``.
+        leap: What all zeros, or those of a foot, have leapt by; or ``None``.
+    """
+
+    guilty: int | None
+    leap: Leap | None
+
+
+class Repairs:
+    """Finds and repairs wrong readings of one setup.
+
+    Args:
+        layout: The feet.
+        weight: W in N.
+        faults: Faults of channels.
+        columns: The unknowns.
+        unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
+
+    Attributes:
+        suspects: Who may be guilty.
+        constants: Constants, by their names in C.
+    """
+
+    def __init__(
+        self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns, unit: Array
+    ) -> None:
+        self._weight, self._faults, self._columns, self._unit = weight, faults, columns, unit
+        self.suspects = Suspects(layout, faults.stand_in.cells, columns)
+        self.constants = SuspectConstants()
+
+    def weigh(
+        self, state: MomentState, block: Block, rows: Rows, published: Array, belief: Belief, moved: Array,
+        added: Array,
+    ) -> tuple[MomentState, Finding | None]:  # fmt: skip
+        """Hold all suspects against a block.
+
+        Args:
+            state: What the filter knows.
+            block: The samples.
+            rows: Theirs.
+            published: What rows are linear about, shape (M,).
+            belief: What modes hold before the block, about its point o.
+            moved: Transition of the unknowns to that point, shape (N, N).
+            added: What it adds, shape (N,).
+        """
+        columns, stand_in, suspects = self._columns, self._faults.stand_in, state.suspects
+        momentum, likeliest = columns.momentum, belief.chance.argmax()
+        robot = slice(columns.com.start, momentum.start)
+        known = np.concatenate([published, belief.mean[likeliest, robot]])
+        covariance = np.zeros((momentum.start, momentum.start))
+        covariance[columns.map, columns.map] = state.published.covariance
+        covariance[robot, robot] = belief.covariance[likeliest, robot, robot]
+        moved, added = moved[momentum, momentum], added[momentum]
+        suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
+        others, std = stand_in.others(state.faults.moments, state.faults.lost)
+        suspects, guilty, leap = self.suspects.weigh(
+            suspects, rows, known, covariance, others, std / self._weight
+        )
+        suspects = self.suspects.follow(suspects, block.force, rows.at_end)
+        found = None if guilty is None and leap is None else Finding(guilty, leap)
+        return state._replace(suspects=suspects), found
+
+    def repair(self, state: MomentState, found: Finding) -> MomentState:
+        """Put right what is wrong, and let suspicions begin anew.
+
+        Args:
+            state: What the filter knew before anything was wrong.
+            found: What is wrong; a leap comes first.
+        """
+        cleared = state.suspects._replace(score=np.zeros(self.suspects.count))
+        state = state._replace(suspects=cleared)
+        if found.leap is not None:
+            return self._shift(state, found.leap)
+        assert found.guilty is not None
+        if found.guilty < self.suspects.out.stop:
+            return state._replace(faults=self._faults.lose(state.faults, found.guilty))
+        turned, kind = self.suspects.rewire(found.guilty)
+        return state._replace(
+            faults=self._faults.rewire(state.faults, turned, kind), shift=turned @ state.shift
+        )
+
+    def _shift(self, state: MomentState, leap: Leap) -> MomentState:
+        """Take a leap off the readings, as far as it was seen."""
+        columns = self._columns
+        by, open_to = leap.reading * self._weight, leap.std**2
+        history, covariance = state.front.history.copy(), state.belief.covariance.copy()
+        history[:, : len(by)] -= by
+        at = np.arange(columns.drift.start, columns.drift.stop)
+        covariance[:, at, at] += open_to
+        return state._replace(
+            front=state.front._replace(history=history),
+            shift=state.shift + by,
+            belief=state.belief._replace(covariance=covariance),
+            drifted=state.drifted + np.array([0.0, (open_to / self._unit**2).mean()]),
+        )

@@ -1,1 +1,0 @@
-"""The momentum filter: forces predict a robot's momentum, and what it knows of its motion measures it."""
