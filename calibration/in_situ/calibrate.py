@@ -27,11 +27,11 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import Evidence, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.hysteresis import fit_creep, fit_loops, likeliest_loops
-from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay, shift
+from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise, problem_of, starts

@@ -9,15 +9,15 @@ Conventions of this part of the library:
   reads. While the limb moves it is g - a with the acceleration a of the sensor's origin.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.checks import check_positive
+from surefoot.calibration.checks import check_not_negative, check_positive
 
-__all__ = ["InSituOptions", "InSituSet", "KnownLimb", "MatrixMode", "Task", "check_code_range"]
+__all__ = ["InSituOptions", "InSituSet", "InSituTrackerConfig", "KnownLimb", "MatrixMode", "Task", "shift"]
 
 MatrixMode = Literal["keep", "update", "free"]
 """What becomes of a factory matrix."""
@@ -166,10 +166,61 @@ class InSituOptions:
             values = getattr(self, name)
             if values is not None and (len(values) != 6 or not all(value > 0.0 for value in values)):
                 raise ValueError(f"'{name}' must hold six positive {unit}, got {values!r}.")
-        check_code_range(self.code_range)
+        _check_code_range(self.code_range)
 
 
-def check_code_range(span: tuple[float, float] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class InSituTrackerConfig:
+    """Options of :class:`~surefoot.calibration.in_situ.InSituTracker`, for strain gauges in a leg."""
+
+    drift_force: float = 0.1 / 60.0**0.5
+    """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
+
+    drift_torque: float = 0.002 / 60.0**0.5
+    """The same for torques in N m/sqrt(s)."""
+
+    since_fit_force: float = 0.5
+    """How far the offset may have moved along each axis since the calibration, in N: offsets jump from one
+    power-up to the next, on some sensors by hundreds."""
+
+    since_fit_torque: float = 0.01
+    """The same for torques in N m."""
+
+    lag: float | None = None
+    """Width of the loop of hysteresis, as a share of the load's swing; None takes the shares that the fit
+    found, or none."""
+
+    lag_angle: float = 0.5
+    """Angle in rad by which gravity turns before h is another: a quarter of a swing of two radians."""
+
+    added_mass: float = 0.0
+    """Mass in kg that hangs on the limb, known, such as a shoe ..."""
+
+    added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """... and its centre of mass in the sensor's frame in m."""
+
+    reject: float = 5.0
+    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
+    it adds is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
+
+    touch: float = 0.05
+    """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
+    an error of the sensor, however unlikely."""
+
+    code_range: tuple[float, float] | None = None
+    """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a value has no meaning."""
+        check_positive(self, "lag_angle", "reject")
+        drifts = ("drift_force", "drift_torque", "since_fit_force", "since_fit_torque")
+        check_not_negative(self, *drifts, "added_mass", "touch")
+        if self.lag is not None:
+            check_not_negative(self, "lag")
+        _check_code_range(self.code_range)
+
+
+def _check_code_range(span: tuple[float, float] | None) -> None:
     """Raise ValueError unless a range of counts is (lowest, highest) or None."""
     if span is not None and not span[0] < span[1]:
         raise ValueError(f"'code_range' must be (lowest, highest), got {span!r}.")
@@ -228,3 +279,26 @@ class Task:
     def timed(self) -> bool:
         """Whether all sets have times."""
         return all(data.time is not None for data in self.sets)
+
+
+def shift(data: InSituSet, delay: float) -> InSituSet:
+    """Return a set with gravity and motion as they were read later by the delay; the ends drop out."""
+    time = data.time
+    if not delay:
+        return data
+    assert time is not None
+    kept = (time + delay >= time[0]) & (time + delay <= time[-1])
+
+    def later(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([np.interp(time[kept] + delay, time, one) for one in values.T], axis=1)
+
+    rate, acceleration = data.angular_velocity, data.angular_acceleration
+    return replace(
+        data,
+        raw=data.raw[kept],
+        time=time[kept],
+        temperature=None if data.temperature is None else data.temperature[kept],
+        gravity=later(data.gravity),
+        angular_velocity=None if rate is None else later(rate),
+        angular_acceleration=None if acceleration is None else later(acceleration),
+    )

@@ -192,17 +192,7 @@ def plan_excitation(
     >>> sorted(pose.orientation for pose in plan.poses)
     [0, 1, 2, 3]
     """
-    if goal not in GOALS:
-        raise ValueError(f"'goal' must be one of {list(GOALS)}, got {goal!r}.")
-    for name, value in {"count": count, "block": block, "samples": samples}.items():
-        if isinstance(value, bool) or value != int(value) or value < 1:
-            raise ValueError(f"'{name}' must be a whole number from 1 on, got {value!r}.")
-    g = np.asarray(gravity, dtype=np.float64)
-    if g.ndim != 2 or g.shape[1] != 3 or not len(g) or not np.isfinite(g).all():
-        raise ValueError(f"'gravity' must be finite and of shape (N, 3), N at least 1, got shape {g.shape}.")
-    candidates = [mass if isinstance(mass, MassCandidate) else MassCandidate(*mass) for mass in masses]
-    if not candidates:
-        raise ValueError("Give at least one mass; MassCandidate(0.0) is the bare limb.")
+    g, candidates = _check_plan(gravity, masses, goal, {"count": count, "block": block, "samples": samples})
     known = prior if isinstance(prior, ExcitationPrior) else prior_from_fit(prior)
     wanted = _offset_of(0, len(known.response)) if goal == "offset" else GOALS[goal]
     design = _Design(known, g, candidates, wanted, samples, block)
@@ -227,6 +217,24 @@ def plan_excitation(
         after=P[_SHARED, _SHARED],
         total=sum(pose.information for pose in poses),
     )
+
+
+def _check_plan(
+    gravity: ArrayLike, masses: Sequence[MassCandidate | tuple[Any, ...]], goal: str, counts: dict[str, int]
+) -> tuple[Matrix, list[MassCandidate]]:
+    """Return gravity and masses as they are used, or raise ValueError if an argument has no meaning."""
+    if goal not in GOALS:
+        raise ValueError(f"'goal' must be one of {list(GOALS)}, got {goal!r}.")
+    for name, value in counts.items():
+        if isinstance(value, bool) or value != int(value) or value < 1:
+            raise ValueError(f"'{name}' must be a whole number from 1 on, got {value!r}.")
+    g = np.asarray(gravity, dtype=np.float64)
+    if g.ndim != 2 or g.shape[1] != 3 or not len(g) or not np.isfinite(g).all():
+        raise ValueError(f"'gravity' must be finite and of shape (N, 3), N at least 1, got shape {g.shape}.")
+    candidates = [mass if isinstance(mass, MassCandidate) else MassCandidate(*mass) for mass in masses]
+    if not candidates:
+        raise ValueError("Give at least one mass; MassCandidate(0.0) is the bare limb.")
+    return g, candidates
 
 
 def prior_from_fit(

@@ -32,7 +32,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.compress import means
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, shift
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
@@ -449,27 +449,4 @@ def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:
         float(np.sum(residual**2 / np.maximum(np.var(raw, axis=0), np.finfo(float).tiny))),
         float(np.sum((rate @ noise) * residual)),
         float(np.sum((rate @ noise) * rate)),
-    )
-
-
-def shift(data: InSituSet, delay: float) -> InSituSet:
-    """Return a set with gravity and motion as they were read later by the delay; the ends drop out."""
-    time = data.time
-    if not delay:
-        return data
-    assert time is not None
-    kept = (time + delay >= time[0]) & (time + delay <= time[-1])
-
-    def later(values: Matrix) -> Matrix:
-        return np.stack([np.interp(time[kept] + delay, time, one) for one in values.T], axis=1)
-
-    rate, acceleration = data.angular_velocity, data.angular_acceleration
-    return replace(
-        data,
-        raw=data.raw[kept],
-        time=time[kept],
-        temperature=None if data.temperature is None else data.temperature[kept],
-        gravity=later(data.gravity),
-        angular_velocity=None if rate is None else later(rate),
-        angular_acceleration=None if acceleration is None else later(acceleration),
     )

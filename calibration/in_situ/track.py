@@ -17,16 +17,15 @@ acts: nothing is learnt, and the variance of the drift grows. An offset that has
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_not_negative, check_positive, check_tail
+from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.in_situ.data import check_code_range
+from surefoot.calibration.in_situ.data import InSituTrackerConfig
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -40,7 +39,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = ["InSituEstimate", "InSituTracker", "InSituTrackerConfig", "in_situ_tracker"]
+__all__ = ["InSituEstimate", "InSituTracker", "in_situ_tracker"]
 
 _STEP = 0.1
 """Share of ``lag_angle`` by which gravity must have turned to count as turning: a noisy IMU does not."""
@@ -56,57 +55,6 @@ _LIGHTEST, _HEAVIEST = 1.0, 100.0
 
 _FASTEST = 1e3
 """Angular velocity in rad/s that no limb reaches; its square, an acceleration in rad/s^2."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InSituTrackerConfig:
-    """Options of :class:`InSituTracker`, for strain gauges in a leg."""
-
-    drift_force: float = 0.1 / 60.0**0.5
-    """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
-
-    drift_torque: float = 0.002 / 60.0**0.5
-    """The same for torques in N m/sqrt(s)."""
-
-    since_fit_force: float = 0.5
-    """How far the offset may have moved along each axis since the calibration, in N: offsets jump from one
-    power-up to the next, on some sensors by hundreds."""
-
-    since_fit_torque: float = 0.01
-    """The same for torques in N m."""
-
-    lag: float | None = None
-    """Width of the loop of hysteresis, as a share of the load's swing; None takes the shares that the fit
-    found, or none."""
-
-    lag_angle: float = 0.5
-    """Angle in rad by which gravity turns before h is another: a quarter of a swing of two radians."""
-
-    added_mass: float = 0.0
-    """Mass in kg that hangs on the limb, known, such as a shoe ..."""
-
-    added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """... and its centre of mass in the sensor's frame in m."""
-
-    reject: float = 5.0
-    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
-    it adds is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
-
-    touch: float = 0.05
-    """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
-    an error of the sensor, however unlikely."""
-
-    code_range: tuple[float, float] | None = None
-    """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if a value has no meaning."""
-        check_positive(self, "lag_angle", "reject")
-        drifts = ("drift_force", "drift_torque", "since_fit_force", "since_fit_torque")
-        check_not_negative(self, *drifts, "added_mass", "touch")
-        if self.lag is not None:
-            check_not_negative(self, "lag")
-        check_code_range(self.code_range)
 
 
 class InSituEstimate(NamedTuple):
