@@ -149,7 +149,7 @@ class Sphere:
 
 def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     """Return the likeliest bias, scale and noise of the accelerometer by all sets together."""
-    gravity, turned, blocks = [], [], []
+    gravity, turned, width = [], [], 1
     for one in sets:
         data, _ = _with_turning(one)
         rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
@@ -158,7 +158,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         whole = np.isfinite(felt).all(axis=(1, 2))
         gravity.append(data.gravity[rows[whole]])
         turned.append(felt[whole])
-        blocks.append(_block(data, rows[whole]))
+        width = max(width, _rows_within(data, rows[whole]))
     g, K = np.concatenate(gravity), np.concatenate(turned)
     root = np.concatenate([np.full(3, 1.0 / _BIAS), [1.0 / _LENGTH], np.full(3, 1.0 / _ARM)])
     before = np.zeros(7)
@@ -172,7 +172,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         towards = v / np.maximum(size, np.finfo(float).tiny)[:, None]
         noise = max(float(MAD_TO_STD * np.median(np.abs(off))), _LEAST)
         weight = 1.0 / np.maximum(1.0, np.abs(off) / (_GATE * noise))
-        variance = max(float(np.average(off**2, weights=weight)), _LEAST**2) * _long_run(off, blocks)
+        variance = max(float(np.average(off**2, weights=weight)), _LEAST**2) * _long_run(off, width)
         slopes = np.column_stack([-towards, -np.ones(len(g)), np.einsum("na,nab->nb", towards, K)])
         H = (slopes.T * weight) @ slopes / variance + np.diag(root**2)
         x = x - np.linalg.solve(H, (slopes.T * weight) @ off / variance + root**2 * (x - before))
@@ -207,21 +207,20 @@ def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
     return tuple(found)
 
 
-def _block(data: InSituSet, rows: NDArray[np.int_]) -> int:
+def _rows_within(data: InSituSet, rows: NDArray[np.int_]) -> int:
     """Return how many of some rows hang together at most."""
     if data.time is None or len(rows) < 2:
         return 1
     return max(round(_BLOCK / float(np.median(np.diff(data.time[rows])))), 1)
 
 
-def _long_run(off: Vector, blocks: Sequence[int]) -> float:
-    """Return the variance of means of blocks over that of independent samples, at least one."""
-    width = max(blocks)
+def _long_run(off: Vector, width: int) -> float:
+    """Return the variance of means of so many rows over that of independent ones, at least one."""
     count = len(off) // width
     if width < 2 or count < 8:
         return 1.0
-    means = off[: count * width].reshape(count, width).mean(axis=1)
-    return max(1.0, width * float(np.var(means)) / max(float(np.var(off)), np.finfo(float).tiny))
+    of_means = np.var(off[: count * width].reshape(count, width).mean(axis=1))
+    return max(1.0, width * float(of_means) / max(float(np.var(off)), np.finfo(float).tiny))
 
 
 def _with_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
@@ -360,8 +359,6 @@ _LAW = 0.1
 """Share of the delay that loops look like by which a law of hysteresis other than the fit's may feign one:
 thresholds of ratio 3 in the place of 2 feign a tenth."""
 
-_NONE = np.finfo(float).tiny
-
 
 class DelayLeft(NamedTuple):
     """By how much gravity is still late beside all that a fit explains.
@@ -401,7 +398,7 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
         problem: The problem.
         solution: Its solution.
     """
-    between, along, square, like, whole = [], 0.0, _NONE, 0.0, _NONE
+    between, along, square, like, whole = [], 0.0, 1e-300, 0.0, 1e-300
     predicted = solution.response @ transforms(problem, solution)
     for data, part, B in zip(sets, problem.sets, predicted, strict=True):
         source = part.source

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, 
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ, limits
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 MATRIX, MASS, COM, _ = SENSORS["leg"]
@@ -406,6 +407,15 @@ OPTIONS = {
 def test_bad_options(change, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         InSituOptions(**change)
+
+
+def test_every_limit_has_a_unit_and_a_source_and_is_used():
+    table = {name: value for name, value in vars(limits).items() if isinstance(value, limits.Limit)}
+    assert len(table) > 40
+    assert all(value.unit and value.source for value in table.values())
+    package = Path(limits.__file__).parent
+    code = " ".join(path.read_text() for path in package.glob("*.py"))
+    assert [name for name in table if f"limits.{name}" not in code] == []
 
 
 def test_a_known_limb_is_checked():
