@@ -45,7 +45,7 @@ from surefoot.calibration.in_situ.solve import (
     transforms,
 )
 
-__all__ = ["fit_creep", "fit_loops", "lag_shares", "likeliest_loops", "shows_loops"]
+__all__ = ["fit_creep", "fit_loops", "likeliest_loops", "shows_loops"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -135,7 +135,7 @@ def shows_loops(problem: Problem) -> bool:
 def likeliest_loops(plain: Fitted, loops: Sequence[Fitted]) -> Fitted:
     """Return the likeliest of the problems with loops; the plain one where they explain too little."""
     # What leads the load is no hysteresis but two clocks that disagree.
-    fits = [plain, *(fitted for fitted in loops if _lags(lag_shares(*fitted)))]
+    fits = [plain, *(fitted for fitted in loops if _lags(loop_shares(*fitted)))]
     costs = [criterion(*fitted) for fitted in fits]
     order = np.argsort(costs)
     best = int(order[0])
@@ -148,12 +148,6 @@ def likeliest_loops(plain: Fitted, loops: Sequence[Fitted]) -> Fitted:
 
 def _lags(shares: Vector) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
-
-
-def lag_shares(problem: Problem, solution: Solution) -> Vector:
-    """Return by what share of its load each axis, (6,), or channel, (k,), lags, by loops and all creep."""
-    shares = loop_shares(problem, solution)
-    return shares + (len(_CREEPING) - 1) * solution.limb[problem.creeps] if problem.creep else shares
 
 
 def _of_loads(

@@ -20,7 +20,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.hysteresis import lag_shares, shows_loops
+from surefoot.calibration.in_situ.hysteresis import shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
@@ -34,7 +34,7 @@ from surefoot.calibration.in_situ.linear import of_unit_length
 from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise
-from surefoot.calibration.in_situ.solve import Solution, solve, transforms
+from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
 from surefoot.calibration.in_situ.temperature import drifting
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
@@ -132,7 +132,7 @@ def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShar
     parts, limb, k = problem.sets, solution.limb, len(solution.A)
     predicted = solution.response @ transforms(problem, solution)
     stats, set_stats = _stats(problem, solution, known)
-    columns, shares = FitColumns.of(k), lag_shares(problem, solution)
+    columns, shares = FitColumns.of(k), loop_shares(problem, solution)
     return InSituFit(
         matrix=answer[columns.matrix].reshape(AXES, k),
         offset=answer[columns.offset],
