@@ -224,7 +224,7 @@ class Suspects:
     def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:
         """Return what is left unexplained of rows that are linear about ``about``, shape (C,)."""
         columns = self._columns
-        robot = slice(columns.com.start, columns.momentum.start)
+        robot = slice(columns.map.stop, columns.momentum.start)
         a, reach = known[columns.scale], rows.mean[:, columns.offset]
         weight = rows.mean_rest + reach @ (about[columns.scale] * about[columns.drift])
         force = np.einsum("ckk->ck", rows.crossed) @ a + reach @ _zero(known, columns)

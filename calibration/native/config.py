@@ -125,7 +125,11 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     if own is not None and name is not None:
         records[f"sf_{name} {name.removesuffix('_config')}"] = own
         if method == "moment":
-            sizes |= {"COMPONENTS": int(own["components"]), "BLOCK": int(own["capacity"])}
+            sizes |= {
+                "COMPONENTS": int(own["components"]),
+                "BLOCK": int(own["capacity"]),
+                "TALKS": int(own["talks"]),
+            }
             return c_header("surefoot_moment.h", sizes, records)
         if found.number == 1:
             sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}

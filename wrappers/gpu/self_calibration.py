@@ -44,8 +44,8 @@ _HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_window"
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
     """Return how large the moment filter's arrays are, besides those of any method."""
-    own = MomentFilter(setup, MomentConfig(**options)).constants[0]._asdict()
-    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"]}
+    own, rows, *_ = (part._asdict() for part in MomentFilter(setup, MomentConfig(**options)).constants)
+    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"], "TALKS": rows["talks"]}
 
 
 class _Steps(NamedTuple):
