@@ -198,9 +198,9 @@ def _fit(
     if warms and determined:
         chosen = with_gains(*chosen, options) or chosen
     loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
-    creep = fit_creep(sets, *chosen, options) if options.hysteresis else []
+    creep = fit_creep(sets, *chosen, options) if options.hysteresis else None
     fits = loops or [chosen]
-    chosen = likeliest_loops(chosen, loops + creep)
+    chosen = likeliest_loops(chosen, loops, creep)
     if chosen[0] is not members[0].problem:
         members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
     if warms and determined:

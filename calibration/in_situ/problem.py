@@ -85,7 +85,6 @@ class Problem:
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
-        creep: The same behind these, shares of the axes that creep: 6 or 0. Behind them are loops.
     """
 
     sets: tuple[CompressedSet, ...]
@@ -100,7 +99,6 @@ class Problem:
     limb: Vector
     limb_root: Matrix
     gains: int = 0
-    creep: int = 0
 
     @property
     def parameters(self) -> int:
@@ -126,23 +124,17 @@ class Problem:
     @property
     def loops(self) -> slice:
         """Places of the shares of the axes' hysteresis in the parameters; or empty."""
-        return slice(self.creeps.stop, self.parameters)
-
-    @property
-    def creeps(self) -> slice:
-        """Places of the shares of the axes that creep in the parameters; or empty."""
-        first = self.of_loads.start + self.gains
-        return slice(first, first + self.creep)
+        return slice(self.of_loads.start + self.gains, self.parameters)
 
     @property
     def hysteresis(self) -> bool:
-        """Whether loops of the axes' hysteresis are part of the problem."""
+        """Whether the axes' hysteresis is part of the problem."""
         return bool(self.parameters > self.loops.start)
 
     @property
     def lags(self) -> bool:
-        """Whether loads or channels lag, by loops or by creep."""
-        return bool(self.hysteresis or self.creep or self.channel_lags)
+        """Whether loads or channels lag."""
+        return bool(self.hysteresis or self.channel_lags)
 
     @property
     def inputs(self) -> int:

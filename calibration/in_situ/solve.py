@@ -124,15 +124,11 @@ def transforms(problem: Problem, solution: Solution | _Outer) -> NDArray[np.floa
 def loop_shares(problem: Problem, solution: Solution) -> Vector:
     """Return the shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops.
 
-    Those of creep count for an octave of time, as loops do for a doubling of the swing.
+    Those of creep are for an octave of time, as those of loops are for a doubling of the swing.
     """
     if problem.channel_lags:
         return np.diag(solution.response[:, -problem.channel_lags :])
-    shares = np.zeros(AXES)
-    for place in (problem.creeps, problem.loops):
-        found = solution.limb[place]
-        shares[: len(found)] += found
-    return shares
+    return solution.limb[problem.loops]
 
 
 def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUATIONS) -> Solution:
