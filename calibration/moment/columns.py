@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import OnlineSetup
 
 VERTICAL, SHEAR = 3, 6
@@ -93,7 +93,7 @@ class Spread(NamedTuple):
     unit: NDArray[np.float64]
 
     @classmethod
-    def of(cls, setup: OnlineSetup, config: MomentConfig) -> "Spread":
+    def of(cls, setup: OnlineSetup, config: Moment) -> "Spread":
         """Return those of a robot."""
         torque = ~(setup.layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
         unit = np.where(torque, setup.length, 1.0)
@@ -128,7 +128,7 @@ def first_mean(columns: Columns) -> NDArray[np.float64]:
 
 
 def first_variance(
-    columns: Columns, spread: Spread, config: MomentConfig, wide: float = WIDE
+    columns: Columns, spread: Spread, config: Moment, wide: float = WIDE
 ) -> NDArray[np.float64]:
     """Return the variances at the start, shape (N,), of which a wrench's are its mode's.
 

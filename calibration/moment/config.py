@@ -28,7 +28,7 @@ from surefoot.calibration.checks import check_not_negative, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class MomentConfig:
+class Moment:
     """Options of the moment filter; the defaults are those of cheap cells under a humanoid."""
 
     block: float = 0.1

@@ -18,7 +18,7 @@ from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.cop import level_rows
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import SHEAR, Columns, find_talks
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import OnlineSetup
 
 LEAST_LOAD = 0.2
@@ -69,7 +69,7 @@ class ModelConstants(NamedTuple):
     Attributes:
         velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
         spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
-        ripple: As of :class:`~surefoot.calibration.moment.config.MomentConfig`.
+        ripple: As of :class:`~surefoot.calibration.moment.config.Moment`.
         least_load: :data:`LEAST_LOAD`.
         talks: Number of pairs of channels that may talk across, T.
         talk_to: Channels that may show a vertical force, shape (T,).
@@ -94,7 +94,7 @@ class Model:
         columns: The unknowns.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentConfig, columns: Columns) -> None:
+    def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns) -> None:
         self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
         self._shear = columns.components == SHEAR
         self._order = _ORDER[int(self._shear)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, posterior_bound
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.scenarios import Scenario
@@ -66,7 +66,7 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     if not walks or not judged.any() or not np.isfinite(log.raw).all():
         return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
     assert log.truth is not None
-    model = {field.name for field in fields(MomentConfig)}
+    model = {field.name for field in fields(Moment)}
     setup = OnlineSetup(
         layout=log.layout,
         mass=log.mass,
@@ -75,7 +75,7 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
         lag=log.lag,
         **{name: value for name, value in options.items() if name not in model},
     )
-    config = MomentConfig(**{name: value for name, value in options.items() if name in model})
+    config = Moment(**{name: value for name, value in options.items() if name in model})
     truth = Parameters(log.truth.scale, log.truth.offset)
     bound = posterior_bound(setup, log.raw, log.reference, truth, config)
     return {

@@ -8,14 +8,14 @@ from _synthetic import DT, LAYOUT, MASS, NOMINAL
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread, find_talks, first_mean, first_variance
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.health import contact_probability
 from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
 from surefoot.calibration.moment.state import Belief
 
-CONFIG = MomentConfig()
+CONFIG = Moment()
 WEIGHT = MASS * GRAVITY
 ANKLES = FeetLayout(
     tuple(FootLayout.force_torque(name, position_sensor_sole=(0.01, 0.0, 0.05)) for name in ("left", "right"))
