@@ -4,10 +4,9 @@
     python benchmarks/native_step.py --steps 600 --robots 1 4096 --rounds 1
 
 A walk is recorded once through the wrappers: what the native step reads, and the forces that it makes of
-that. A small program is compiled with the headers and the robot's constants, in double and in single
-precision, with arrays as large as this robot needs. It steps N robots over the recording, each with a state
-and random numbers of its own, begun at other moments so that their blocks do not fill together. First it must
-make the forces of the recording.
+that. A small program is compiled with the headers and the robot's constants, with arrays as large as this
+robot needs. It steps N robots over the recording, each with a state and random numbers of its own, begun at
+other moments so that their blocks do not fill together. First it must make the forces of the recording.
 
 Told are microseconds of a robot's step: means over 16 steps, one block of the filter, of which the middle one
 counts, as others use the machine as well; median and 99th percentile of single steps of one robot; and means
@@ -54,7 +53,7 @@ typedef struct { /* of one control step */
 typedef struct {
     sf_cells cells;
     sf_telemetry telemetry;
-    sf_beliefs beliefs;
+    sf_momentum_beliefs beliefs;
     sf_moment_state filter;
     sf_held held;
     sf_random stream[2];
@@ -98,14 +97,14 @@ static void step(robot_state *r, const input *all) {
                                      r->stream + 1, arrived);
     passed(TELEMETRY);
     for (const sf_real *row = arrived; count > 0; count--, row += SF_PACKET)
-        sf_beliefs_packet(&model, &timing, &r->beliefs, (sf_whole)row[0], (double)row[1], row + 2,
-                          row + 2 * J + 7, row + 2 * J + 4);
-    sf_beliefs_sample(&timing, &r->beliefs, in->about, in->planned, 0, &belief);
+        sf_momentum_packet(&model, &timing, &legs, &r->beliefs, (sf_whole)row[0], (double)row[1], row + 2,
+                           row + 2 * J + 7, row + 2 * J + 4);
+    sf_momentum_sample(&timing, &r->beliefs, in->about, in->planned, 0, &belief);
     passed(BELIEFS);
     if (belief.fell) sf_moment_retract(&robot, &moment, &r->filter);
     sf_moment_step(&robot, &moment, &r->filter, &work, r->counts, &belief.reference, robot.dt, &r->estimate);
     passed(FILTER);
-    sf_beliefs_soles(&timing, &r->beliefs, in->now, soles);
+    sf_beliefs_soles(&timing, &r->beliefs.beliefs, in->now, soles);
     sf_view_show(&robot, &view, &r->held, &r->estimate, soles, &r->shown);
     passed(VIEW);
 }
@@ -137,7 +136,7 @@ int main(int argc, char **argv) {
     source->cells = drawn;
     source->stream[0] = cells_stream, source->stream[1] = telemetry_stream;
     source->held.cop_std[0] = source->held.cop_std[1] = view.cop_bound;
-    sf_beliefs_init(&source->beliefs);
+    sf_momentum_beliefs_init(&source->beliefs);
     sf_moment_init(&robot, &moment, &source->filter, &work);
     for (int t = 0; argc == 3 && t < length; t++) {
         step(source, all);
@@ -222,12 +221,12 @@ def constants(env: Any, sensors: Any) -> str:
     return "".join(parts)
 
 
-def compiled(source: str, folder: Path, single: bool) -> Path:
+def compiled(source: str, folder: Path) -> Path:
     """Compile the program, and return where it is."""
-    program, text = folder / ("single" if single else "double"), folder / "robot.c"
+    program, text = folder / "robot", folder / "robot.c"
     text.write_text(source + PROGRAM)
     includes = (f"-I{path}" for path in (SHARED, CALIBRATION.sources.folder, SENSORS.sources.folder))
-    options = [*FLAGS, *["-DSF_SINGLE"] * single, "-D_POSIX_C_SOURCE=199309L", *includes]
+    options = [*FLAGS, "-D_POSIX_C_SOURCE=199309L", *includes]
     subprocess.run([*(compiler() or ("cc",)), *options, "-o", program, text, "-lm"], check=True)
     return program
 
@@ -258,8 +257,8 @@ def main(given: list[str] | None = None) -> None:
         folder = Path(name)
         data = folder / "walk"
         rows.tofile(data)
-        programs = {kind: compiled(source, folder, kind == "single") for kind in ("double", "single")}
-        check(programs["double"], data, forces)
+        program = compiled(source, folder)
+        check(program, data, forces)
         # The walk has begun, and 512 moments hold all phases of a block and many of a stride.
         before, moments = arguments.steps // 5, min(512, arguments.steps // 4)
         cases = [(robots, swept) for robots in arguments.robots for swept in (True, False)[robots > 1 :]]
@@ -267,24 +266,22 @@ def main(given: list[str] | None = None) -> None:
         for _ in range(arguments.rounds):
             for robots, swept in cases:
                 steps = min(arguments.steps - before - moments, max(48, 100_000 // robots // 16 * 16))
-                for kind, program in programs.items():
-                    for parts in (0, 1):
-                        words = robots, int(swept), parts, before, moments, steps
-                        command = [program, data, str(len(rows)), *map(str, words)]
-                        done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-                        times = np.frombuffer(done.stdout).reshape(steps, -1) / robots
-                        blocks = times[: steps // 16 * 16].reshape(-1, 16, times.shape[1]).mean(axis=1)
-                        told = list(np.median(blocks, axis=0))
-                        if not parts:
-                            told += list(np.percentile(times, (50, 99))) if robots == 1 else [np.nan] * 2
-                        taken.setdefault((robots, swept, kind, parts), []).append(told)
-    print("| robots | precision | mean | median | 99 % | " + " | ".join(PARTS) + " |")
-    print("|---" * (5 + len(PARTS)) + "|")
+                for parts in (0, 1):
+                    words = robots, int(swept), parts, before, moments, steps
+                    command = [program, data, str(len(rows)), *map(str, words)]
+                    done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
+                    times = np.frombuffer(done.stdout).reshape(steps, -1) / robots
+                    blocks = times[: steps // 16 * 16].reshape(-1, 16, times.shape[1]).mean(axis=1)
+                    told = list(np.median(blocks, axis=0))
+                    if not parts:
+                        told += list(np.percentile(times, (50, 99))) if robots == 1 else [np.nan] * 2
+                    taken.setdefault((robots, swept, parts), []).append(told)
+    print("| robots | mean | median | 99 % | " + " | ".join(PARTS) + " |")
+    print("|---" * (4 + len(PARTS)) + "|")
     for robots, swept in cases:
-        for kind in programs:
-            numbers = (np.median(taken[robots, swept, kind, parts], axis=0) for parts in (0, 1))
-            words = ("" if np.isnan(one) else f"{one:.2f}" for one in np.concatenate([*numbers]))
-            print(f"| {robots}{', swept' * swept} | {kind} | " + " | ".join(words) + " |")
+        numbers = (np.median(taken[robots, swept, parts], axis=0) for parts in (0, 1))
+        words = ("" if np.isnan(one) else f"{one:.2f}" for one in np.concatenate([*numbers]))
+        print(f"| {robots}{', swept' * swept} | " + " | ".join(words) + " |")
 
 
 if __name__ == "__main__":

@@ -127,6 +127,7 @@ limit together, 0.25 for ``initial_scale_std + 5 cross_talk_std``, at which both
 IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
         LoadCells: (
+            "averaged",
             "channels",
             "capacity",
             "rated_output",

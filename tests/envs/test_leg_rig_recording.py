@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.in_situ import InSituSet, validation
+from surefoot.calibration.in_situ.fit import Limb
 from surefoot.envs.leg_rig.env import LegRigEnv
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig, sweep, swing
 from surefoot.envs.leg_rig.spec import ADDED_MASSES, HIP_RANGE
@@ -210,9 +211,10 @@ def test_validation_expects_the_wrench_of_the_rig(fast: bool) -> None:
         angular_velocity=told.angular_velocity,
         angular_acceleration=told.angular_acceleration,
     )
-    np.testing.assert_allclose(validation.expected_wrench(data, told.limb_leg), told.wrench_leg, atol=1e-9)
-    still = told.wrench_leg - validation.motion_wrench(data, told.limb_leg)
-    found = validation.added_mass(still, told.gravity_leg, told.limb_leg)
+    limb = Limb(*told.limb_leg)
+    np.testing.assert_allclose(validation.expected_wrench(data, limb), told.wrench_leg, atol=1e-9)
+    still = told.wrench_leg - validation.motion_wrench(data, limb)
+    found = validation.added_mass(still, told.gravity_leg, limb)
     assert found.mass == pytest.approx(told.added_mass, abs=1e-4)
     np.testing.assert_allclose(found.position, told.added_com_leg, atol=1e-3)
     lengths = validation.semi_axes(still[:, :3], told.gravity_leg)

@@ -82,7 +82,7 @@ def test_encoders_have_a_constant_offset_and_fresh_noise() -> None:
 
 def test_perfect_instruments_have_no_resolution() -> None:
     assert preset("perfect", Encoders).resolution == 0.0
-    assert preset("perfect", Imu).averaged is False
+    assert preset("perfect", Imu).accelerometer_resolution == 0.0
 
 
 def test_scales_and_axes_are_off_by_their_spreads_and_stay_so() -> None:

@@ -8,7 +8,8 @@ from surefoot.sensors.telemetry.computer import PACKETS_BEFORE_START, Telemetry
 
 DT, SUBSTEPS = 1 / 80, 10
 EXACT = preset("perfect", Encoders)
-AVERAGING = Imu(**{**vars(preset("perfect", Imu)), "averaged": True})
+AVERAGING = preset("perfect", Imu)
+INSTANT = Imu(**{**vars(AVERAGING), "averaged": False})
 
 
 def clockwork(link: Link, imu: Imu, steps: int = 40) -> list:
@@ -42,7 +43,7 @@ def test_packets_are_measured_every_10_ms_and_come_20_ms_later() -> None:
 
 def test_an_averaging_imu_is_of_the_middle() -> None:
     telemetry = Telemetry(2, AVERAGING, EXACT, Link(), DT, SUBSTEPS)
-    for imu, age in ((AVERAGING, 3.5 * DT / SUBSTEPS), (preset("perfect", Imu), 0.0)):
+    for imu, age in ((AVERAGING, 3.5 * DT / SUBSTEPS), (INSTANT, 0.0)):
         packets = clockwork(Link(jitter=0.0), imu)
         force = np.array([packet.values[telemetry.layout.accelerometer][0] for packet in packets])
         measured = np.array([packet.values[0] for packet in packets])
