@@ -127,7 +127,7 @@ def test_perfect_instruments_and_no_calibration_show_what_the_bare_environment_s
     perfect = FootSensors(make_bare(), "perfect", imu="perfect", encoders="perfect", link="perfect")
     env = SelfCalibration(perfect, "none", errors=NO_ERRORS)
     bare = make_bare()
-    observation, expected = env.reset(seed=2)[0], bare.reset(seed=2)[0]
+    (observation, info), expected = env.reset(seed=2), bare.reset(seed=2)[0]
     layout, far, true = env.unwrapped.state_layout, [], expected["foot_force"]
     for step in range(240):
         np.testing.assert_allclose(observation["foot_force"], true, atol=1e-4)
