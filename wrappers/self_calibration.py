@@ -80,7 +80,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             observation is no ``Dict`` any more.
         RuntimeError: At a step, if a wrapper between both repeats steps or resets by itself.
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of: one free body, hinge joints, two feet.
+            that a nominal model can be made of: one free body, hinge joints, feet.
     """
 
     def __init__(
