@@ -26,7 +26,14 @@ from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import DEFAULT, DETERMINED, FootView, check_certainty, check_parts
+from surefoot.robot.foot_view import (
+    DETERMINED,
+    FootView,
+    check_certainty,
+    check_parts,
+    default_parts,
+    flaw_of,
+)
 from surefoot.robot.native import NOTHING, NativeSample, Sample
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
@@ -71,7 +78,7 @@ class CalibrationSetup:
         equipment: What each is equipped with.
         method: As of :class:`~surefoot.wrappers.SelfCalibration`, like all that follow.
         initial: The map to start from.
-        show: What is observed.
+        show: What is observed; ``None`` for forces and the centres of pressure that there are.
         lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robots are about themselves.
@@ -99,7 +106,7 @@ class CalibrationSetup:
         /,
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
+        show: Sequence[str] | None = None,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -111,6 +118,7 @@ class CalibrationSetup:
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)
         check_stream(owner, stream)
+        show = default_parts(flaw_of(instruments.layout, drawing.flaw)) if show is None else show
         check_parts(show)
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.ages = instruments.ages
@@ -127,7 +135,7 @@ class CalibrationSetup:
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
         self.spaces = self.view().spaces
-        check_certainty(show, self.method)
+        check_certainty(self.show, self.method)
 
     def model(self) -> NominalModel:
         """Make a robot's model of itself, as drawn."""
@@ -142,7 +150,8 @@ class CalibrationSetup:
 
     def view(self) -> FootView:
         """Make what shows the feet of one robot."""
-        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, self.drawing.gravity)
+        drawing, rolls = self.drawing, self.touching.rolls
+        return FootView(self.show, self.layout, self.mass, drawing.flaw, drawing.gravity, rolls)
 
 
 class RobotCalibration:

@@ -11,7 +11,7 @@ from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import DEFAULT, RAW, seen_below
+from surefoot.robot.foot_view import RAW, seen_below
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
@@ -89,7 +89,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
+        show: Sequence[str] | None = None,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -113,7 +113,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self,
             method=setup.method,
             initial=setup.start.recorded(),
-            show=list(show),
+            show=list(setup.show),
             lag=lag,
             fresh=fresh,
             errors=setup.errors,
@@ -130,8 +130,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             )
         sensors.listen()
         self.robot, self.layout = RobotCalibration(setup, sensors.robot), setup.layout
-        self._shows_raw = RAW in show
-        self.observation_space = spaces.Dict(seen_below(space.spaces, show) | setup.spaces)
+        self._shows_raw = RAW in setup.show
+        self.observation_space = spaces.Dict(seen_below(space.spaces, setup.show) | setup.spaces)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -99,6 +99,8 @@ class Kinematics:
         self, gravity: float = GRAVITY, feet: int = 2, touching: NDArray[np.float64] | None = None
     ) -> None:
         self._free_fall, self._touching = FREE_FALL * gravity, touching
+        # A soft round foot that bears load is pressed flat by no more than its radius.
+        self._lifted = LIFTED if touching is None else np.maximum(LIFTED, touching[..., 3].max(axis=1))
         self._runs = [0] * (2 * feet)
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -121,7 +123,7 @@ class Kinematics:
         # NaN, where nothing is known yet, compares as false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         above = height - height.min()
-        seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > LIFTED)).tolist()]
+        seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > self._lifted)).tolist()]
         self._runs = [run + 1 if now else 0 for run, now in zip(self._runs, seen, strict=True)]
         return _halves([run > CONTACT_MARGIN for run in self._runs])
 

@@ -368,7 +368,8 @@ class Beliefs(Believed):
             time: The moment in s of the host's clock.
 
         Returns:
-            Seen from above in the level frame of that moment, the place of each sole in m and its heading, a
+            Seen from above in the level frame of that moment, the place of each sole (of a round foot its lowest
+            point) in m and its heading, a
             unit vector: x, y, forward x, forward y of each one, shape (F, 4).
         """
         last = self._last
@@ -380,11 +381,16 @@ class Beliefs(Believed):
         poses = slice(self.rows.soles.start, self.rows.axes.stop)
         rows = newest[poses]
         rows = rows + ahead * (rows - before[poses])
-        place, forward = rows[: self.feet, :2], rows[self.feet :: 3, :2]
+        place, axes = rows[: self.feet, :2], rows[self.feet :].reshape(-1, 3, 3)
+        forward, middle = axes[:, 0, :2], place.mean(axis=0)
+        if self._touching is not None:
+            arm = self._touching[..., :3] @ axes
+            lowest = np.argmin(arm[..., 2] - self._touching[..., 3], axis=1)
+            place = place + arm[range(self.feet), lowest, :2]
         x, y = forward.sum(axis=0).tolist()
         norm = 1.0 / sqrt(x * x + y * y)
         R = norm * np.array([[x, -y], [y, x]])
-        return np.hstack([(place - place.mean(axis=0)) @ R, forward @ R])
+        return np.hstack([(place - middle) @ R, forward @ R])
 
     def _middle(self, number: int) -> float:
         """Time on the host's clock of the middle between a packet and the one before."""
