@@ -100,7 +100,7 @@ class FootView:
         spaces: The space of each part that is calibrated.
         every: The space of each part.
         flawed: Whether the feet have no centres of pressure of their own.
-        held: The last ones that were defined, of each foot and of all, and its deviation in m, shape (2 F + 4,).
+        held: The last ones that were defined, of each foot and of all, and its deviation in m, (2 F + 4,).
         force_bound: Largest force that is shown in N.
         weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 

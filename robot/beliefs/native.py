@@ -66,7 +66,8 @@ class NativeBeliefs:
         }  # fmt: skip
         joints = beliefs.layout.joint_position.stop
         shapes = {
-            "ring": (HISTORY, beliefs.rows.count, 3), "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
+            "ring": (HISTORY, beliefs.rows.count, 3),
+            "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
             "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
             "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
             "parts": (), "sum": (6,),

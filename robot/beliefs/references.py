@@ -368,8 +368,8 @@ class Beliefs(Believed):
             time: The moment in s of the host's clock.
 
         Returns:
-            Seen from above in the level frame of that moment, the place of each sole (of a round foot its lowest
-            point) in m and its heading, a
+            Seen from above in the level frame of that moment, the place of each sole (of a round foot its
+            lowest point) in m and its heading, a
             unit vector: x, y, forward x, forward y of each one, shape (F, 4).
         """
         last = self._last

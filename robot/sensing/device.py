@@ -39,9 +39,13 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
 
 
 def fitted_device(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
-    """Make a configuration as :func:`foot_device` does; presets have as many six-axis sensors as there are feet."""
+    """Make a configuration as :func:`foot_device` does; presets have a six-axis sensor a foot."""
     device = foot_device(config)
-    return replace(device, sensors=feet) if isinstance(config, str) and isinstance(device, ForceTorque) else device
+    return (
+        replace(device, sensors=feet)
+        if isinstance(config, str) and isinstance(device, ForceTorque)
+        else device
+    )
 
 
 def first_steps(configs: tuple[FootDevice, ...], dt: float) -> list[float]:
