@@ -231,7 +231,7 @@ def _cells(wrench: Floats) -> Floats:
 
 
 def _feedback(data: mujoco.MjData, down: NDArray[np.bool_]) -> Floats:
-    """Return what ankles and hips that carry add, so that the torso comes upright again."""
+    """Angles that ankles and hips of the feet on the ground add to bring the torso upright."""
     w, x, y, z = data.qpos[3:7]
     roll, pitch = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), np.arcsin(2 * (w * y - z * x))
     tilt = np.array([roll, pitch])

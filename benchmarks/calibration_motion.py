@@ -4,7 +4,7 @@
     python benchmarks/calibration_motion.py walk --seeds 20       # NAO: the motion, then 12 s of walking
     python benchmarks/calibration_motion.py robots --seeds 5      # the motion, then 12 s of exercise
 
-The start is the arena's bad one: scales 12 % off, offsets 1.5 N for a NAO (3 N per 100 N of weight for
+The start is the bad one of walks: scales 12 % off, offsets 1.5 N for a NAO (3 N per 100 N of weight for
 others), drift of 2 % and 1 N (2 N per 100 N) per square root of a minute; the robot's usual errors about
 itself. Errors of the centre of pressure count from the first step, or the first exercise, on; the readings'
 own error by the data sheet is given beside. NEES is that of all scales and offsets when the motion is over.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
-from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
+from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
 from surefoot.experiments.walks.score import cop_world
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.robot.beliefs.errors import NO_ERRORS
@@ -133,7 +133,7 @@ def study_runs(robot: str, seeds: range, budget: float, enough: float, limits: L
         )
 
 
-def walked(duration: float, **options: Any) -> FootMotion:
+def record_walk(duration: float, **options: Any) -> FootMotion:
     """Walk with perfect sensors."""
     env = NaoWalkEnv(duration=duration + 4.0, push_impulse=(0.0, 0.0), **options)
     sensors = FootSensors(env, "perfect", imu="perfect", encoders="perfect", link="perfect")
@@ -150,7 +150,7 @@ def walked(duration: float, **options: Any) -> FootMotion:
 
 
 def cop_std(covariance: Floats, layout: Any, walk: FootMotion) -> float:
-    """Return what a covariance of (a, b) means for the centre of pressure of a walk, in m."""
+    """Standard deviation of a walk's centre of pressure by a covariance of (a, b), in m."""
     force, reference = walk.force, walk.reference
     cells = np.concatenate(
         [
@@ -171,19 +171,19 @@ def study_plan(budget: float) -> None:
     """Compare bounds of the NAO's motions after the same time, for the CoP of a walk at 0.04 m/s."""
     stage = Rehearsal("nao")
     able, _ = rehearse(stage)
-    layout, judge = stage.layout, walked(12.0, speed=0.04)
+    layout, judge = stage.layout, record_walk(12.0, speed=0.04)
     names = list(able.motions)
 
-    def told(name: str, covariance: Floats, time: float) -> None:
+    def tell(name: str, covariance: Floats, time: float) -> None:
         print(f"{name:44s} {time:5.1f} s   {1e3 * cop_std(covariance, layout, judge):6.2f} mm", flush=True)
 
     def of(name: str, order: list[str]) -> None:
         plan = plan_foot_excitation(layout, able, budget, motions=order)
-        told(name, plan.covariance, float(plan.time[-1]))
+        tell(name, plan.covariance, float(plan.time[-1]))
 
     plan = plan_foot_excitation(layout, able, budget)
-    told("nothing", plan.covariance_before, 0.0)
-    told("the plan", plan.covariance, float(plan.time[-1]))
+    tell("nothing", plan.covariance_before, 0.0)
+    tell("the plan", plan.covariance, float(plan.time[-1]))
     length = {name: able.dt * len(motion.force) for name, motion in able.motions.items()}
     for name in ("step @ 1.4", "sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5", "squat @ 1"):
         of(f"{name} alone", [name] * int(budget / length[name]))
@@ -198,16 +198,16 @@ def study_plan(budget: float) -> None:
             order.append(fit[rng.integers(len(fit))])
         found.append(plan_foot_excitation(layout, able, budget, motions=order).covariance)
     found.sort(key=lambda covariance: cop_std(covariance, layout, judge))
-    told(f"{RANDOM} random orders, the best", found[0], budget)
-    told(f"{RANDOM} random orders, the median", found[RANDOM // 2], budget)
+    tell(f"{RANDOM} random orders, the best", found[0], budget)
+    tell(f"{RANDOM} random orders, the median", found[RANDOM // 2], budget)
     for name, options in {
         "walking at 0.04 m/s": {"speed": 0.04},
         "turning on the spot at 0.2 rad/s": {"speed": 0.0, "turn_rate": 0.2},
     }.items():
-        motion = walked(budget, **options)
+        motion = record_walk(budget, **options)
         other = MovingRobot(mass=able.mass, motions={name: motion}, dt=1.0 / 80.0, lag=4)
         plan = plan_foot_excitation(layout, other, budget, motions=[name])
-        told(name, plan.covariance, budget)
+        tell(name, plan.covariance, budget)
 
 
 def main() -> None:

@@ -13,9 +13,9 @@ The recording is not part of this package: ``$SUREFOOT_DATA/ft`` has to hold ``p
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from rich.console import Console
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ import (
-    InSituOptions,
     InSituSet,
     KnownLimb,
     calibrate_in_situ,
@@ -39,13 +38,8 @@ _NAMES = ("bare", "mass at (+, +)", "mass at (-, +)", "mass at (-, -)")
 LOADED = _NAMES[1:]
 """Loads that can be left out: without the bare one all masses are alike, and only a known base tells more."""
 
-_WIDE: Mapping[str, Any] = {
-    "residual_tolerance": 1.0,
-    "mass_tolerance": 10.0,
-    "scale_tolerance": 10.0,
-    "axis_tolerance": 1e9,
-}
-"""Tolerances under which nothing is refused for being wrong; what is open is refused all the same."""
+_LOST = "to see what comes out of a sensor that is not linear"
+"""Why refusals are passed; what is open is refused all the same."""
 
 _RIDGE = 0.1
 """Weight of the ridge of a regression on standardised readings, of their variance."""
@@ -138,13 +132,8 @@ def load_optical(folder: Path) -> Optical:
 
 
 def optical_refusals(recording: Optical) -> list[str]:
-    """Say what is refused, one refusal after the other, as each is silenced by a wide tolerance."""
-    refusals = []
-    for silenced in range(len(_WIDE) + 1):
-        options = InSituOptions(**dict(list(_WIDE.items())[:silenced]))
-        fit = calibrate_in_situ(recording.sets, options=options, refuse=False)
-        refusals += [refusal.reason for refusal in fit.refusals if refusal.reason not in refusals]
-    return refusals
+    """Say all that is refused."""
+    return [refusal.reason for refusal in calibrate_in_situ(recording.sets, accept=_LOST).refusals]
 
 
 def optical_sensor(recording: Optical) -> list[OpticalRow]:
@@ -184,7 +173,7 @@ def _paper(sets: Sequence[InSituSet]) -> _Map:
 
 
 def _ours(sets: Sequence[InSituSet], limb: KnownLimb | None) -> _Map:
-    fit = calibrate_in_situ(sets, limb=limb, options=InSituOptions(**_WIDE))
+    fit = calibrate_in_situ(sets, limb=limb, accept=_LOST)
     return _Map(fit.matrix, fit.offsets, fit.limb.mass, fit.limb.com)
 
 

@@ -89,7 +89,7 @@ def measure(samples: int) -> None:
 
 
 def stepper(name: str, setup: OnlineSetup, raw: NDArray[np.float64]) -> Callable[[Any, Reference], None]:
-    """Return what takes in one sample after the other by a method's pure functions."""
+    """Make a function that feeds samples one by one to a method's pure functions."""
     method = online_method(name, setup)
     state = method.init(raw)
 

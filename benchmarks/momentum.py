@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -186,8 +187,10 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
-    env = SelfCalibration(sensors, "moment")
-    env.reset(seed=seed)
+    # In Python both kinds of beliefs are made.
+    with patch("surefoot.robot.beliefs.native.installed", lambda: None):
+        env = SelfCalibration(sensors, "moment")
+        env.reset(seed=seed)
     robot, source, core = env.robot, sensors.source, sensors.robot
     model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
     torso, rows, dt = model.body(source.drawing.torso).id, [], float(source.dt)
@@ -196,7 +199,8 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
         data.xfrc_applied[torso, :3] = _outside(scene, k * dt, weight)
         _, _, fell, over, _ = env.step(act(k * dt))
         truth = source.truth
-        believed = robot.beliefs.beliefs.believed, robot.reference
+        both: Any = robot.beliefs
+        believed = both.beliefs.believed, both.believed
         places = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
         rows.append((core.raw.copy(), *believed, core.true_parameters(), *places))
         if fell or over:

@@ -104,7 +104,7 @@ def deepest(assembly: str) -> int:
     return max(map(below, frames))
 
 
-def measured(program: str, target: tuple[str, ...]) -> list[int]:
+def measure(program: str, target: tuple[str, ...]) -> list[int]:
     """Return the sizes of code, state, work and deepest stack in bytes."""
     with TemporaryDirectory() as folder:
         source, command = Path(folder, "robot.c"), [sys.executable, "-m", "ziglang", "cc", "-target", *target]
@@ -134,7 +134,7 @@ def main() -> None:
     )
     print("|---" * (1 + 4 * len(TARGETS)) + "|")
     for name, program in programs.items():
-        sizes = (f"{size / 1000:.1f}" for target in TARGETS.values() for size in measured(program, target))
+        sizes = (f"{size / 1000:.1f}" for target in TARGETS.values() for size in measure(program, target))
         print(f"| {name} | " + " | ".join(sizes) + " |")
 
 

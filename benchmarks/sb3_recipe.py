@@ -20,7 +20,7 @@ REWARD_SCALE = 0.05  # of the recipe
 
 
 def recipe() -> dict[str, Any]:
-    """Return what the page's code for Stable-Baselines3 defines."""
+    """Names that the page's code for Stable-Baselines3 defines."""
     section = PAGE.read_text(encoding="utf-8").partition("\n## Stable-Baselines3\n")[2]
     names: dict[str, Any] = {"__name__": "recipe"}
     exec(section.partition("```python\n")[2].partition("```")[0], names)

@@ -34,10 +34,9 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import lfilter, savgol_filter
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters, Reference
-from surefoot.experiments.arena.replay import play
-from surefoot.experiments.arena.score import score_run
-from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
+from surefoot.experiments.walks.play import Stream, play
+from surefoot.experiments.walks.run_score import score_run
 from surefoot.robot.beliefs.errors import USUAL
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.sensors import Encoders, Imu, Link, LoadCells, encoders, imu, scaled
@@ -163,7 +162,7 @@ def send_telemetry(run: biped.Run, skew: float, rng: np.random.Generator) -> Tel
 
 
 def believe(telemetry: Telemetry, model: NominalModel, time: Floats) -> Reference:
-    """Return what the robot believes at times of the host: of the samples :data:`LAG` before, once it can.
+    """Beliefs of the robot at times of the host, of the samples :data:`LAG` before, once it can.
 
     Stance and swing are left empty.
     """
@@ -333,13 +332,13 @@ def record_missing(folder: Path, speed: float, seed: int, duration: float, start
 
 
 def stream(path: Path) -> Stream:
-    """Read a log for the arena's :func:`~surefoot.experiments.arena.replay.play`, and say what is judged."""
+    """Read a log for :func:`~surefoot.experiments.walks.play.play`, and say what is judged."""
     log = read_log(path)
     return Stream(log, log.seed or 0, log.time >= SETTLE, STAND, fell=bool(log.about["fell"]))
 
 
 def score(path: Path, method: str, **options: Any) -> dict[str, Any]:
-    """Play a method on a log and score it, as the arena does."""
+    """Play a method on a log and score it, as the study of walks does."""
     one = stream(path)
     return score_run(one, play([one], method, **options)[0])
 

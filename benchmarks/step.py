@@ -4,27 +4,34 @@
     python benchmarks/step.py --robots NaoBalance G1 --rounds 400
     python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
+    python benchmarks/step.py --robots NaoBalance --launchers
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
 the bare step it is, with an interval that holds this median 19 times in 20, and last the time of a reset that
-keeps sensors and what was learnt. Time is that of the process; of many robots also the time that passes. The
-specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs
+keeps sensors and what was learnt. Time is that of the process and its children; of many robots also the time
+that passes. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs
 ``pip install surefoot[robots]``.
+
+Many robots are copies in Gymnasium's ``SyncVectorEnv``, or, where MuJoCo's threads step the task, its own
+vector environment. ``--launchers`` compares both with ``AsyncVectorEnv``, the first of the table.
 """
 
 import argparse
+import cProfile
+import os
+import pstats
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
-from stepping import shares, step
 
 import surefoot  # noqa: F401
 from surefoot.calibration.native import NATIVE as CALIBRATION
@@ -34,6 +41,7 @@ from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
 from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
+from surefoot.wrappers.vector.truth_row import TruthRow
 
 CELLS, ANKLES = "hx711-load-cells", "icub-force-torque"
 
@@ -44,15 +52,15 @@ class Robot(NamedTuple):
     env: str
     options: dict[str, Any]
     config: str | None
+    batch: bool = False  # whether MuJoCo's threads step many of them
 
 
 ROBOTS = {
-    "NaoBalance": Robot("surefoot/NaoBalance-v0", {}, CELLS),
-    "NaoWalk": Robot("surefoot/NaoWalk-v0", {"speed": 0.04, "duration": 120.0}, CELLS),
+    "NaoBalance": Robot("surefoot/NaoBalance-v0", {}, CELLS, True),
+    "NaoWalk": Robot("surefoot/NaoWalk-v0", {"speed": 0.04, "duration": 120.0}, CELLS, True),
     "Humanoid": Robot("Humanoid-v5", {}, ANKLES),
     "G1": Robot("surefoot/Exercise-v0", {"robot": "g1"}, None),
 }
-MANY = ("NaoBalance", "NaoWalk")
 RESETS = 40
 """How many of them are timed."""
 
@@ -88,13 +96,20 @@ class Stack:
         """Step on; return a step's time of the process and of the wall in s, and whether an episode ended."""
         done, taken, end = False, 0, False
         with self._way():
-            begin, start = time.process_time(), time.perf_counter()
+            begin, start = self._busy(), time.perf_counter()
             while taken < steps and not end:
                 _, _, terminated, truncated, _ = self.env.step(self._action)
                 taken, done = taken + 1, terminated | truncated
                 end = bool(np.any(done))
-            used, passed = time.process_time() - begin, time.perf_counter() - start
+            used, passed = self._busy() - begin, time.perf_counter() - start
         return used / taken, passed / taken, end
+
+    def _busy(self) -> float:
+        """Time for which this process and those of the environment have worked, in s."""
+        children = [process.pid for process in getattr(self.env.unwrapped, "processes", ())]
+        stats = [Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split() for child in children]
+        theirs = sum(int(stat[11]) + int(stat[12]) for stat in stats)
+        return time.process_time() + theirs / os.sysconf("SC_CLK_TCK")
 
 
 def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) -> dict[str, Stack]:
@@ -118,18 +133,41 @@ def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) ->
     return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
 
 
-def many(robot: Robot, count: int, methods: list[str], faults: list[str], threads: int) -> dict[str, Stack]:
-    """Make the same of many robots in native threads."""
+def make_copies(robot: Robot, count: int, launcher: Any, *wrappers: Callable[[Any], Any]) -> Any:
+    """Make many of an environment by one of Gymnasium's launchers."""
 
-    def bare() -> Any:
-        return gym.make_vec(robot.env, count, "vector_entry_point", threads=threads, **robot.options)
+    def one() -> gym.Env[Any, Any]:
+        env = gym.make(robot.env, disable_env_checker=True, **robot.options)
+        for wrapper in wrappers:
+            env = wrapper(env)
+        return env
+
+    return launcher([one] * count)
+
+
+def many(
+    robot: Robot, count: int, methods: list[str], faults: list[str], threads: int, launchers: bool
+) -> dict[str, Stack]:
+    """Make the same of many robots, perhaps beside other launchers."""
+
+    def bare(*wrappers: Callable[[Any], Any]) -> Any:
+        if robot.batch:
+            return gym.make_vec(robot.env, count, "vector_entry_point", threads=threads, **robot.options)
+        return make_copies(robot, count, gym.vector.SyncVectorEnv, *wrappers)
 
     def sensed() -> Any:
-        feet = VectorFootSensors(bare(), robot.config, faults=faults)
+        feet = VectorFootSensors(bare(TruthRow), robot.config, faults=faults)
         feet.sensors.threads = threads
         return feet
 
-    found = {"bare": bare(), "VectorFootSensors": sensed()}
+    found: dict[str, Any] = {}
+    if launchers:
+        kinds = gym.vector.AsyncVectorEnv, gym.vector.SyncVectorEnv
+        found = {f"bare, {kind.__name__}": make_copies(robot, count, kind) for kind in kinds}
+    found["bare"] = bare()
+    if not robot.batch:
+        found["TruthRow"] = bare(TruthRow)
+    found["VectorFootSensors"] = sensed()
     for method in methods:
         found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(sensed(), method)
     return {name: Stack(env, True) for name, env in found.items()}
@@ -158,7 +196,7 @@ def compare(found: dict[str, Stack], rounds: int, steps: int, robots: int = 1) -
         for name, stack in found.items():
             stack.run(2)
             resets[name].append(stack.reset(None))
-    bare, wall = np.array(taken["bare"]), np.array(walls["bare"])
+    bare, wall = (np.array(next(iter(times.values()))) for times in (taken, walls))
     for name, times in taken.items():
         ratio = np.sort(np.array(times) / bare)
         # Order statistics around the median: how many of n are below it is binomial.
@@ -174,6 +212,20 @@ def compare(found: dict[str, Stack], rounds: int, steps: int, robots: int = 1) -
         print(line, flush=True)
 
 
+def print_shares(run: Callable[[], Any], deepest: int = 18) -> None:
+    """Print where the time of a run goes, as the profiler sees it."""
+    profile = cProfile.Profile()
+    profile.runcall(run)
+    statistics: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    total = sum(row[2] for row in statistics.values())
+    rows = sorted(statistics.items(), key=lambda row: -row[1][2])
+    print("Shares of the time, as the profiler sees it:")
+    for (file, line, name), (_, calls, own, cumulative, _) in rows[:deepest]:
+        where = f"{Path(file).parent.name}/{Path(file).name}:{line}" if line else ""
+        share, whole = 100 * own / total, 100 * cumulative / total
+        print(f"  {share:5.1f} % own  {whole:5.1f} % in all  {calls:7d} x  {name} {where}")
+
+
 def main() -> None:
     """Print the table, and where the time of the last stack goes."""
     layout = argparse.RawDescriptionHelpFormatter
@@ -185,11 +237,12 @@ def main() -> None:
     parser.add_argument("--many", nargs="*", type=int, default=[64], help="robots of vector environments")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, cores()], help="of vector environments")
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
+    parser.add_argument("--launchers", action="store_true", help="also Gymnasium's, of many robots alone")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     arguments = parser.parse_args()
 
     print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s} {'':14s} {'us/reset':>10s}")
-    for name in arguments.robots:
+    for name in () if arguments.launchers else arguments.robots:
         print(f"{name}, 1 robot")
         try:
             found = stacks(ROBOTS[name], arguments.methods, arguments.faults, True)
@@ -199,14 +252,13 @@ def main() -> None:
         found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
         compare(found, arguments.rounds, arguments.steps)
         if arguments.shares:
-            print("Shares of the time, as the profiler sees it:")
-            last = found[f"+ SelfCalibration({arguments.methods[-1]})"].env
-            shares(partial(step, last, 1000))
-    cases = product([robot for robot in arguments.robots if robot in MANY], arguments.many, arguments.threads)
-    for name, count, threads in cases:
+            last = found[f"+ SelfCalibration({arguments.methods[-1]})"]
+            print_shares(partial(last.run, 1000))
+    of_batches = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
+    for name, count, threads in product(of_batches, arguments.many, arguments.threads):
         print(f"{name}, {count} robots, {threads} threads")
-        of_many = many(ROBOTS[name], count, arguments.methods, arguments.faults, threads)
-        compare(of_many, max(20, arguments.rounds // 8), 5, count)
+        rest = arguments.methods, arguments.faults, threads, arguments.launchers
+        compare(many(ROBOTS[name], count, *rest), max(20, arguments.rounds // 8), 5, count)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ class Swept(NamedTuple):
     rows: pd.DataFrame
 
 
-def timed_row(episode: Episode) -> dict[str, Any]:
+def time_row(episode: Episode) -> dict[str, Any]:
     """Run an episode and add its processor time in s."""
     began = time.process_time()
     row = episode_row(episode)
@@ -47,7 +47,7 @@ def timed_row(episode: Episode) -> dict[str, Any]:
 def sweep_once(plan: EpisodePlan, jobs: int) -> Swept:
     """Sweep a plan by workers who are up already."""
     with runner(jobs, backend="local") as crew:
-        work = [(timed_row, (episode,)) for episode in plan.episodes]
+        work = [(time_row, (episode,)) for episode in plan.episodes]
         crew.do("warm up", work[:4])
         began = time.perf_counter()
         rows = pd.DataFrame(crew.do("sweep", work))

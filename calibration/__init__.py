@@ -8,6 +8,7 @@ NumPy and SciPy; no simulator and no Gymnasium, so that it runs on a robot.
 * :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
 
+from surefoot.calibration.baselines import SwingTare
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.foot_calibrator import FootCalibrator
@@ -23,6 +24,7 @@ from surefoot.calibration.in_situ import (
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.bound import posterior_bound
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.online import METHODS, online_method, register_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
@@ -33,6 +35,7 @@ from surefoot.calibration.standing import QuietStanding
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import fit_cop_correction
 from surefoot.calibration.weights.standing_start import standing_start
+from surefoot.calibration.window.config import Window
 
 __all__ = [
     "GRAVITY",
@@ -48,6 +51,7 @@ __all__ = [
     "InSituSet",
     "InSituTracker",
     "KnownLimb",
+    "Moment",
     "MomentumReference",
     "MovingRobot",
     "OnlineMethod",
@@ -55,6 +59,8 @@ __all__ = [
     "Parameters",
     "QuietStanding",
     "Reference",
+    "SwingTare",
+    "Window",
     "calibrate_accelerometer",
     "calibrate_in_situ",
     "fit_channels",

@@ -30,7 +30,7 @@ from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
 
 @dataclass(frozen=True, kw_only=True)
-class TareConfig:
+class SwingTare:
     """Options of the swing tare."""
 
     settle: float = 0.05
@@ -74,14 +74,14 @@ class TareState(NamedTuple):
     offset: Array
 
 
-def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
+def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
     """Return the swing tare as a pair of pure functions.
 
     Args:
         setup: The robot.
         config: Options.
     """
-    options = config or TareConfig()
+    options = config or SwingTare()
     channels, foot_of, feet = setup.layout.channels, setup.layout.foot_of_channel, setup.layout.slices
     front_end = FrontEnd(setup, imu=False)
     settle = round(options.settle / setup.dt)

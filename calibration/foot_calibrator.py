@@ -19,7 +19,7 @@ from surefoot.calibration.native import (
     installed,
     native_filter,
 )
-from surefoot.calibration.online import method_name, online_method
+from surefoot.calibration.online import MethodOptions, online_method, resolve_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
@@ -36,7 +36,8 @@ class FootCalibrator:
 
     Args:
         layout: How the channels make up the feet's wrenches.
-        method: A key of :data:`~surefoot.calibration.online.METHODS`, or ``"module:name"`` for one of yours.
+        method: A key of :data:`~surefoot.calibration.online.METHODS`, ``"module:name"`` for one of yours, or
+            options as a value, such as ``Moment(scale_std=0.2)``.
         mass: Mass of the robot as it believes it, in kg.
         initial: The map to start from, the nominal one or that of known weights; by default readings are
             taken for newtons.
@@ -73,7 +74,7 @@ class FootCalibrator:
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "moment",
+        method: str | MethodOptions = "moment",
         *,
         mass: float,
         initial: Parameters | None = None,
@@ -81,7 +82,7 @@ class FootCalibrator:
         lag: int = 2,
         **options: Any,
     ) -> None:
-        self.method = method_name(method)
+        self.method, options = resolve_method(method, options)
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.bound import LogPassages, Passage
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup, setup_from_options
@@ -125,7 +125,7 @@ def plan_foot_excitation(
     setup, rest = setup_from_options(
         layout, mass=robot.mass, initial=None, dt=robot.dt, lag=robot.lag, options=options
     )
-    config = MomentConfig(**rest)
+    config = Moment(**rest)
     logs = {name: _passages_of(setup, motion, config) for name, motion in robot.motions.items()}
     first = next(iter(logs.values()))
     choice = _Choice(
@@ -156,7 +156,7 @@ def plan_foot_excitation(
     )
 
 
-def _passages_of(setup: OnlineSetup, motion: FootMotion, config: MomentConfig) -> LogPassages:
+def _passages_of(setup: OnlineSetup, motion: FootMotion, config: Moment) -> LogPassages:
     shape = motion.force.shape
     return LogPassages(setup, *motion, Parameters(np.ones(shape), np.zeros(shape)), config)
 

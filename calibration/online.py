@@ -24,29 +24,35 @@ estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 :func:`register_method` adds one of your own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from surefoot.calibration.baselines import TareConfig, tare, uncorrected
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.baselines import SwingTare, tare, uncorrected
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import moment_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
-from surefoot.calibration.window.config import WindowConfig
+from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import quasi_static, window
 from surefoot.names import check_new_name, plain_name
 
 __all__ = [
     "METHODS",
     "MethodEntry",
+    "MethodOptions",
     "OnlineMethod",
     "OnlineSetup",
     "method_entry",
     "method_name",
     "online_method",
     "register_method",
+    "resolve_method",
 ]
+
+
+MethodOptions = Moment | Window | SwingTare
+"""Options of a method as a value, which names the method as well."""
 
 
 class MethodEntry(NamedTuple):
@@ -69,10 +75,10 @@ class MethodEntry(NamedTuple):
 
 
 _METHODS = {
-    "moment": MethodEntry(moment_filter, MomentConfig, certain=True, momentum=True, contact=True),
-    "window": MethodEntry(window, WindowConfig),
-    "quasi-static": MethodEntry(quasi_static, WindowConfig),
-    "tare": MethodEntry(tare, TareConfig),
+    "moment": MethodEntry(moment_filter, Moment, certain=True, momentum=True, contact=True),
+    "window": MethodEntry(window, Window),
+    "quasi-static": MethodEntry(quasi_static, Window),
+    "tare": MethodEntry(tare, SwingTare),
     "none": MethodEntry(uncorrected),
 }
 
@@ -147,6 +153,33 @@ def method_entry(name: str) -> MethodEntry:
         available = ", ".join(repr(key) for key in METHODS)
         raise ValueError(f"Method {name!r} does not exist. Available: {available}.")
     return METHODS[plain]
+
+
+def resolve_method(method: Any, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the name of a method, and its options.
+
+    Args:
+        method: A name, or the options of a method as a value, such as ``Moment(scale_std=0.2)``.
+        options: Further options by name.
+
+    Raises:
+        TypeError: If it is neither.
+        ValueError: If an option is given twice.
+
+    >>> resolve_method(Moment(scale_std=0.2), {"mass": 5.3})
+    ('moment', {'mass': 5.3, 'scale_std': 0.2})
+    """
+    kind = type(method)
+    found = [name for name, entry in METHODS.items() if entry.config is not None and kind is entry.config]
+    if not found:
+        return method_name(method, 4), dict(options)
+    own = {field.name: getattr(method, field.name) for field in fields(method)}
+    own = {field.name: own[field.name] for field in fields(method) if own[field.name] != field.default}
+    if twice := own.keys() & options.keys():
+        raise ValueError(
+            f"{min(twice)!r} is given twice, in {kind.__name__}(...) and as a keyword; leave one out."
+        )
+    return found[0], {**options, **own}
 
 
 def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod:

@@ -19,7 +19,7 @@ from surefoot.calibration.front_end.filters import zero_phase as filter_zero_pha
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.online import method_entry, method_name
+from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import MomentumReference, Reference
 
@@ -29,7 +29,7 @@ PAPER_CUTOFF = 10.0
 
 def replay(
     layout: FeetLayout,
-    method: str,
+    method: str | MethodOptions,
     raw: NDArray[np.float64],
     reference: Reference | MomentumReference,
     dt: float | NDArray[np.float64] = 1.0 / 80.0,
@@ -64,7 +64,7 @@ def replay(
     Raises:
         ValueError: If a field has another length than the readings, or an array or option does not fit.
     """
-    method = method_name(method)
+    name, options = resolve_method(method, options)
     readings = np.asarray(raw, dtype=np.float64)
     check_kind("layout", layout, FeetLayout)
     if not isinstance(reference, MomentumReference):
@@ -93,9 +93,9 @@ def replay(
     cutoff = None
     if zero_phase:
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
-        if "cutoff" in getattr(method_entry(method).config, "__dataclass_fields__", {}):
+        if "cutoff" in getattr(method_entry(name).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
-    calibrator = FootCalibrator(layout, method, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
+    calibrator = FootCalibrator(layout, name, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
     learnt_from: NDArray[np.float64] = readings
     learnt_with: Reference | MomentumReference = log
     if cutoff is not None:

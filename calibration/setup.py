@@ -21,20 +21,27 @@ OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 """Today's names of methods by the names that they had before."""
 
 
-def method_name(name: str) -> str:
+def method_name(name: str, stacklevel: int = 3) -> str:
     """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
 
     That of a user's method keeps its module, ``"module:name"``, which other processes need.
+
+    Args:
+        name: The name.
+        stacklevel: How far up the line is that the warning is about.
 
     Raises:
         TypeError: If it is no name.
     """
     if not isinstance(name, str):
-        raise TypeError(f"'method' must be a name, such as 'moment', got {name!r} of {type(name).__name__}.")
+        raise TypeError(
+            "'method' must be a name, such as 'moment', or its options, such as Moment(scale_std=0.2), "
+            f"got {name!r} of {type(name).__name__}."
+        )
     if name not in OLD_NAMES:
         return name
     today = OLD_NAMES[name]
-    warnings.warn(f"The method {name!r} is called {today!r} now.", DeprecationWarning, stacklevel=3)
+    warnings.warn(f"The method {name!r} is called {today!r} now.", DeprecationWarning, stacklevel=stacklevel)
     return today
 
 

@@ -2,7 +2,7 @@ r"""A trained policy in NumPy: a small network behind an integrator, from a file
 
 A Stable-Baselines3 zip is opened by unpickling, and what is unpickled runs: a policy file from a stranger
 would be a program from a stranger. The files of this module are NumPy archives of plain arrays, read with
-``allow_pickle=False``; :func:`surefoot.experiments.policy.export.export_zip` writes them.
+``allow_pickle=False``; :func:`surefoot.experiments.policy.view.export_zip` writes them.
 
 The network is the mean of a Gaussian policy. Scaling and selection of the inputs are folded into its first
 layer, so that it reads observations as they come:

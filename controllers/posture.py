@@ -12,7 +12,7 @@ POSTURES = ("sway forward", "sway left", "bow forward", "bow left")
 
 
 def posture_matrix() -> NDArray[np.float64]:
-    """Return what each posture does to the leg motors.
+    """Return the commands of the leg motors for each posture.
 
     Returns:
         Residuals per unit of posture, shape (11, 4).

@@ -91,7 +91,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._substeps * float(self.model.opt.timestep)
 
     def _command(self, tick: Any) -> Command:
-        """Return what the robot commands itself at control step ``tick`` of this episode, 0 at its start.
+        """Return the command at control step ``tick`` of this episode, 0 at its start.
 
         During a step the targets move to the ``joint_target`` of its end. What an episode draws is
         drawn in :meth:`_start`. Steps may exceed the pattern's length.
@@ -140,7 +140,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         return m.where(pressed["cop_valid"][..., 0], m.exp(-(x * x + y * y) / width**2), 0.0)
 
     def _effort(self, action: NDArray[np.float64]) -> Number:
-        """Return what an action costs: -0.1 times its mean square."""
+        """Return the cost of an action: -0.1 times its mean square."""
         return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
 
     def _checked(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:

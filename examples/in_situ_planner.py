@@ -70,7 +70,7 @@ def compare(rounds: int = 3, poses: int = 20, seed: int = 0) -> dict[str, list[t
     response = np.linalg.inv(FACTORY) @ (np.eye(6) + np.diag(0.15 * rng.standard_normal(6)))
     sensor = response, response @ np.array([50.0, -30.0, 40.0, 0.5, 0.2, -0.3])
     limb = KnownLimb(mass=4.9, mass_std=0.3, com=np.array([0.0, 0.0, 0.2]), com_std=0.05)
-    options = InSituOptions(factory_std=(0.2,) * 6, scale_tolerance=1.0)
+    options = InSituOptions(factory_std=(0.2,) * 6)
     sweep = [(o, mass) for mass in range(len(MASSES)) for o in range(len(HIP))]
     env = gym.make("surefoot/LegRig-v0", speed_deg=40.0).unwrapped
     found: dict[str, list[tuple[float, float]]] = {}

@@ -2,7 +2,8 @@
 
 * :func:`read_log` and :func:`write_log` for logs of simulated and real robots (docs/log-format.md).
 * :func:`record_walk`, :func:`replay_logs` and :func:`score_forces`: a walk, the same stream through every
-  calibrator, and how far each is from the truth; :func:`run_loop` for the walker on calibrated feet.
+  calibrator, and how far each is from the truth. :func:`~surefoot.experiments.episodes.run_plan` walks on
+  calibrated feet.
 """
 
 from typing import TYPE_CHECKING
@@ -12,7 +13,6 @@ from surefoot.extras import names_of
 if TYPE_CHECKING:
     from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
     from surefoot.experiments.logs.table import LogError
-    from surefoot.experiments.walks.closed_loop import run_loop
     from surefoot.experiments.walks.record import record_walk
     from surefoot.experiments.walks.replay import replay_logs
     from surefoot.experiments.walks.score import score_forces
@@ -24,7 +24,6 @@ __all__ = [
     "read_log",
     "record_walk",
     "replay_logs",
-    "run_loop",
     "score_forces",
     "write_log",
 ]
@@ -36,7 +35,6 @@ _MODULES = {
     "read_log": "surefoot.experiments.logs.format",
     "record_walk": "surefoot.experiments.walks.record",
     "replay_logs": "surefoot.experiments.walks.replay",
-    "run_loop": "surefoot.experiments.walks.closed_loop",
     "score_forces": "surefoot.experiments.walks.score",
     "write_log": "surefoot.experiments.logs.format",
 }

@@ -112,7 +112,7 @@ def locked(folder: Path, refusal: Exception) -> Iterator[None]:
 
 
 def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
-    """Return what is known of a regular file, ``None`` if there is none; ValueError if it is no such."""
+    """Return the status of a regular file, ``None`` if there is none; ValueError if it is no such."""
     try:
         there = os.stat(_as_path(path))
     except (FileNotFoundError, NotADirectoryError):
@@ -148,12 +148,12 @@ def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
 
 
 def read_json(path: AnyPath, refusal: type[ValueError] = ValueError) -> Any:
-    """Return what a JSON file holds; errors as of :func:`read_text`, and if it is no JSON."""
+    """Read a JSON file; errors as of :func:`read_text`, and if it is no JSON."""
     return parse_json(read_text(path, refusal), Path(path).name, refusal)
 
 
 def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueError) -> Any:
-    """Return what a JSON text holds.
+    """Parse a JSON text.
 
     Args:
         text: The text.
@@ -170,7 +170,7 @@ def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueEr
 
 
 def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str, Any]:
-    """Return what a TOML file holds; errors as of :func:`read_text`, and if it is no TOML."""
+    """Read a TOML file; errors as of :func:`read_text`, and if it is no TOML."""
     text = read_text(path, refusal)
     try:
         if _DOTTED.search(text):
@@ -329,7 +329,7 @@ def _shallow(data: Any) -> Any:
 
 
 def _said(error: Exception) -> str:
-    """Return what an error says, in one line."""
+    """Return the message of an error in one line."""
     if isinstance(error, RecursionError):
         return f"it is nested more than {DEEPEST} levels deep"
     return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")

@@ -151,7 +151,7 @@ class Motions:
         )
 
     def ground(self, motion: Array) -> tuple[float, Array, bool]:
-        """Return what a motion asks of the ground.
+        """Compute the ground reaction that a motion needs.
 
         Args:
             motion: A flat reference, shape (R,).

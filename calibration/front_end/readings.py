@@ -268,7 +268,7 @@ class FrontEnd:
         covariance: Array | None = None,
         ahead: Array | None = None,
     ) -> Estimate:
-        """Return what calibrated forces mean: wrenches and centres of pressure.
+        """Make an estimate of calibrated forces: wrenches and centres of pressure.
 
         Args:
             sample: The sample.

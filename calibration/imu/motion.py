@@ -46,7 +46,7 @@ def gravity_from_imu(
     window: int = 15,
     order: int = 3,
 ) -> ImuMotion:
-    """Return what an IMU's log means at the sensor's origin.
+    """Transfer an IMU's log to the sensor's origin.
 
     Args:
         specific_force: What the accelerometer reads, calibrated, in the IMU's frame in m/s^2, shape (n, 3).

@@ -9,7 +9,7 @@
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.excitation import (
     ExcitationPlan,
     ExcitationPrior,
@@ -20,7 +20,6 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_fit,
 )
 from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
-from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
 from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker

@@ -8,7 +8,7 @@ so readings are what is fitted,
 over the errors D of a maker's matrix (or a response that nobody gave), the limb's inertial parameters and an
 offset for each set, each with what is known of it beforehand. One set or a hundred, at rest or moving, the
 way is the same: **data** that the accelerometer's own errors are taken off
-(:mod:`~surefoot.calibration.in_situ.gravity`, :mod:`~surefoot.calibration.in_situ.gravity`), sets
+(:mod:`~surefoot.calibration.in_situ.imu`), sets
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
 likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
 in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. The paper's own regression is in
@@ -23,49 +23,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import ThreadpoolController
 
-from surefoot.calibration.in_situ.beside import (
-    about_one_temperature,
-    check_gauges,
-    fit_loops,
-    likeliest_loops,
-    with_gains,
-)
-from surefoot.calibration.in_situ.causes import Evidence
-from surefoot.calibration.in_situ.check import check_gravity, check_sets, check_within
-from surefoot.calibration.in_situ.clock import LONGEST, SHORTEST, guess_delay, likeliest_delay, shift
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.causes import Evidence, name_cause
+from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
-from surefoot.calibration.in_situ.covariance import (
-    pooled_noise,
-)
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.gravity import fit_sphere, level
-from surefoot.calibration.in_situ.hypotheses import name_cause
-from surefoot.calibration.in_situ.judge import (
-    check_masses,
-    check_rotation,
-    data_rank,
-)
-from surefoot.calibration.in_situ.maker import (
-    KEPT,
-    Leaning,
-    check_factory,
-    lean,
-)
-from surefoot.calibration.in_situ.model import (
-    AXES,
-)
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.report import fit_of, refused
-from surefoot.calibration.in_situ.solve import Problem, Solution, minima
-from surefoot.calibration.in_situ.starts import starts
-from surefoot.calibration.in_situ.task import MatrixMode, Solved, Task, problem_of
+from surefoot.calibration.in_situ.hysteresis import fit_creep, fit_loops, likeliest_loops
+from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
+from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
+from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
+from surefoot.calibration.in_situ.problem import Problem, pooled_noise, problem_of, starts
+from surefoot.calibration.in_situ.report import Solved, fit_of, refused
+from surefoot.calibration.in_situ.solve import Fitted, minima
+from surefoot.calibration.in_situ.temperature import about_one_temperature, check_gauges, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
-__all__ = ["MatrixMode", "calibrate_in_situ"]
+__all__ = ["calibrate_in_situ"]
 
-Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
 
@@ -78,9 +54,6 @@ _DELAYS = 5
 
 _DRIFTS = ("slow turning", "drift by temperature")
 """Findings of what may hide behind a drift."""
-
-_FEW_REJECTED = 0.01
-"""Share of samples that may disagree with all others as chance has it."""
 
 
 def calibrate_in_situ(
@@ -123,7 +96,8 @@ def calibrate_in_situ(
         raise ValueError(
             f"'accept' must say why a refusal may be passed, got {accept!r}; leave it empty if none may."
         )
-    task = _task(sets, factory_matrix, limb, options or InSituOptions(), matrix)
+    factory = None if factory_matrix is None else np.asarray(factory_matrix, dtype=np.float64)
+    task = Task(tuple(sets), factory, limb, options or InSituOptions(), matrix)
     # Matrices are small: threads would only wait for each other, on a busy machine for seconds.
     with _linear_algebra().limit(limits=1, user_api="blas"):
         fit = _answer(task, accept)
@@ -138,36 +112,6 @@ def _linear_algebra() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _task(
-    sets: Sequence[InSituSet],
-    factory_matrix: ArrayLike | None,
-    limb: KnownLimb | None,
-    options: InSituOptions,
-    mode: MatrixMode,
-) -> Task:
-    """Return what was given, or raise ValueError if it cannot be."""
-    if not sets:
-        raise ValueError("Give at least one set of readings.")
-    channels = sorted({data.channels for data in sets})
-    if len(channels) > 1:
-        raise ValueError(f"All sets must have the same number of channels, got {channels}.")
-    if mode not in ("keep", "update", "free"):
-        raise ValueError(f"'matrix' must be 'keep', 'update' or 'free', got {mode!r}.")
-    factory = None
-    if factory_matrix is not None:
-        factory = np.asarray(factory_matrix, dtype=np.float64)
-        if factory.shape != (AXES, channels[0]):
-            raise ValueError(f"'factory_matrix' must have shape (6, {channels[0]}), got {factory.shape}.")
-        if not np.all(np.isfinite(factory)) or np.linalg.matrix_rank(factory) < AXES:
-            raise ValueError("'factory_matrix' must be finite and of rank 6, as all matrices of makers are.")
-    elif mode == "keep":
-        raise ValueError("'matrix' is 'keep', and there is none to keep: give 'factory_matrix'.")
-    task = Task(tuple(sets), factory, limb, options, mode)
-    if options.estimate_rotation and task.moving:
-        raise ValueError("'estimate_rotation' needs a limb at rest: leave the angular velocities out.")
-    return task
-
-
 def _answer(task: Task, accept: str) -> InSituFit:
     """Return the answer, or a fit of NaN with the reason why there is none."""
     try:
@@ -176,14 +120,14 @@ def _answer(task: Task, accept: str) -> InSituFit:
         if first.refused:
             return refused(task.sets, first.refused)
         solved = _solve(task, door)
-        fit = fit_of(task, solved)
+        fit = fit_of(solved)
     except (CalibrationRefused, np.linalg.LinAlgError) as error:
         return refused(task.sets, (_without_answer(error, accept),))
     findings = solved.findings
     drift = next((one for one in findings if one.name in _DRIFTS), None)
     worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
     if worst is not None:
-        findings[findings.index(worst)] = _name_cause(worst, task, solved, drift)
+        findings[findings.index(worst)] = _name_cause(worst, solved, drift)
     decision = decide(findings, accept)
     if decision.refused:
         return refused(task.sets, decision.refused)
@@ -207,68 +151,66 @@ def _without_answer(error: CalibrationRefused | np.linalg.LinAlgError, accept: s
 def _solve(task: Task, findings: list[Finding]) -> Solved:
     """Return the solutions of a task with all that they are to explain; findings go on."""
     sphere = fit_sphere(task.sets)
-    findings += check_gravity(task.sets, sphere)
-    sets, reference, left_out = about_one_temperature(level(task.sets, sphere))
-    findings += [Finding("temperature", words, refuses=False) for words in left_out]
+    findings += sphere.findings(task.moving)
+    sets, reference, said = about_one_temperature(level(task.sets, sphere))
+    findings += said
     delay, std = guess_delay(sets, task.moving), 0.0
     for _ in range(_DELAYS):
         late, found = tuple(shift(data, delay) for data in sets), list[Finding]()
         members, determined, fits = _fit(task, late, reference, found)
-        if any(data.time is None for data in sets):
+        if not task.timed:
             break
         left = likeliest_delay(late, fits)
         then, std = max(delay + left.delay, 0.0), left.std
         worth = left.nats > 0.5 * np.log(sum(part.rows for part in fits[0][0].sets))
-        if not worth or abs(then - delay) < SHORTEST or then > LONGEST:
+        if not worth or abs(then - delay) < limits.LATE or then > limits.LATEST:
             break
         delay = then
     findings += found
     if delay:
         words = f"The IMU is late by {1e3 * delay:.1f} ms against the readings: it was shifted by that."
-        findings.append(Finding("clock", words, value=delay, limit=SHORTEST, refuses=False))
-    solved = Solved(late, sphere, delay, std, members, determined, findings, reference)
-    findings += check_within(late, solved.problem.sets, task.options)
+        findings.append(Finding("clock", words, value=delay, limit=limits.LATE, refuses=False))
+    solved = Solved(task, late, sphere, delay, std, members, determined, reference, findings)
+    findings += check_within(late, solved.problem.sets)
     return solved
 
 
 def _fit(
     task: Task, sets: tuple[InSituSet, ...], reference: float | None, findings: list[Finding]
-) -> tuple[list[Leaning], bool, list[tuple[Problem, Solution]]]:
+) -> tuple[list[Leaning], bool, list[Fitted]]:
     """Return the fits by the likely sizes of the maker's errors, whether the data determine them, and others.
 
     The last are with loops of hysteresis, also where they are not worth it; without where few rows show them.
     """
     options, warms = task.options, reference is not None
     parts = compress(sets, options, task.moving, warms)
-    problem = problem_of(sets, parts, task, warms)
+    problem = problem_of(task, parts, warms)
     if task.mode != "free":
-        problem = replace(problem, maker=task.prior(pooled_noise(parts)))
+        problem = replace(problem, maker=prior_of(task, pooled_noise(parts)))
     first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
     rank = data_rank(problem, first[0])
-    if rank.missing and problem.maker is None:
+    determined = not rank.missing
+    if not determined and problem.maker is None:
         raise rank.refusal(problem)
-    findings += _contradicting_factory(task, problem, first, determined=not rank.missing)
-    stated = options.factory_std is not None
-    members = _lean(task, problem, first, stated, findings)
+    findings += _contradicting_factory(task, problem, determined=determined)
+    members = _lean(task, problem, first, findings)
     chosen = members[0].problem, members[0].solution
-    if warms and not rank.missing:
+    if warms and determined:
         chosen = with_gains(*chosen, options) or chosen
     loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
+    creep = fit_creep(sets, *chosen, options) if options.hysteresis else None
     fits = loops or [chosen]
-    chosen = likeliest_loops(chosen, loops)
+    chosen = likeliest_loops(chosen, loops, creep)
     if chosen[0] is not members[0].problem:
-        members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], stated, findings)
-    if warms and not rank.missing:
-        words = check_gauges(members[0].problem, members[0].solution, options)
-        findings += [Finding("temperature", one, refuses=False) for one in words]
-    if rank.missing:
+        members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
+    if warms and determined:
+        findings += check_gauges(members[0].problem, members[0].solution, options)
+    if not determined:
         findings.append(Finding("rank", rank.warning(), refuses=False))
-    return members, not rank.missing, fits
+    return members, determined, fits
 
 
-def _lean(
-    task: Task, problem: Problem, first: list[Vector], stated: bool, findings: list[Finding]
-) -> list[Leaning]:
+def _lean(task: Task, problem: Problem, first: list[Vector], findings: list[Finding]) -> list[Leaning]:
     """Return the fits by the likely sizes of the maker's errors."""
     if task.mode == "keep":
         assert problem.maker is not None
@@ -276,12 +218,10 @@ def _lean(
         return lean(held, first, stated=True)
     found = minima(problem, first)
     findings += check_rotation(found)
-    return lean(problem, [found[0].outer], stated)
+    return lean(problem, [found[0].outer], stated=task.options.factory_std is not None)
 
 
-def _contradicting_factory(
-    task: Task, problem: Problem, first: list[Vector], *, determined: bool
-) -> list[Finding]:
+def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) -> list[Finding]:
     """Return what the readings say of a factory matrix, by a fit without it where they determine one."""
     if task.factory is None:
         return []
@@ -291,19 +231,21 @@ def _contradicting_factory(
         minima(free, starts(free, None, None)),
         key=lambda one: float(np.sum((problem.whitening @ (one.A - response)) ** 2)),
     )
-    prior = task.prior(pooled_noise(problem.sets))
-    found = check_factory(task.factory, replace(problem, maker=prior), by_data, determined=determined)
+    noise = pooled_noise(problem.sets)
+    found = check_factory(
+        task.factory, replace(problem, maker=prior_of(task, noise)), by_data, determined=determined
+    )
     if any(one.refuses for one in found) and determined:
         # Sets that contradict each other without the matrix say nothing of it.
-        doubted = check_masses(free, by_data, pooled_noise(problem.sets), task.options)
+        doubted = check_masses(free, by_data, noise)
         found = doubted + found if any(one.refuses for one in doubted) else found
     return found
 
 
-def _name_cause(symptom: Finding, task: Task, solved: Solved, drift: Finding | None) -> Finding:
+def _name_cause(symptom: Finding, solved: Solved, drift: Finding | None) -> Finding:
     """Return a symptom with its likeliest cause."""
     try:
-        return name_cause(symptom, _evidence(task, solved.sets), drift)
+        return name_cause(symptom, _evidence(solved.task, solved.sets), drift)
     except np.linalg.LinAlgError:
         return symptom
 
@@ -313,11 +255,11 @@ def _evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     options = task.options
     with_temperature = all(data.temperature is not None for data in sets)
     parts = compress(sets, options, task.moving, with_temperature)
-    if max(float(np.mean(part.rejected)) for part in parts) > _FEW_REJECTED:
+    if max(float(np.mean(part.rejected)) for part in parts) > limits.FEW_REJECTED:
         options = replace(options, robust=False)
         parts = compress(sets, options, task.moving, with_temperature)
-    problem = problem_of(sets, parts, task, with_temperature)
+    problem = problem_of(task, parts, with_temperature)
     first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
     if data_rank(problem, first[0]).missing:
-        problem = replace(problem, maker=task.prior(pooled_noise(parts), _AGED))
+        problem = replace(problem, maker=prior_of(task, pooled_noise(parts), _AGED))
     return Evidence(sets, problem, minima(problem, first)[0], options)

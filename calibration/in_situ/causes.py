@@ -1,26 +1,49 @@
-r"""What may act on the readings of sets that contradict each other, each cause as it changes the problem.
+r"""What is wrong with sets that contradict each other: every cause that is known, by how much it explains.
 
-A cause adds signals: a step, a touch, a limb that bends. With each
-the fit is made again, on compressed sets; :mod:`~surefoot.calibration.in_situ.hypotheses` compares them.
+A cause adds signals (a step, a touch, a limb that bends) or changes what was added; with each the fit is made
+again, on compressed sets. They are compared by Schwarz's criterion (1978), -2 log L + d log n, each with the
+colour of the noise that it leaves. Rows that still hang together count as fewer than they are,
+n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.beside import beside_channels
-from surefoot.calibration.in_situ.check import BENT_CURE
-from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.model import AXES, PAIRS, signals
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
-from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.in_situ.check import BENT_CURE, squares
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.in_situ.judge import added_slope
+from surefoot.calibration.in_situ.linear import orthonormal
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    INERTIA,
+    MASS,
+    MOMENT,
+    inertia_matrix,
+    inertial_parameters,
+    limb_parameters,
+    signals,
+)
+from surefoot.calibration.in_situ.problem import Problem, starts
+from surefoot.calibration.in_situ.solve import (
+    Solution,
+    beside_channels,
+    deviance,
+    minima,
+    projected,
+    solve,
+    transforms,
+    whitened,
+)
 
-__all__ = ["ON_READINGS", "Cause", "Evidence"]
+__all__ = ["Evidence", "name_cause"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -37,7 +60,26 @@ _FINER = 4
 _SHORTEST = 3
 """Rows that a touch must last."""
 
+_STEPS = 8
+"""Steps of Gauss and Newton by which what was added is fitted."""
+
+_SETTLED = 1e-4
+"""Change of it, in m or as a share, that ends them."""
+
+_DIFFERENCE = 1e-5
+"""By how much it is changed to see its effect."""
+
+_TURNS = 4
+"""Turns by right angles from which an IMU's is searched, beside none."""
+
+_GLANCE = 8
+"""Evaluations by which these are chosen."""
+
+_AS_GOOD = 0.1
+"""Share by which two costs may differ that are alike."""
+
 _TOUCHING = "Leave that time out, or record the set again with nothing near the limb."
+_WEIGH = "Weigh what was added and measure where it hung, or leave the set out."
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +98,12 @@ class Evidence:
     solution: Solution
     options: InSituOptions
 
-    def beside(self, columns: Sequence[Matrix]) -> Problem:
-        """Return the problem with signals that act on the readings, shape (n_j, q) a set."""
+    def beside(self, words: str, cure: str, columns: Sequence[Matrix], free: int, choices: int) -> "Cause":
+        """Return a cause that adds signals, shape (n_j, q) a set, to the readings."""
         plain = self.problem
         rows = [part.at_rows(one) for part, one in zip(plain.sets, columns, strict=True)]
-        return beside_channels(plain, rows, self.options)
-
-    def alone(self, j: int, column: Vector) -> Problem:
-        """Return the problem with a signal of one set, shape (n_j,)."""
-        return self.beside(
-            [column[:, None] if i == j else np.zeros((len(data.raw), 1)) for i, data in enumerate(self.sets)]
-        )
+        problem = beside_channels(plain, rows, self.options)
+        return Cause(words, cure, problem, solve(problem, [self.solution.outer]), free, choices)
 
     def when(self, j: int, sample: int) -> str:
         """Return a moment of a set in words."""
@@ -94,6 +131,65 @@ class Cause(NamedTuple):
     choices: int
 
 
+def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
+    """Return a symptom with what likeliest lies behind it; the symptom itself if no cause explains it.
+
+    Args:
+        symptom: Sets that contradict each other or themselves.
+        evidence: What causes are judged by.
+        drift: What may hide behind a drift, or None.
+    """
+    if drift is not None:
+        symptom = symptom.with_cause(drift.reason, drift.cure)
+    found = _likeliest(evidence)
+    if not found:
+        return symptom
+    shares: dict[str, float] = {}
+    for cause, share in found:
+        shares[cause.words] = shares.get(cause.words, 0.0) + share
+    named = [f"{words} ({_percent(share)})" for words, share in list(shares.items())[:2]]
+    cure = found[0][0].cure
+    if drift is not None:
+        cure += f" If that is not it: {symptom.cure}"
+    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
+
+
+def _percent(share: float) -> str:
+    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
+
+
+def _likeliest(evidence: Evidence) -> list[tuple[Cause, float]]:
+    """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
+    tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1)]
+    for look in (_steps_and_touches, _bending, _turned, _exchanged, _masses):
+        # What is garbage with one cause left out may have no answer with another.
+        with suppress(np.linalg.LinAlgError):
+            tried += look(evidence)
+    left = [whitened(cause.problem, cause.solution) for cause in tried]
+    values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
+    share = _independent(left[int(np.argmin(values))])
+    rows = sum(map(len, left[0]))
+    # Twice the logarithm of the number of alternatives is what the best of them gains by chance.
+    scores = np.array(
+        [
+            share * value + cause.free * np.log(share * rows) + 2.0 * np.log(cause.choices)
+            for value, cause in zip(values, tried, strict=True)
+        ]
+    )
+    weights = np.exp(-0.5 * (scores - scores.min()))
+    weights /= weights.sum()
+    order = np.argsort(scores)
+    return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
+
+
+def _independent(left: Sequence[Matrix]) -> float:
+    """Return the share of rows that are worth an independent one, by the correlation of neighbours."""
+    before, after = (np.concatenate([one[cut] for one in left]) for cut in (slice(-1), slice(1, None)))
+    size = float(np.sqrt(np.sum(before**2) * np.sum(after**2)))
+    rho = float(np.sum(before * after)) / size if size > 0.0 else 0.0
+    return float(np.clip((1.0 - rho) / (1.0 + rho), 1e-3, 1.0))
+
+
 # What happened within a set: signals that act on its readings.
 
 
@@ -104,11 +200,7 @@ def _gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
     rows = rows[:: max(len(rows) // _THINNED, 1)]
     u = signals(data, evidence.problem.moving)[rows]
     span = np.linspace(-1.0, 1.0, len(rows))
-    left, singular, _ = np.linalg.svd(
-        np.column_stack([np.ones(len(rows)), span, u / np.maximum(np.ptp(u, axis=0), 1e-300)]),
-        full_matrices=False,
-    )
-    basis = left[:, singular > 1e-9 * singular[0]]
+    basis, _ = orthonormal(np.column_stack([np.ones(len(rows)), span, u]), 1e-9)
     z = columns[rows] - basis @ (basis.T @ columns[rows])
     raw = data.raw[rows]
     residual = raw - basis @ (basis.T @ raw)
@@ -121,90 +213,193 @@ def _gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
 
 def _steps_and_touches(evidence: Evidence) -> Iterator[Cause]:
     """Yield the likeliest leap of a zero, and the likeliest time in which something touched the limb."""
-    channels = len(evidence.problem.whitening)
+    channels, count = len(evidence.problem.whitening), len(evidence.sets)
     for touch in (False, True):
-        found = []
-        for j, data in enumerate(evidence.sets):
-            n = len(data.raw)
-            edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))
-            spans = _spans(edges, n, touch)
-            first, last, gain = _best_span(evidence, j, spans)
-            for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
-                near = [_near(first, width, n), _near(last, width, n) if touch else np.array([n])]
-                fine = [(a, b) for a in near[0] for b in near[1] if b - a >= _SHORTEST]
-                first, last, gain = _best_span(evidence, j, [*fine, (first, last)])
-            found.append((gain, j, first, last, len(spans)))
-        gain, j, first, last, choices = max(found)
-        column = np.zeros(len(evidence.sets[j].raw))
-        column[first:last] = 1.0
+        _, j, first, last, choices = max(_best_time(evidence, j, touch) for j in range(count))
+        columns = [np.zeros((len(data.raw), 1)) for data in evidence.sets]
+        columns[j][first:last] = 1.0
         name, begin = evidence.sets[j].name, evidence.when(j, first)
-        words = (
-            f"something touched the limb in '{name}' from {begin} to {evidence.when(j, last - 1)}"
-            if touch
-            else f"the zero of '{name}' leaps at {begin}"
+        words, cure = (
+            f"the zero of '{name}' leaps at {begin}",
+            "Cut the set there into two, or record it again.",
         )
-        cure = _TOUCHING if touch else "Cut the set there into two, or record it again."
-        problem = evidence.alone(j, column)
-        yield Cause(
-            words,
-            cure,
-            problem,
-            solve(problem, [evidence.solution.outer]),
-            channels + 1 + touch,
-            choices * len(evidence.sets),
-        )
+        if touch:
+            words = f"something touched the limb in '{name}' from {begin} to {evidence.when(j, last - 1)}"
+            cure = _TOUCHING
+        yield evidence.beside(words, cure, columns, channels + 1 + touch, choices * count)
 
 
-def _spans(edges: NDArray[np.int_], n: int, touch: bool) -> list[tuple[int, int]]:
-    if touch:
-        return [(int(a), int(b)) for a, b in combinations(edges[1:-1], 2)]
-    return [(int(a), n) for a in edges[1:-1]]
+def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int, int, int]:
+    """Return what the likeliest span of samples of a set explains, the set, the span, and out of how many.
 
+    A touch ends, the leap of a zero does not.
+    """
+    n = len(evidence.sets[j].raw)
+    place = np.arange(n)[:, None]
 
-def _near(edge: int, width: int, n: int) -> NDArray[np.int_]:
-    return np.unique(np.clip(edge + np.linspace(-width, width, 2 * _FINER + 1).astype(int), 1, n - 1))
+    def best(spans: list[tuple[int, int]]) -> tuple[int, int, float]:
+        first, last = np.array(spans).T
+        gains = _gains(evidence, j, ((place >= first) & (place < last)).astype(np.float64))
+        i = int(np.argmax(gains))
+        return int(first[i]), int(last[i]), float(gains[i])
 
+    def near(edge: int, width: int) -> NDArray[np.int_]:
+        steps = np.linspace(-width, width, 2 * _FINER + 1).astype(int)
+        return np.unique(np.clip(edge + steps, 1, n - 1))
 
-def _best_span(evidence: Evidence, j: int, spans: list[tuple[int, int]]) -> tuple[int, int, float]:
-    """Return the likeliest of the spans of samples (first, last) and what it explains."""
-    place = np.arange(len(evidence.sets[j].raw))[:, None]
-    first, last = np.array(spans).T
-    gains = _gains(evidence, j, ((place >= first) & (place < last)).astype(np.float64))
-    best = int(np.argmax(gains))
-    return int(first[best]), int(last[best]), float(gains[best])
-
-
-# What holds for all sets.
+    edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))[1:-1].tolist()
+    spans = list(combinations(edges, 2)) if touch else [(edge, n) for edge in edges]
+    first, last, gain = best(spans)
+    for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
+        ends = near(last, width) if touch else [n]
+        fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
+        first, last, gain = best([*fine, (first, last)])
+    return gain, j, first, last, len(spans)
 
 
 def _bending(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
-    columns = []
-    for data in evidence.sets:
-        g = np.nan_to_num(data.gravity) / GRAVITY
-        # The sixth square follows from the length of gravity.
-        columns.append(np.stack([g[:, i] * g[:, j] for i, j in PAIRS if (i, j) != (2, 2)], axis=1))
-    yield _bent(evidence, columns)
     # A limb that bends does so by gravity, a sensor by its load, which grows with what was added.
     T = transforms(evidence.problem, evidence.solution)[:, :AXES]
     loads = [np.nan_to_num(signals(data, evidence.problem.moving)) for data in evidence.sets]
     loads = [u @ t[:, : u.shape[1]].T for u, t in zip(loads, T, strict=True)]
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
-    yield _bent(evidence, [np.concatenate([x**2, x**3], axis=1) for x in shares])
+    words = "the limb bends as it turns, or the sensor is not linear"
+    for columns in (
+        [squares(np.nan_to_num(data.gravity)) for data in evidence.sets],
+        [np.concatenate([x**2, x**3], axis=1) for x in shares],
+    ):
+        free = columns[0].shape[1] * len(evidence.problem.whitening)
+        yield evidence.beside(words, BENT_CURE, columns, free, 1)
 
 
-def _bent(evidence: Evidence, columns: Sequence[Matrix]) -> Cause:
-    problem = evidence.beside(columns)
-    return Cause(
-        "the limb bends as it turns, or the sensor is not linear",
-        BENT_CURE,
-        problem,
-        solve(problem, [evidence.solution.outer]),
-        columns[0].shape[1] * len(problem.whitening),
-        1,
+# What was added: other masses, places and turns.
+
+
+def _masses(evidence: Evidence) -> Iterator[Cause]:
+    """Yield, for each set, another mass at the place that was given, and the mass at another place."""
+    count = len(evidence.sets)
+    for j, data in enumerate(evidence.sets):
+        given, place, name = data.added_mass, data.added_com, data.name
+        first = given * np.concatenate([[1.0], place])
+        if given == 0.0:
+            x, problem, solution = _fit_body(evidence, j, first, np.eye(4))
+            if x[0] > 0.0:
+                words = f"{x[0]:.3f} kg hung in '{name}' at {_at(x[1:] / x[0])} m, and nothing was given"
+                yield Cause(words, _WEIGH, problem, solution, 4, count)
+            continue
+        x, problem, solution = _fit_body(evidence, j, first, first[:, None])
+        words = f"the added mass of '{name}' is {given * (1.0 + x[0]):.3f} kg, and {given:.3f} kg was given"
+        yield Cause(words, _WEIGH, problem, solution, 1, count)
+        x, problem, solution = _fit_body(evidence, j, first, given * np.eye(4)[:, 1:])
+        words = f"the added mass of '{name}' hangs at {_at(place + x)} m, and {_at(place)} was given"
+        yield Cause(words, _WEIGH, problem, solution, 3, count)
+
+
+def _fit_body(evidence: Evidence, j: int, first: Vector, along: Matrix) -> tuple[Vector, Problem, Solution]:
+    """Return x, and the fit with (m, m c) = first + along x added in a set, shapes (4,) and (4, q)."""
+    plain = evidence.problem
+
+    def make(x: Vector) -> Matrix:
+        mass, *moment = first + along @ x
+        added = plain.added.copy()
+        place = np.array(moment) / mass if mass != 0.0 else np.zeros(3)
+        added[j] = inertial_parameters(mass, place, plain.moving)
+        added[j, MOMENT] = moment
+        return added
+
+    return _fit_added(evidence, make, np.zeros(along.shape[1]))
+
+
+def _at(place: Vector) -> str:
+    return "({:.3f}, {:.3f}, {:.3f})".format(*place)
+
+
+def _exchanged(evidence: Evidence) -> Iterator[Cause]:
+    """Yield two sets whose masses are exchanged."""
+    added = evidence.problem.added
+    pairs = [(i, j) for i, j in combinations(range(len(added)), 2) if not np.allclose(added[i], added[j])]
+    for i, j in pairs:
+        order = np.arange(len(added))
+        order[[i, j]] = j, i
+        problem = replace(evidence.problem, added=added[order])
+        best = minima(problem, [evidence.solution.outer, *starts(problem, None, None)])[0]
+        words = f"what was added in '{evidence.sets[i].name}' and '{evidence.sets[j].name}' is exchanged"
+        yield Cause(words, _WEIGH, problem, best, 0, len(pairs))
+
+
+def _turned(evidence: Evidence) -> Iterator[Cause]:
+    """Yield an IMU that is turned against the sensor.
+
+    Gravity and motion in its frame are those of a sensor that is turned with it, to whose frame only the
+    places of what was added were not.
+    """
+    plain = evidence.problem
+    if not np.any(plain.added[:, MASS] > 0.0) or plain.rotation:
+        return
+    found = []
+    for turn in Rotation.create_group("O"):
+        outer = _rotate(evidence.solution.outer[None], turn)[0]
+        cost = solve(replace(plain, added=_rotate(plain.added, turn)), [outer], _GLANCE).cost
+        found.append((turn.magnitude() > 0.0, cost, turn.as_rotvec(), outer))
+    # From none, and from the right angles that come next to it.
+    tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]
+
+    def turned(x: Vector) -> Matrix:
+        return _rotate(plain.added, Rotation.from_rotvec(x))
+
+    fits = [_fit_added(evidence, turned, start, outer) for _, _, start, outer in tried]
+    lowest = min(solution.cost for _, _, solution in fits)
+    # Masses in one plane do not tell a sensor from its mirror image: the smaller turn is likelier.
+    near = [
+        (float(np.degrees(Rotation.from_rotvec(x).magnitude())), problem, solution)
+        for x, problem, solution in fits
+        if solution.cost <= (1.0 + _AS_GOOD) * lowest
+    ]
+    angle, problem, solution = min(near, key=lambda one: one[0])
+    words = f"the IMU is turned by {angle:.0f} degrees against the sensor's frame"
+    cure = (
+        "Give its rotation (R_sensor_accelerometer), or let the fit find it: 'estimate_rotation', with the "
+        "limb at rest."
     )
+    yield Cause(words, cure, problem, solution, 3, 1)
 
 
-ON_READINGS: tuple[Callable[[Evidence], Iterator[Cause]], ...] = (_steps_and_touches, _bending)
-"""What may act on the readings, each as it changes the problem."""
+def _rotate(parameters: Matrix, turn: Rotation) -> Matrix:
+    """Return inertial parameters, shape (n, p), of bodies that are turned."""
+    R = turn.as_matrix()
+    turned = parameters.copy()
+    turned[:, MOMENT] = parameters[:, MOMENT] @ R.T
+    if parameters.shape[1] >= INERTIA.stop:
+        for one, given in zip(turned, parameters, strict=True):
+            I = R @ inertia_matrix(given) @ R.T  # noqa: E741 - as in the equations
+            one[INERTIA] = limb_parameters(0.0, one[MOMENT], I)[INERTIA]
+    return np.asarray(turned)
+
+
+def _fit_added(
+    evidence: Evidence, make: Callable[[Vector], Matrix], x: Vector, outer: Vector | None = None
+) -> tuple[Vector, Problem, Solution]:
+    """Return x, and the fit of the problem with what was added as a function of it, by Gauss and Newton."""
+
+    def fit(x: Vector, outer: Vector) -> tuple[Vector, Problem, Solution]:
+        problem = replace(evidence.problem, added=make(x))
+        return x, problem, solve(problem, [outer])
+
+    best = fit(x, evidence.solution.outer if outer is None else outer)
+    for _ in range(_STEPS):
+        x, problem, solution = best
+        changes = [(make(x + _DIFFERENCE * step) - make(x)) / _DIFFERENCE for step in np.eye(len(x))]
+        slopes = [added_slope(problem, solution, change) for change in changes]
+        free = projected(solution, np.stack(slopes, axis=1))
+        rows = np.pad(solution.residual.ravel(), (0, len(free) - solution.residual.size))
+        step = -np.linalg.lstsq(free, rows, rcond=None)[0]
+        for share in (1.0, 0.3, 0.1):
+            tried = fit(x + share * step, solution.outer)
+            if tried[2].cost < best[2].cost:
+                best = tried
+                break
+        if best[0] is x or np.max(np.abs(best[0] - x)) < _SETTLED:
+            break
+    return best

@@ -1,14 +1,14 @@
 r"""A set of thousands of samples as one small triangle.
 
-The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an
-offset :math:`\Gamma b(t)`, and noise, which hangs together in time where the offset walks. Rows are
-weighted against that (:mod:`~surefoot.calibration.in_situ.colour`): what a drift could feign counts for as
-little as such a drift leaves of it. Where that is asked for, the offset is free to follow the slowest
-cosines over the set's time as well, :math:`b_k(t) = \cos(\pi k t / T)`. One orthogonal triangularisation
+A set becomes rows: means over windows in which the limb hardly turns, of the samples that take part; those
+that are missing, or that disagree with all others, do not. Its readings follow
+:math:`r = A T u + o + e`: the response A to the wrench T u, an offset, and noise, which hangs together in
+time where the offset walks. Rows are weighted against that (:mod:`~surefoot.calibration.in_situ.colour`):
+what a drift could feign counts for as little as such a drift leaves of it. One orthogonal triangularisation
 
 .. math::
-    Q' [b \; u \; r] =
-    \begin{bmatrix} R_{bb} & R_{bu} & R_{br} \\ & R_{uu} & R_{ur} \\ & & R_{rr} \end{bmatrix}
+    Q' [1 \; u \; r] =
+    \begin{bmatrix} R_{11} & R_{1u} & R_{1r} \\ & R_{uu} & R_{ur} \\ & & R_{rr} \end{bmatrix}
 
 keeps all that least squares can ever ask of the set: :math:`R_{uu} T' A' = R_{ur}` are three rows in place of
 thousands (the inertial parameters in T are unknown, but constant), :math:`R_{rr}` is what no A or T explains,
@@ -23,15 +23,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.linalg import solve_triangular
+from scipy.special import chdtri
 
+from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.linear import orthonormal, triangle
 from surefoot.calibration.in_situ.model import DIRECT, signals
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.rows import FLOOR, SetRows, disagreeing, means, rows_of
 
-__all__ = ["UNUSED", "CompressedSet", "compress", "triangle", "with_signals"]
+__all__ = ["UNUSED", "CompressedSet", "compress", "means", "with_signals"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -41,6 +41,141 @@ UNUSED = 1e-9
 
 _RANK = 1e-12
 """Singular values at or below this share of the largest, for columns of unit length, are rounding."""
+
+_GATE = 1e-9
+"""Probability that a sample of nothing but noise is left out."""
+
+_SLIGHT = 0.05
+"""Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
+0.04 at the turns of a limb that takes postures, and is seen by these."""
+
+_FLOOR = 1e-9
+"""Deviations below this share of a channel's spread are rounding, not noise."""
+
+_ROUNDS = 12
+"""Times that the weights are computed at most ..."""
+
+_SETTLED = 1e-3
+"""... until they change by less than this."""
+
+_ROWS, _ROWS_MOVING = 2000, 200
+"""Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
+
+_WITHIN, _WITHIN_MOVING = 1e-3, 0.1
+"""... so that this share of the signals' spread is lost within them. A gyroscope's noise grows with the
+frequency as it is differentiated, and signals with noise are less than they seem: what is faster than the
+motion is left out."""
+
+
+class SetRows(NamedTuple):
+    """A set in rows of nearly equal weight, in the order of time."""
+
+    name: str
+    used: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
+    columns: Matrix
+    """(1, u, r), weighted, shape (m, 1 + s + k)."""
+    inputs: int
+    """s."""
+    weight: NDArray[np.float64]
+    """Square roots of the numbers of samples, shape (m,)."""
+    place: NDArray[np.float64]
+    """Mean place of the samples in the set, shape (m,)."""
+    width: int
+    """Samples of a window."""
+    spacing: float
+    """Between rows in s, or in samples where some set has no times."""
+
+    @property
+    def signals(self) -> Matrix:
+        """u, not weighted, shape (m, s)."""
+        return np.asarray(self.columns[:, 1 : 1 + self.inputs] / self.weight[:, None])
+
+
+def _rows_of(
+    data: InSituSet, u: Matrix, used: NDArray[np.bool_], out: NDArray[np.bool_], timed: bool
+) -> SetRows:
+    """Return a set in rows: means over windows, as wide as the signals hardly change, of samples in use.
+
+    Args:
+        data: The set.
+        u: Its signals, shape (n, s).
+        used: Which samples take part, shape (n,).
+        out: Which were left out for disagreeing with all others, shape (n,).
+        timed: Whether the rows' spacing is in s rather than in samples.
+    """
+    place = np.flatnonzero(used)
+    columns = np.concatenate([u, data.raw], axis=1)
+    columns = columns if len(place) == len(columns) else columns[place]
+    width = _window(columns[:, : u.shape[1]], data.moves)
+    mean = means(columns, width)
+    count = np.full(len(mean), width)
+    count[-1] = len(place) - width * (len(mean) - 1)
+    weight = np.sqrt(count)
+    spacing = float(width)
+    if timed and data.time is not None and len(data.time) > 1:
+        spacing *= float(data.time[-1] - data.time[0]) / (len(data.time) - 1)
+    columns = weight[:, None] * np.concatenate([np.ones((len(mean), 1)), mean], axis=1)
+    middle = means(place[:, None].astype(np.float64), width)[:, 0]
+    return SetRows(data.name, used, out, columns, u.shape[1], weight, middle, width, spacing)
+
+
+def _disagreeing(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which samples are off a linear response and an offset that may bend a little, shape (n,)."""
+    rejected = np.zeros_like(whole)
+    if not whole.any():
+        return rejected
+    varies = np.ptp(u[whole], axis=0) > 0.0
+    span = np.linspace(-1.0, 1.0, len(u))
+    u = u[:, varies]
+    standard = (u - u[whole].mean(axis=0)) / u[whole].std(axis=0)
+    columns = np.column_stack([np.ones(len(u)), span, span**2, standard])[whole]
+    if len(columns) > 2 * columns.shape[1]:
+        rejected[whole] = _outliers(columns, raw[whole])
+    return rejected
+
+
+def _window(signals: Matrix, moves: bool) -> int:
+    """Return the longest window within which the signals hardly change."""
+    rows, within = (_ROWS_MOVING, _WITHIN_MOVING) if moves else (_ROWS, _WITHIN)
+    width = max(len(signals) // rows, 1)
+    total = np.var(signals, axis=0)
+    moving = total > 0.0
+    while width > 1 and np.max(1.0 - np.var(means(signals, width), axis=0)[moving] / total[moving]) > within:
+        width //= 2
+    return width
+
+
+def means(columns: Matrix, width: int) -> Matrix:
+    """Return means of windows of rows; the last window takes what is left over."""
+    windows = max(len(columns) // width, 1)
+    whole = columns[: (windows - 1) * width].reshape(windows - 1, width, columns.shape[1])
+    rest = columns[(windows - 1) * width :]
+    return np.concatenate([whole.mean(axis=1), rest.mean(axis=0, keepdims=True)])
+
+
+def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
+    """Return which samples disagree with all others, shape (n,).
+
+    Least squares with Cauchy's weights finds what most samples agree on; what is left is held against its own
+    median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the readings.
+    """
+    weight = np.ones(len(columns))
+    limit = float(chdtri(raw.shape[1], _GATE))
+    spread = np.std(raw, axis=0)
+    floor = _FLOOR * spread + np.finfo(float).tiny
+    distance = np.zeros(len(columns))
+    for i in range(_ROUNDS):
+        root = weight[:, None]
+        residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
+        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
+        distance = np.sum((residual / deviation) ** 2, axis=1)
+        if i == 0 and not (distance > limit).any():
+            break
+        before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
+        if np.max(np.abs(weight - before)) < _SETTLED:
+            break
+    return np.asarray((distance > limit) & (np.abs(residual) > _SLIGHT * spread).any(axis=1))
 
 
 class OffsetAt(NamedTuple):
@@ -79,7 +214,7 @@ class CompressedSet:
         mean: Of the signals, shape (s,).
         spread: Sum of the squares of the readings about their mean in counts^2.
         gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
-        score: Signals less what is like b, orthonormal, of the m rows, shape (m, s).
+        score: Signals less their mean, orthonormal, of the m rows, shape (m, s).
         scatter: Squares of the residual, over the power that its modes have, shape (k, k).
         residual: What of the rows' readings no linear map of the signals explains, (m, k).
         index: Mean place in the set of the samples that made a row, shape (m,).
@@ -142,7 +277,7 @@ class CompressedSet:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the residual in each channel."""
-        return max(self.rows - self.source.terms - int(np.linalg.matrix_rank(self.uu)), 0)
+        return max(self.rows - 1 - int(np.linalg.matrix_rank(self.uu)), 0)
 
     @property
     def log_colour(self) -> float:
@@ -184,7 +319,7 @@ def compress(
 
     Args:
         sets: The sets.
-        options: Whether to leave samples out, and how offsets may drift.
+        options: Whether to leave samples out, and whether offsets may drift.
         moving: Whether to use the signals of a moving limb.
         temperature: Whether the temperature is one more signal.
     """
@@ -195,8 +330,8 @@ def compress(
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        out = disagreeing(u, data.raw, whole) if options.robust else np.zeros_like(whole)
-        rows.append(rows_of(data, u, whole & ~out, out, options.drift or 0, timed))
+        out = _disagreeing(u, data.raw, whole) if options.robust else np.zeros_like(whole)
+        rows.append(_rows_of(data, u, whole & ~out, out, timed))
     return _compressed(rows, options)
 
 
@@ -212,20 +347,20 @@ def with_signals(
     Args:
         parts: The sets.
         columns: At their rows, shape (m, q) each.
-        options: How offsets may drift.
+        options: Whether offsets may drift.
         first: Number of the signals before which they stand; behind all by default.
     """
     rows = []
     for part, more in zip(parts, columns, strict=True):
         source = part.source
-        place = source.terms + (source.inputs if first is None else first)
+        place = 1 + (source.inputs if first is None else first)
         wide = np.insert(source.columns, [place], source.weight[:, None] * more, axis=1)
         rows.append(source._replace(columns=wide, inputs=source.inputs + more.shape[1]))
     return _compressed(rows, options)
 
 
 def _compressed(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
-    colour = _colour(rows, walks=options.drift is None)
+    colour = _colour(rows, walks=options.drift)
     return tuple(_triangularise(one, colour) for one in rows)
 
 
@@ -233,19 +368,18 @@ def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
     """Return the colour of residuals of a linear map of the signals; ``walks``: whether offsets may walk."""
     found, spread = [], 0.0
     for one in rows:
-        first = one.terms + one.inputs
+        first = 1 + one.inputs
         explaining, readings = one.columns[:, :first], one.columns[:, first:]
-        left, singular, _ = np.linalg.svd(_scaled(explaining), full_matrices=False)
-        basis = left[:, singular > _RANK * singular[0]]
+        basis, _ = orthonormal(explaining, _RANK)
         residual = readings - basis @ (basis.T @ readings)
         found.append((residual, basis, one.spacing))
         spread += float(np.sum((readings - readings.mean(axis=0)) ** 2))
     scatter = sum(residual.T @ residual for residual, _, _ in found)
     size, turn = np.linalg.eigh(scatter)
-    independent = turn[:, size > FLOOR**2 * spread]
+    independent = turn[:, size > _FLOOR**2 * spread]
     if independent.shape[1] == 0:
         return Colour()
-    motions = [motion_frequency(one.columns[:, one.terms :][:, DIRECT], one.spacing) for one in rows]
+    motions = [motion_frequency(one.columns[:, 1:][:, DIRECT], one.spacing) for one in rows]
     return likeliest_colour(
         [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
         float(np.median(motions)),
@@ -253,31 +387,22 @@ def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
     )
 
 
-def _scaled(columns: Matrix) -> Matrix:
-    size = np.linalg.norm(columns, axis=0)
-    return np.asarray(columns / np.where(size > 0.0, size, 1.0))
-
-
 def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
-    d, first = rows.terms, rows.terms + rows.inputs
+    first = 1 + rows.inputs
     white = colour.weigh(rows.columns, rows.spacing)
     R = triangle(white)
-    uu, ur = R[d:first, d:first], R[d:first, first:]
-    slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
-    centred = white[:, d:first] - white[:, :d] @ solve_triangular(R[:d, :d], R[:d, d:first])
-    residual = white[:, first:] - white[:, :d] @ solve_triangular(R[:d, :d], R[:d, first:])
-    square = np.sum(rows.weight**2)
-    mean = rows.weight @ rows.columns / square
+    uu, ur = R[1:first, 1:first], R[1:first, first:]
+    centred = white[:, 1:] - white[:, :1] * (R[0, 1:] / R[0, 0])
+    mean = rows.weight @ rows.columns / np.sum(rows.weight**2)
     readings = rows.columns[:, first:] - rows.weight[:, None] * mean[first:]
-    middle, end = _offsets(rows, colour, white[:, :d], R[:d, :d])
-    score = centred @ np.linalg.pinv(uu)
-    residual = residual - centred @ slope
+    middle, end = _offsets(rows, colour, white[:, 0] / R[0, 0] ** 2)
+    score = centred[:, : rows.inputs] @ np.linalg.pinv(uu)
+    slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
+    residual = centred[:, rows.inputs :] - centred[:, : rows.inputs] @ slope
     power = colour.left(len(white), rows.spacing)
-    modes = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
-    of_signals = dct(score, norm="ortho", axis=0)
-    scatter = modes.T @ modes
+    left = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
     # Noise that depends on the load is nowhere less than on average.
-    modes = np.sqrt(np.maximum(power, 1.0))[:, None] * of_signals
+    modes = np.sqrt(np.maximum(power, 1.0))[:, None] * dct(score, norm="ortho", axis=0)
     return CompressedSet(
         name=rows.name,
         used=rows.used,
@@ -287,11 +412,11 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
         rr=R[first:, first:],
         middle=middle,
         end=end,
-        mean=mean[d:first],
+        mean=mean[1:first],
         spread=float(np.sum(readings**2)),
         gram=modes.T @ modes,
         score=score,
-        scatter=scatter,
+        scatter=left.T @ left,
         residual=residual,
         index=rows.place,
         width=rows.width,
@@ -300,25 +425,18 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     )
 
 
-def _offsets(rows: SetRows, colour: Colour, white: Matrix, bb: Matrix) -> tuple[OffsetAt, OffsetAt]:
-    """Return the offset at the middle and at the end; ``white`` is b of the weighted rows, shape (m, d)."""
-    d, first = rows.terms, rows.terms + rows.inputs
+def _offsets(rows: SetRows, colour: Colour, mean: Vector) -> list[OffsetAt]:
+    """Return the offset at the middle and at the end; by ``mean`` of weighted rows it is one, shape (m,)."""
+    first = 1 + rows.inputs
     drifts, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
     # The noise of a row is that of a sample; what drifts is larger there by the root of the samples of a row.
     per_row = float(np.sqrt(np.mean(rows.weight**2)))
+    steady = colour.weigh(mean[:, None], rows.spacing)[:, 0]
+    own = float(mean @ mean)
     found = []
-    for drift, variance, basis in zip(drifts / per_row, variances / per_row**2, rows.ends, strict=True):
-        taken = solve_triangular(bb, basis - drift @ rows.columns[:, :d], trans=1)
-        steady = white @ solve_triangular(bb, taken)
-        weights = drift + colour.weigh(steady[:, None], rows.spacing)[:, 0]
+    for drift, variance in zip(drifts / per_row, variances / per_row**2, strict=True):
+        left = 1.0 - float(drift @ rows.columns[:, 0])
+        weights = drift + left * steady
         seen = weights @ rows.columns
-        found.append(OffsetAt(weights, seen[d:first], seen[first:], float(taken @ taken + variance)))
-    return found[0], found[1]
-
-
-def triangle(columns: Matrix) -> Matrix:
-    """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
-    width = columns.shape[1]
-    if len(columns) < width:
-        columns = np.concatenate([columns, np.zeros((width - len(columns), width))])
-    return np.asarray(np.linalg.qr(columns, mode="r"))
+        found.append(OffsetAt(weights, seen[1:first], seen[first:], left**2 * own + float(variance)))
+    return found

@@ -1,4 +1,4 @@
-"""Sets of readings for in-situ calibration: counts, gravity and motion, one set for each added mass.
+"""What a calibration is given: sets of readings, options, and what may be known of the limb.
 
 Conventions of this part of the library:
 
@@ -9,13 +9,18 @@ Conventions of this part of the library:
   reads. While the limb moves it is g - a with the acceleration a of the sensor's origin.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["InSituSet"]
+from surefoot.calibration.checks import check_not_negative, check_positive
+
+__all__ = ["InSituOptions", "InSituSet", "InSituTrackerConfig", "KnownLimb", "MatrixMode", "Task", "shift"]
+
+MatrixMode = Literal["keep", "update", "free"]
+"""What becomes of a factory matrix."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,3 +101,204 @@ class InSituSet:
         if array.shape != shape:
             raise ValueError(f"'{self.name}': '{name}' must have shape {shape}, got {array.shape}.")
         object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLimb:
+    """What is known of the limb beforehand, such as from a model of the robot or from scales.
+
+    Attributes:
+        mass: m in kg.
+        mass_std: Its standard deviation in kg.
+        com: Centre of mass in the sensor's frame in m, shape (3,); None if only the mass is known.
+        com_std: Its standard deviation along each axis in m.
+
+    Raises:
+        ValueError: If a value is not positive or not finite.
+    """
+
+    mass: float
+    mass_std: float
+    com: NDArray[np.float64] | None = None
+    com_std: float = 0.005
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a value is not positive and finite."""
+        check_positive(self, "mass", "mass_std", "com_std")
+        if self.com is not None:
+            com = np.asarray(self.com, dtype=np.float64)
+            if com.shape != (3,) or not np.all(np.isfinite(com)):
+                raise ValueError(f"'com' must be three finite numbers in m, got {self.com!r}.")
+            object.__setattr__(self, "com", com)
+
+
+@dataclass(frozen=True)
+class InSituOptions:
+    """Options of :func:`~surefoot.calibration.in_situ.calibrate_in_situ`."""
+
+    drift: bool = True
+    """Whether offsets may drift within a set: the residuals tell how fast they walk, if they do."""
+
+    robust: bool = True
+    """Whether samples that disagree with all others are left out."""
+
+    hysteresis: bool = True
+    """Whether the sensor's hysteresis is part of the fit where sets have times and show it beyond chance."""
+
+    factory_std: tuple[float, ...] | None = None
+    """How far each axis of the sensor may be from the factory matrix, as a share of its full scale, (6,).
+    None learns one share for all from the readings; only used with a factory matrix."""
+
+    estimate_rotation: bool = False
+    """Whether the rotation from the accelerometer's frame to the sensor's is unknown (in-situ paper, remark
+    of II-B). Added masses at places known in the sensor's frame show it; limb at rest only."""
+
+    full_scale: tuple[float, ...] | None = None
+    """Full scales of the axes by the sensor's sheet in N and N m, (6,), in shares of which a maker's errors
+    are; None takes those that channels of one range would have by the factory matrix."""
+
+    code_range: tuple[float, float] | None = None
+    """Lowest and highest count of the converter; channels that stay there are saturated."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a value has no meaning."""
+        for name, unit in (("factory_std", "shares, one an axis"), ("full_scale", "values in N and N m")):
+            values = getattr(self, name)
+            if values is not None and (len(values) != 6 or not all(value > 0.0 for value in values)):
+                raise ValueError(f"'{name}' must hold six positive {unit}, got {values!r}.")
+        _check_code_range(self.code_range)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InSituTrackerConfig:
+    """Options of :class:`~surefoot.calibration.in_situ.InSituTracker`, for strain gauges in a leg."""
+
+    drift_force: float = 0.1 / 60.0**0.5
+    """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
+
+    drift_torque: float = 0.002 / 60.0**0.5
+    """The same for torques in N m/sqrt(s)."""
+
+    since_fit_force: float = 0.5
+    """How far the offset may have moved along each axis since the calibration, in N: offsets jump from one
+    power-up to the next, on some sensors by hundreds."""
+
+    since_fit_torque: float = 0.01
+    """The same for torques in N m."""
+
+    lag: float | None = None
+    """Width of the loop of hysteresis, as a share of the load's swing; None takes the shares that the fit
+    found, or none."""
+
+    lag_angle: float = 0.5
+    """Angle in rad by which gravity turns before h is another: a quarter of a swing of two radians."""
+
+    added_mass: float = 0.0
+    """Mass in kg that hangs on the limb, known, such as a shoe ..."""
+
+    added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """... and its centre of mass in the sensor's frame in m."""
+
+    reject: float = 5.0
+    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
+    it adds is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
+
+    touch: float = 0.05
+    """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
+    an error of the sensor, however unlikely."""
+
+    code_range: tuple[float, float] | None = None
+    """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a value has no meaning."""
+        check_positive(self, "lag_angle", "reject")
+        drifts = ("drift_force", "drift_torque", "since_fit_force", "since_fit_torque")
+        check_not_negative(self, *drifts, "added_mass", "touch")
+        if self.lag is not None:
+            check_not_negative(self, "lag")
+        _check_code_range(self.code_range)
+
+
+def _check_code_range(span: tuple[float, float] | None) -> None:
+    """Raise ValueError unless a range of counts is (lowest, highest) or None."""
+    if span is not None and not span[0] < span[1]:
+        raise ValueError(f"'code_range' must be (lowest, highest), got {span!r}.")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """All that a calibration is given.
+
+    Attributes:
+        sets: Of one sensor, as they were read.
+        factory: The maker's C in N and N m per count, shape (6, k), or None.
+        limb: What is known of the limb, or None.
+        options: How to fit.
+        mode: What becomes of the factory matrix.
+
+    Raises:
+        ValueError: If these do not belong together.
+    """
+
+    sets: tuple[InSituSet, ...]
+    factory: NDArray[np.float64] | None = None
+    limb: KnownLimb | None = None
+    options: InSituOptions = field(default_factory=InSituOptions)
+    mode: MatrixMode = "update"
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if sets, matrix and mode do not belong together."""
+        if not self.sets:
+            raise ValueError("Give at least one set of readings.")
+        channels = sorted({data.channels for data in self.sets})
+        if len(channels) > 1:
+            raise ValueError(f"All sets must have the same number of channels, got {channels}.")
+        if self.mode not in ("keep", "update", "free"):
+            raise ValueError(f"'matrix' must be 'keep', 'update' or 'free', got {self.mode!r}.")
+        if self.factory is not None:
+            factory = np.asarray(self.factory, dtype=np.float64)
+            if factory.shape != (6, channels[0]):
+                raise ValueError(f"'factory_matrix' must have shape (6, {channels[0]}), got {factory.shape}.")
+            if not np.all(np.isfinite(factory)) or np.linalg.matrix_rank(factory) < 6:
+                raise ValueError(
+                    "'factory_matrix' must be finite and of rank 6, as all matrices of makers are."
+                )
+            object.__setattr__(self, "factory", factory)
+        elif self.mode == "keep":
+            raise ValueError("'matrix' is 'keep', and there is none to keep: give 'factory_matrix'.")
+        if self.options.estimate_rotation and self.moving:
+            raise ValueError("'estimate_rotation' needs a limb at rest: leave the angular velocities out.")
+
+    @property
+    def moving(self) -> bool:
+        """Whether a limb's motion was recorded."""
+        return any(data.moves for data in self.sets)
+
+    @property
+    def timed(self) -> bool:
+        """Whether all sets have times."""
+        return all(data.time is not None for data in self.sets)
+
+
+def shift(data: InSituSet, delay: float) -> InSituSet:
+    """Return a set with gravity and motion as they were read later by the delay; the ends drop out."""
+    time = data.time
+    if not delay:
+        return data
+    assert time is not None
+    kept = (time + delay >= time[0]) & (time + delay <= time[-1])
+
+    def later(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([np.interp(time[kept] + delay, time, one) for one in values.T], axis=1)
+
+    rate, acceleration = data.angular_velocity, data.angular_acceleration
+    return replace(
+        data,
+        raw=data.raw[kept],
+        time=time[kept],
+        temperature=None if data.temperature is None else data.temperature[kept],
+        gravity=later(data.gravity),
+        angular_velocity=None if rate is None else later(rate),
+        angular_acceleration=None if acceleration is None else later(acceleration),
+    )

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_value
+from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, Limb, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -37,7 +38,6 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     offset_covariance,
 )
-from surefoot.calibration.in_situ.options import KnownLimb
 from surefoot.calibration.kalman import kalman_step
 
 __all__ = [
@@ -184,7 +184,7 @@ def plan_excitation(
     Raises:
         ValueError: If an argument has no meaning.
 
-    >>> from surefoot.calibration.in_situ.options import KnownLimb
+    >>> from surefoot.calibration.in_situ.data import KnownLimb
     >>> C = np.diag([0.01, 0.01, 0.01, 2e-4, 2e-4, 2e-4])
     >>> prior = prior_from_factory(C, KnownLimb(5.0, 0.5, np.array([0.0, 0.0, 0.2])))
     >>> down, ahead, aside = 9.81 * np.eye(3)[[2, 0, 1]]
@@ -192,17 +192,7 @@ def plan_excitation(
     >>> sorted(pose.orientation for pose in plan.poses)
     [0, 1, 2, 3]
     """
-    if goal not in GOALS:
-        raise ValueError(f"'goal' must be one of {list(GOALS)}, got {goal!r}.")
-    for name, value in {"count": count, "block": block, "samples": samples}.items():
-        if isinstance(value, bool) or value != int(value) or value < 1:
-            raise ValueError(f"'{name}' must be a whole number from 1 on, got {value!r}.")
-    g = np.asarray(gravity, dtype=np.float64)
-    if g.ndim != 2 or g.shape[1] != 3 or not len(g) or not np.isfinite(g).all():
-        raise ValueError(f"'gravity' must be finite and of shape (N, 3), N at least 1, got shape {g.shape}.")
-    candidates = [mass if isinstance(mass, MassCandidate) else MassCandidate(*mass) for mass in masses]
-    if not candidates:
-        raise ValueError("Give at least one mass; MassCandidate(0.0) is the bare limb.")
+    g, candidates = _check_plan(gravity, masses, goal, {"count": count, "block": block, "samples": samples})
     known = prior if isinstance(prior, ExcitationPrior) else prior_from_fit(prior)
     wanted = _offset_of(0, len(known.response)) if goal == "offset" else GOALS[goal]
     design = _Design(known, g, candidates, wanted, samples, block)
@@ -227,6 +217,24 @@ def plan_excitation(
         after=P[_SHARED, _SHARED],
         total=sum(pose.information for pose in poses),
     )
+
+
+def _check_plan(
+    gravity: ArrayLike, masses: Sequence[MassCandidate | tuple[Any, ...]], goal: str, counts: dict[str, int]
+) -> tuple[Matrix, list[MassCandidate]]:
+    """Return gravity and masses as they are used, or raise ValueError if an argument has no meaning."""
+    if goal not in GOALS:
+        raise ValueError(f"'goal' must be one of {list(GOALS)}, got {goal!r}.")
+    for name, value in counts.items():
+        if isinstance(value, bool) or value != int(value) or value < 1:
+            raise ValueError(f"'{name}' must be a whole number from 1 on, got {value!r}.")
+    g = np.asarray(gravity, dtype=np.float64)
+    if g.ndim != 2 or g.shape[1] != 3 or not len(g) or not np.isfinite(g).all():
+        raise ValueError(f"'gravity' must be finite and of shape (N, 3), N at least 1, got shape {g.shape}.")
+    candidates = [mass if isinstance(mass, MassCandidate) else MassCandidate(*mass) for mass in masses]
+    if not candidates:
+        raise ValueError("Give at least one mass; MassCandidate(0.0) is the bare limb.")
+    return g, candidates
 
 
 def prior_from_fit(

@@ -109,8 +109,8 @@ class InSituFit:
         temperature_reference: Temperature at which the offsets hold.
         temperature_gain: What each axis reads more per K, as a share of its load, shape (6,); None if that
             was not seen.
-        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
-            were not seen to lag.
+        hysteresis: Width of the loop of each axis as a share of the load's swing, or what it creeps in an
+            octave of time as a share of the load, shape (6,); None if loads were not seen to lag.
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
         offset_doubt: Covariance in counts^2, shape (k, k), of what hysteresis leaves open of the offset, part
             of ``covariance``; None without hysteresis.

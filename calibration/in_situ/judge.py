@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.covariance import orthonormal, weighted_inverse
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.covariance import weighted_inverse
+from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.linear import of_unit_length, orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -19,9 +22,8 @@ from surefoot.calibration.in_situ.model import (
     STATIC,
     different_masses,
 )
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.solve import ROUNDING, Problem, Solution, expand, of_unit_length, transforms
-from surefoot.calibration.in_situ.starts import hanging
+from surefoot.calibration.in_situ.problem import Problem, hanging
+from surefoot.calibration.in_situ.solve import Solution, expand, projected, transforms
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
 
@@ -35,7 +37,6 @@ __all__ = [
     "check_rotation",
     "check_scale",
     "data_rank",
-    "projected",
 ]
 
 Matrix = NDArray[np.float64]
@@ -67,33 +68,6 @@ _NO_LOAD = 1e-300
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
 
-
-_FACTORY_APART = 0.3
-"""Logarithm of the limb's mass by a factory matrix over the one that was given from which on it is refused:
-real sensors were off by 11 and 19 %."""
-
-_LONGEST = 1.0
-"""Distance in m of a limb's centre of mass from its sensor: a humanoid's leg has 0.5."""
-
-_GAINS = (0.4, 2.5)
-"""Gains of the axes over the factory matrix's: real sensors that had aged had 0.8 to 1.2."""
-
-_SIGMAS = 4.0
-"""Deviations between the limb by the readings and as it was given that are worth a warning."""
-
-_STRAINED = 3.0
-"""Sets whose squares are below this multiple of what noise explains agree with each other."""
-
-_SLIGHT = 0.15
-"""Share of the tolerance up to which no set is looked at by itself."""
-
-
-_CULPRIT, _WEIGHED = 0.8, 0.3
-"""A set is looked at if another mass in it explains the first share of what is left, and is off by more than
-the second share of the tolerance."""
-
-_TURNED, _TURNED_SIGMAS = 0.5, 4.0
-"""Share of the tolerance, in rad, and deviations by which an IMU may seem turned without a warning."""
 
 _REACH = 0.1
 """Lever in m by which moments of masses that all hang at one place are judged."""
@@ -176,116 +150,107 @@ def check_rotation(found: Sequence[Solution]) -> list[Finding]:
     return []
 
 
-def check_scale(fit: InSituFit, options: InSituOptions, *, leaning: bool) -> list[Finding]:
+def check_scale(fit: InSituFit, *, leaning: bool) -> list[Finding]:
     """Return a finding if the limb's mass, and with it the scale of all forces, is unknown.
 
     With ``leaning`` a factory matrix has a scale, as unsure as it may be.
     """
     mass, deviation = fit.limb.mass, fit.limb_mass_std
-    if mass > 0.0 and deviation <= options.scale_tolerance * mass:
+    if mass > 0.0 and deviation <= limits.SCALE * mass:
         return []
+    share = deviation / abs(mass)
     if mass > 0.0 and leaning:
         reason = "The scale of all forces is the factory matrix's; weigh the limb to know it."
-        return [
-            Finding("scale", reason, value=deviation / mass, limit=options.scale_tolerance, refuses=False)
-        ]
+        return [Finding("scale", reason, value=share, limit=limits.SCALE, refuses=False)]
     reason = (
         f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
         "the scale of all forces is as unsure."
     )
     cure = "Add larger masses or at places further apart, record for longer, or give the limb's mass."
-    return [Finding("scale", reason, cure, deviation / abs(mass), options.scale_tolerance, contradicts=True)]
+    return [Finding("scale", reason, cure, share, limits.SCALE, contradicts=True)]
 
 
 def check_answer(fit: InSituFit, factory: Matrix | None) -> list[Finding]:
     """Return what no limb and no sensor is, however small the residual."""
     found = []
     arm = float(np.linalg.norm(fit.limb.com))
-    if not arm < _LONGEST:
+    if not arm < limits.LONGEST_ARM:
         reason = f"The limb's centre of mass comes out {arm:.2g} m away from the sensor."
         cure = (
             "Check the units of torques and places (N mm, mm), the signs of the axes, and that each channel "
             "is where the factory matrix expects it."
         )
-        found.append(Finding("centre of mass", reason, cure, arm, _LONGEST, contradicts=True))
+        found.append(Finding("centre of mass", reason, cure, arm, limits.LONGEST_ARM, contradicts=True))
     if factory is None:
         return found
     gain = np.diag(factory @ fit.response)
-    if not _GAINS[0] < np.min(gain) <= np.max(gain) < _GAINS[1]:
+    if not limits.LEAST_GAIN < np.min(gain) <= np.max(gain) < limits.LARGEST_GAIN:
         shown = ", ".join(f"{value:.2f}" for value in gain)
         reason = f"By the readings the sensor's axes give {shown} times what the factory matrix says."
         cure = "Check that it is this sensor's, its units, the signs of the axes and the limb's mass."
-        found.append(
-            Finding("gains", reason, cure, float(np.max(np.abs(np.log(np.abs(gain))))), contradicts=True)
-        )
+        off = float(np.max(np.abs(np.log(np.abs(gain)))))
+        found.append(Finding("gains", reason, cure, off, contradicts=True))
     return found
 
 
-def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> list[Finding]:
+def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> list[Finding]:
     """Return which axes were never seen, however well the limb's mass is known."""
-    found = []
+    square = np.zeros(AXES)
     T = transforms(problem, solution)[:, :AXES]
-    load = np.zeros(AXES)
     for part, t in zip(problem.sets, T, strict=True):
-        mean = t @ part.mean
-        load += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * mean**2
-    load = np.sqrt(load)
-    channels = fit.matrix.shape[1]
+        square += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * (t @ part.mean) ** 2
+    found = []
     for axis, name in enumerate(FORCE_TORQUE_NAMES):
         row = fit.columns.row(axis)
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
-        doubt = float(np.sqrt(np.sum(np.diag(spread) * load**2))) / max(float(load[axis]), _NO_LOAD)
-        if not doubt < options.axis_tolerance:
+        doubt = float(np.sqrt(np.diag(spread) @ square / max(square[axis], _NO_LOAD)))
+        if not doubt < limits.AXIS:
             reason = f"The axis {name} is known to {doubt:.0%} of its load only."
             cure = (
-                f"Hang masses where they load {name} differently, check that all {channels} channels are "
-                "connected, each once, or give a factory matrix."
+                f"Hang masses where they load {name} differently, check that all {fit.matrix.shape[1]} "
+                "channels are connected, each once, or give a factory matrix."
             )
-            found.append(Finding("axis", reason, cure, doubt, options.axis_tolerance))
+            found.append(Finding("axis", reason, cure, doubt, limits.AXIS))
     return found
 
 
-def check_masses(
-    problem: Problem, solution: Solution, noise: Matrix, options: InSituOptions
-) -> list[Finding]:
+def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Finding]:
     """Return whether the readings contradict what was added, or doubt it."""
     used = orthonormal(solution.jacobian)[0][: solution.residual.size]
     freedom = solution.residual.size - float(np.sum(used**2))
     left = float(np.sum(solution.residual**2))
-    if not (freedom > 0.5 and left >= _STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
+    if not (freedom > 0.5 and left >= limits.STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
         return []
-    off = _disagreement(problem, _seen_masses(problem, solution, noise))
+    off = float(np.max(_disagreement(problem, _seen_masses(problem, solution, noise))))
     reason = "The added masses contradict each other or the readings."
     cure = "Weigh what was added and measure where it hung, or leave the set out."
-    contradiction = Finding(
-        "added masses", reason, cure, float(np.max(off)), options.mass_tolerance, contradicts=True
-    )
-    if np.max(off) > options.mass_tolerance:
+    contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
+    if off > limits.MASS:
         return [contradiction]
     added = problem.added[:, :STATIC]
-    for j in range(len(added)) if np.max(off) > _SLIGHT * options.mass_tolerance else ():
+    for j in range(len(added)) if off > limits.MASS_LOOKED else ():
         changes = np.zeros((STATIC, *problem.added.shape))
         changes[:, j, :STATIC] = np.eye(STATIC)
         step, explained = _explain(problem, solution, changes)
         changed = added.copy()
         changed[j] += step
         amount = float(np.max(_disagreement(problem, changed)))
-        if explained > _CULPRIT * left and amount > _WEIGHED * options.mass_tolerance:
+        if explained > limits.CULPRIT * left and amount > limits.MASS_ALONE:
             return [contradiction]
     if problem.rotation:
         return []
     turn, explained = _explain(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
     angle = float(np.linalg.norm(turn))
-    if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * left / freedom:
+    if angle < limits.TURNED or explained < limits.TURNED_SIGMAS**2 * left / freedom:
         return []
-    if angle > options.mass_tolerance:
+    if angle > limits.MASS:
         return [contradiction]
     reason = (
         f"The IMU seems to be turned by {np.degrees(angle):.1f} degrees against the sensor's frame, and the "
         "wrench with it: give its rotation (R_sensor_accelerometer), or let the fit find it "
         "('estimate_rotation', with the limb at rest)."
     )
-    return [Finding("turned IMU", reason, value=angle, limit=options.mass_tolerance, refuses=False)]
+    return [Finding("turned IMU", reason, value=angle, limit=limits.TURNED, refuses=False)]
 
 
 def _turn(added: Matrix, axis: Vector) -> Matrix:
@@ -314,14 +279,6 @@ def added_slope(problem: Problem, solution: Solution, change: Matrix) -> Vector:
     return np.stack(rows).ravel()
 
 
-def projected(solution: Solution, slopes: Matrix) -> Matrix:
-    """Return what the unknowns of a solution leave of slopes of the rows of the sets, shape (rows, q)."""
-    left, singular, _ = np.linalg.svd(solution.jacobian, full_matrices=False)
-    basis = left[:, singular > ROUNDING * singular[0]]
-    slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
-    return np.asarray(slopes - basis @ (basis.T @ slopes))
-
-
 def _seen_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     """Return (m, m c) that was added to each set by the readings, in kg and kg m, shape (J, 4)."""
     matrix = weighted_inverse(solution.A, noise)
@@ -345,10 +302,7 @@ def _disagreement(problem: Problem, seen: Matrix) -> Vector:
 
 
 def check_limb(
-    known: KnownLimb,
-    by_data: tuple[float, float] | None,
-    by_maker: tuple[float, float] | None,
-    options: InSituOptions,
+    known: KnownLimb, by_data: tuple[float, float] | None, by_maker: tuple[float, float] | None
 ) -> list[Finding]:
     """Return whether the readings give the limb another mass than was given.
 
@@ -356,25 +310,21 @@ def check_limb(
         known: What was given.
         by_data: The limb's mass and its deviation in kg by the readings alone; None: not determined.
         by_maker: The same by the readings with the factory matrix; None without one.
-        options: Of the fit.
     """
     found = by_data or by_maker
     if found is None:
         return []
     mass, deviation = found
     off = abs(mass - known.mass) / float(np.hypot(deviation, known.mass_std))
-    if off < _SIGMAS:
+    if off < limits.LIMB_SIGMAS:
         return []
+    blamed, limit = "the added masses, their places or the limb's mass are", limits.MASS
+    if by_data is None:
+        blamed, limit = "the limb's mass or the scale of the factory matrix is", limits.FACTORY_APART
     reason = (
         f"By the readings the limb weighs {mass:.3f} kg, and {known.mass:.3f} kg were given, {off:.0f} "
-        "deviations apart: "
+        f"deviations apart: {blamed} not as given."
     )
-    if by_data is not None:
-        reason += "the added masses, their places or the limb's mass are not as given."
-        limit = options.mass_tolerance
-    else:
-        reason += "the limb's mass or the scale of the factory matrix is not as given."
-        limit = _FACTORY_APART
     cure = "Weigh all that hangs beyond the sensor, and nothing else; check the units of the factory matrix."
     apart = abs(float(np.log(mass / known.mass))) if mass > 0.0 else np.inf
     return [Finding("limb", reason, cure, apart, limit, refuses=apart > limit)]

@@ -13,46 +13,23 @@ How far off a maker's matrix is, s, and by how much less its cross-talk than its
 by Laplace's approximation, J being the Jacobian of all rows and R that of the prior's.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.model import (
-    AXES,
-    DIRECT,
-    MASS,
-    MOMENT,
-    STATIC,
-)
-from surefoot.calibration.in_situ.solve import (
-    ROUNDING,
-    Maker,
-    Problem,
-    Solution,
-    expand,
-    minima,
-    of_unit_length,
-    solve,
-    transforms,
-)
-from surefoot.calibration.in_situ.starts import hanging
+from surefoot.calibration.in_situ.linear import ROUNDING, of_unit_length
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.problem import Maker, Problem, hanging
+from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve, transforms
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = [
-    "COMMON",
-    "KEPT",
-    "Leaning",
-    "check_factory",
-    "full_scale",
-    "lean",
-    "maker_prior",
-    "marginal_evidence",
-    "mean_of",
-]
+__all__ = ["COMMON", "KEPT", "Leaning", "check_factory", "lean", "mean_of", "prior_of"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -90,7 +67,23 @@ KEPT = 1e-6
 """Deviation of a matrix that is kept: no reading moves it."""
 
 
-def full_scale(matrix: Matrix, noise: Matrix, given: Sequence[float] | None) -> Vector:
+def prior_of(task: Task, noise: Matrix, share: float = 1.0) -> Maker | None:
+    """Return the factory matrix as a prior; None where there is none.
+
+    Args:
+        task: With the factory matrix, and how far it may be off where that is stated.
+        noise: Covariance of a sample, shape (k, k).
+        share: Of full scale by which the matrix may be off if nothing is stated.
+    """
+    if task.factory is None:
+        return None
+    off = np.broadcast_to(np.asarray(task.options.factory_std or share, dtype=np.float64), AXES)[:, None]
+    scale = _full_scale(task.factory, noise, task.options.full_scale)
+    response = np.asarray(np.linalg.pinv(task.factory), dtype=np.float64)
+    return Maker(response, off * scale[:, None] / scale, _BEYOND)
+
+
+def _full_scale(matrix: Matrix, noise: Matrix, given: Sequence[float] | None) -> Vector:
     """Return the full scales of the axes up to a common factor, shape (6,).
 
     Where no sheet states them, the noise tells: of one sensor's axes it is about the same share of each full
@@ -110,13 +103,6 @@ def full_scale(matrix: Matrix, noise: Matrix, given: Sequence[float] | None) -> 
     return np.asarray((axes * np.array([[1.0], [arm]])).ravel())
 
 
-def maker_prior(matrix: Matrix, share: float | Sequence[float], scale: Vector) -> Maker:
-    """Return the prior by a maker's matrix, shape (6, k), that is off by a share of full scale, (6,)."""
-    off = np.broadcast_to(np.asarray(share, dtype=np.float64), AXES)[:, None]
-    response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
-    return Maker(response, off * scale[:, None] / scale, _BEYOND)
-
-
 class Leaning(NamedTuple):
     """The fit by one size of the maker's errors, and how likely that size is.
 
@@ -133,7 +119,7 @@ class Leaning(NamedTuple):
     solution: Solution
 
 
-def evidence(problem: Problem, solution: Solution) -> float:
+def _log_evidence(problem: Problem, solution: Solution) -> float:
     """Return the logarithm of the evidence of a problem by Laplace, up to what all members share."""
     unit, size = of_unit_length(solution.jacobian)
     singular = np.linalg.svd(unit, compute_uv=False)
@@ -144,26 +130,9 @@ def evidence(problem: Problem, solution: Solution) -> float:
     return value
 
 
-def marginal_evidence(problem: Problem, matrix: Matrix, start: Vector) -> float:
-    """Return the logarithm of the evidence of another maker's matrix, shape (6, k), over sizes of its errors.
-
-    Args:
-        problem: With the prior by the matrix that was given.
-        matrix: In its place, with errors of the same full scales.
-        start: Outer unknowns to start from.
-    """
-    assert problem.maker is not None
-    ratio = problem.maker.std / problem.maker.std[0, 0]
-    response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
-    scores = []
-    for share in _COARSE:
-        one = replace(problem, maker=problem.maker._replace(response=response, std=share * ratio))
-        solution = solve(one, [start])
-        if solution.limb[MASS] > 0.0:
-            start = solution.outer
-        value = evidence(one, solution) - 0.5 * (np.log(share / _SHARE) / _SPREAD) ** 2
-        scores.append(value if solution.limb[MASS] > 0.0 else -np.inf)
-    return float(np.logaddexp.reduce(scores))
+def _log_prior(share: float) -> float:
+    """Return the logarithm of the density of a size of the maker's errors, up to a constant."""
+    return -0.5 * float((np.log(share / _SHARE) / _SPREAD) ** 2)
 
 
 def lean(problem: Problem, starts: Sequence[Vector], stated: bool) -> list[Leaning]:
@@ -188,7 +157,7 @@ def lean(problem: Problem, starts: Sequence[Vector], stated: bool) -> list[Leani
             solution = solve(one, [last])
             last = solution.outer
             members.append(Leaning(0.0, share, one, solution))
-            scores.append(evidence(one, solution) - 0.5 * (np.log(share / _SHARE) / _SPREAD) ** 2)
+            scores.append(_log_evidence(one, solution) + _log_prior(share))
     weight = np.exp(np.array(scores) - np.max(scores))
     weight /= np.sum(weight)
     kept = [one._replace(weight=float(w)) for one, w in zip(members, weight, strict=True) if w > _NEGLIGIBLE]
@@ -210,52 +179,19 @@ _REACH = 0.1
 _NO_LOAD = 1e-300
 """What stands for a load of zero in a quotient."""
 
-_AGED = 0.1
-"""Share of what hangs there up to which no factory matrix is looked at."""
-
-
-_MISPRINT = 0.7
-"""Share of its row's largest entry by which a misprinted entry must be off: sensors age by less."""
-
-
 _TRIED = 4
 """Ways to read a matrix, and entries, that are compared by their evidence."""
-
-
-_BETTER = 0.7
-"""Share of what the matrix misses that another way to read it leaves at most."""
-
-
-_CLEARER = 10.0
-"""Nats by which another way to read it must be likelier than the matrix as it was given."""
-
 
 _OCCAM = float(np.log(36.0)) + 5.0
 """Nats that an entry's free value, and the choice of it, cost."""
 
-
-_FACTORY_SCALE = (0.5, 2.0)
-"""The loads that a factory matrix shows over the true ones must lie between these: sensors age by less."""
-
-
-_CLEARLY = 0.5
-"""Another unit is a refusal if it leaves less than this share of that factor's logarithm, else a warning."""
-
-
-_APART = 3.0
-"""Axes whose factors differ by less than this have aged from a common one."""
-
-
 _LOADED = 0.1
 """Share of the largest load, torques over the lever, from which on an axis shows that scale."""
-
 
 _POUND = 0.45359237
 """In kg."""
 
-
 _UNITS = {
-    "": 1.0,
     "masses are in lb, and kg are expected": 1.0 / _POUND,
     "masses in kg were taken for lb and converted": _POUND,
     "masses are in grams": 1e3,
@@ -294,52 +230,75 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
 
     now = missed(factory)
-    if now < _AGED:
+    if now < limits.FACTORY_MISSES:
         return []
+    start = solution.outer.copy()
+    if not limb_known:
+        start[: problem.parameters] = problem.limb
+    tried = []
+    for cost, ways in (
+        (0.0, _other_readings(factory)),
+        (_OCCAM, [] if expected is None else _other_entries(factory, measured, expected)),
+    ):
+        scored = sorted(((missed(one), words, one) for words, one in ways), key=lambda way: way[0])
+        for left, words, one in scored[:_TRIED]:
+            if left < limits.READ_BETTER * now:
+                tried.append((_evidence_of(one, problem, solution, start) - cost, left, words))
     found = []
-    at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    whole = sorted(((missed(one), words, one) for words, one in _other_readings(factory)), key=lambda x: x[0])
-    others = [] if expected is None else _other_entries(factory, measured, expected)
-    entries = sorted(((missed(one), words, one) for words, one in others), key=lambda x: x[0])
-    tried = [(one, 0.0) for one in whole[:_TRIED] if one[0] < _BETTER * now]
-    tried += [(one, _OCCAM) for one in entries[:_TRIED] if one[0] < _BETTER * now]
-    start = solution.outer if limb_known else problem.limb
     base = _evidence_of(factory, problem, solution, start)
-    scores = [_evidence_of(one[2], problem, solution, start) - free for one, free in tried]
-    best = int(np.argmax(scores)) if scores else 0
-    if scores and scores[best] - base > _CLEARER:
-        left, words, _ = tried[best][0]
+    best, left, words = max(tried, default=(-np.inf, now, ""))
+    if best - base > limits.CLEARER:
+        at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
         reason = f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {left:.0%}."
         cure = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
-        found.append(Finding("factory matrix", reason, cure, scores[best] - base, _CLEARER))
+        found.append(Finding("factory matrix", reason, cure, best - base, limits.CLEARER))
     return found if expected is None else found + _check_units(factory @ measured, expected, weight)
 
 
 def _check_units(shown: Matrix, expected: Matrix, weight: Matrix) -> list[Finding]:
     """Return whether loads that a matrix shows, shape (6, n), are those that hang there in another unit."""
     scale, common = _scale(shown, expected, weight)
+    off = abs(float(np.log(max(scale, _NO_LOAD))))
     near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
-    unit = min(near, key=near.__getitem__) if common else ""
+    unit = min(near, key=near.__getitem__)
+    nearer = common and near[unit] < off
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
-    if unit:
+    if nearer:
         shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
     check = (
         "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
         "those of the masses (kg)."
     )
-    if unit and near[unit] < _CLEARLY * near[""]:
-        return [Finding("factory scale", shows, check, scale)]
-    if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        return [Finding("factory scale", shows, check, scale, contradicts=True)]
-    return [Finding("factory scale", shows, check, scale, refuses=False)] if unit else []
+    clearly = nearer and near[unit] < limits.OTHER_UNIT * off
+    if clearly or off > limits.FACTORY_SCALE:
+        return [Finding("factory scale", shows, check, scale, contradicts=not clearly)]
+    return [Finding("factory scale", shows, check, scale, refuses=False)] if nearer else []
 
 
 def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Vector) -> float:
-    """Return the evidence of a factory matrix, from the limb that it shows."""
-    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
+    """Return the evidence of another maker's matrix, shape (6, k), over sizes of its errors, as a logarithm.
+
+    The search starts from outer unknowns, shape (p,), with the limb that the matrix shows.
+    """
+    assert problem.maker is not None
     outer = start.copy()
-    outer[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
-    return marginal_evidence(problem, matrix, outer)
+    outer[:STATIC] = _limb_by(matrix, problem, solution)
+    ratio = problem.maker.std / problem.maker.std[0, 0]
+    response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
+    scores = []
+    for share in _COARSE:
+        one = replace(problem, maker=problem.maker._replace(response=response, std=share * ratio))
+        fitted = solve(one, [outer])
+        sound = fitted.limb[MASS] > 0.0
+        outer = fitted.outer if sound else outer
+        scores.append(_log_evidence(one, fitted) + _log_prior(share) if sound else -np.inf)
+    return float(np.logaddexp.reduce(scores))
+
+
+def _limb_by(matrix: Matrix, problem: Problem, solution: Solution) -> Vector:
+    """Return (m, m c) of the limb that a matrix shows, shape (4,)."""
+    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
+    return np.asarray(np.mean(seen - problem.added[:, :STATIC], axis=0))
 
 
 def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool]:
@@ -351,16 +310,15 @@ def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool
     load = np.sqrt(np.sum((weight * expected) ** 2, axis=1))
     loaded = load > _LOADED * np.max(load)
     of_axis = np.sum(shown * expected, axis=1)[loaded] / np.sum(expected**2, axis=1)[loaded]
-    if np.min(of_axis) > np.max(of_axis) / _APART:
+    if np.min(of_axis) > np.max(of_axis) / limits.AXES_APART:
         return float(np.exp(np.mean(np.log(of_axis)))), True
     return float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2)), False
 
 
 def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
     """Return T of all sets side by side with the limb that a matrix shows; None if its mass is negative."""
-    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
     limb = solution.limb.copy()
-    limb[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
+    limb[:STATIC] = _limb_by(matrix, problem, solution)
     return None if limb[MASS] <= 0.0 else _loads(problem, replace(solution, limb=limb))
 
 
@@ -370,57 +328,57 @@ def _loads(problem: Problem, solution: Solution) -> Matrix:
     return np.concatenate([t @ part.turned.T for part, t in zip(problem.sets, T, strict=True)], axis=1)
 
 
-def _other_readings(factory: Matrix) -> list[tuple[str, Matrix]]:
-    """Return what may be wrong with a whole matrix, or with units, and the matrix as it then is."""
-    forces, torques = np.repeat([1.0, 0.0], 3)[:, None], np.repeat([0.0, 1.0], 3)[:, None]
-    found = [
-        (words, (force * forces + torque * torques) * factory)
-        for words, force, torque in (
-            ("the sign of gravity or of the factory matrix is turned", -1.0, -1.0),
-            ("all places of the masses, or the factory's torques, are negated", 1.0, -1.0),
-            ("the factory's forces are negated", -1.0, 1.0),
-            ("masses are in grams", 1e3, 1e3),
-            ("masses are in lb, and kg are expected", 1.0 / _POUND, 1.0 / _POUND),
-            ("places are in mm, and m are expected", 1.0, 1e3),
-            ("places are in cm, and m are expected", 1.0, 1e2),
-            ("units of the factory's torques are N mm", 1.0, 1e-3),
-            ("units of the factory matrix are kgf", GRAVITY, GRAVITY),
-            ("units of the factory's torques are N cm", 1.0, 1e-2),
-        )
-    ]
+_OF_ROWS = {
+    "the sign of gravity or of the factory matrix is turned": (-1.0, -1.0),
+    "all places of the masses, or the factory's torques, are negated": (1.0, -1.0),
+    "the factory's forces are negated": (-1.0, 1.0),
+    "masses are in grams": (1e3, 1e3),
+    "masses are in lb, and kg are expected": (1.0 / _POUND, 1.0 / _POUND),
+    "places are in mm, and m are expected": (1.0, 1e3),
+    "places are in cm, and m are expected": (1.0, 1e2),
+    "units of the factory's torques are N mm": (1.0, 1e-3),
+    "units of the factory's torques are N cm": (1.0, 1e-2),
+    "units of the factory matrix are kgf": (GRAVITY, GRAVITY),
+}
+"""What may be wrong with a matrix or with units, by the factors of its forces and of its torques."""
+
+
+def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield what may be wrong with a whole matrix, or with units, and the matrix as it then is."""
+    for words, factors in _OF_ROWS.items():
+        yield words, np.repeat(factors, 3)[:, None] * factory
     for axis, name in enumerate("xyz"):
         mirror = np.where(np.isin(np.arange(AXES), (axis, axis + 3)), -1.0, 1.0)[:, None]
-        words = f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame"
-        found.append((words, mirror * factory))
-    found.append(("rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)))
-    if factory.shape[0] == factory.shape[1]:
+        yield (
+            f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame",
+            mirror * factory,
+        )
+    yield "rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)
+    rows, channels = factory.shape
+    if rows == channels:
         inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
-        found.append(("the factory matrix is transposed", factory.T))
-        found.append(("the factory matrix is inverted: counts per N", inverse))
-        found.append(("the factory matrix is inverted and transposed", inverse.T))
-    channels = factory.shape[1]
+        yield "the factory matrix is transposed", factory.T
+        yield "the factory matrix is inverted: counts per N", inverse
+        yield "the factory matrix is inverted and transposed", inverse.T
     for a in range(channels):
         sign = np.where(np.arange(channels) == a, -1.0, 1.0)
-        found.append((f"channel {a} has the other sign than in the factory matrix", factory * sign))
+        yield f"channel {a} has the other sign than in the factory matrix", factory * sign
         for b in range(a):
             order = np.arange(channels)
             order[[a, b]] = b, a
-            words = f"channels {b} and {a} are exchanged against the factory matrix"
-            found.append((words, factory[:, order]))
-    return found
+            yield f"channels {b} and {a} are exchanged against the factory matrix", factory[:, order]
 
 
-def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> list[tuple[str, Matrix]]:
-    """Return the matrix with another value in each entry that could be misprinted, and that, in words."""
-    wrong, found = expected - factory @ measured, []
+def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield the matrix with another value in each entry that could be misprinted, and that, in words."""
+    wrong = expected - factory @ measured
     steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
-    misprint = np.abs(steps) >= _MISPRINT * np.max(np.abs(factory), axis=1, keepdims=True)
-    for row, column in np.argwhere(misprint):
+    largest = np.max(np.abs(factory), axis=1, keepdims=True)
+    for row, column in np.argwhere(np.abs(steps) >= limits.MISPRINT * largest):
         matrix = factory.copy()
         matrix[row, column] += steps[row, column]
         words = (
             f"entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, is "
             f"{matrix[row, column]:.4g}"
         )
-        found.append((words, matrix))
-    return found
+        yield words, matrix

@@ -1,28 +1,27 @@
 """What a fit comes out with: the calibration and its statistics, or nothing but the reason of a refusal."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.beside import drifting, shows_loops
 from surefoot.calibration.in_situ.check import check_bending
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
+    answer_of,
+    answer_root,
     data_share,
-    fit_covariance,
-    pooled_noise,
-    slope_doubt,
+    slope_doubts,
     slow_turn,
     unknowns_root,
-    weighted_inverse,
 )
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.gravity import errors_of_imu
+from surefoot.calibration.in_situ.hysteresis import shows_loops
+from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
     check_axes,
@@ -31,29 +30,15 @@ from surefoot.calibration.in_situ.judge import (
     check_scale,
     data_rank,
 )
-from surefoot.calibration.in_situ.maker import (
-    COMMON,
-)
-from surefoot.calibration.in_situ.model import (
-    AXES,
-    MASS,
-    MOMENT,
-    STATIC,
-    inertia_matrix,
-)
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import (
-    Problem,
-    Solution,
-    loop_shares,
-    of_unit_length,
-    solve,
-    transforms,
-)
-from surefoot.calibration.in_situ.task import Solved, Task
+from surefoot.calibration.in_situ.linear import of_unit_length
+from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
+from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
+from surefoot.calibration.in_situ.problem import Problem, pooled_noise
+from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
+from surefoot.calibration.in_situ.temperature import drifting
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["fit_of", "refused"]
+__all__ = ["Solved", "fit_of", "refused"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -62,26 +47,100 @@ _MAKER = 0.02
 """Deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %."""
 
 
-def _outcome(
-    problem: Problem,
-    solution: Solution,
-    noise: Matrix,
-    covariance: Matrix,
-    known: DataShare,
-) -> InSituFit:
+@dataclass(eq=False)
+class Solved:
+    """A solved task, on its way to the answer.
+
+    Attributes:
+        task: What was given.
+        sets: Its sets with a levelled gravity, in step with the readings.
+        sphere: What gravity's length shows of the accelerometer.
+        delay: By which gravity was late in s.
+        delay_std: Its deviation.
+        members: The fits by the likely sizes of the maker's errors.
+        determined: Whether the readings determine all without the maker.
+        reference: Mean of the temperatures; None where they take no part.
+        findings: What was seen on the way.
+    """
+
+    task: Task
+    sets: tuple[InSituSet, ...]
+    sphere: Sphere
+    delay: float
+    delay_std: float
+    members: list[Leaning]
+    determined: bool
+    reference: float | None
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def problem(self) -> Problem:
+        """That of the likeliest size of the maker's errors."""
+        return self.members[0].problem
+
+    @property
+    def solution(self) -> Solution:
+        """The mean of the members' solutions."""
+        return mean_of(self.members)
+
+
+def fit_of(solved: Solved) -> InSituFit:
+    """Return the answer; what is to be said of it goes to the findings."""
+    task, findings, sets, members = solved.task, solved.findings, solved.sets, solved.members
+    problem, solution = solved.problem, solved.solution
+    noise = pooled_noise(problem.sets)
+    hidden = not (task.options.hysteresis and task.timed and shows_loops(problem))
+    bends, said = check_bending(sets, problem.sets, loops=hidden)
+    findings += said
+    findings += _drift(solved)
+    doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved))
+    # A limb that is not as it was given draws all masses with it.
+    findings += doubted or check_masses(problem, solution, noise)
+    known = data_share(problem, solution, noise)
+    if problem.maker is not None or len(problem.limb_root):
+        findings += known.findings(FitColumns.of(len(noise)))
+    answer, doubts = answer_of(problem, solution, noise), None
+    roots = [_members_root(solved, solution, noise)]
+    if problem.lags:
+        doubts = slope_doubts(problem, solution, noise)
+        roots += _slope_columns(doubts, len(answer))
+    if problem.maker is not None and task.options.factory_std is None:
+        of_data = float(known.share[FitColumns.of(len(noise)).limb][MASS])
+        roots.append(_common_scale(answer, len(noise), COMMON * (1.0 - of_data), task.limb is not None))
+    if bends:
+        load = transforms(problem, solution)[-1, :AXES] @ problem.sets[-1].end.signals
+        roots.append(bends * _bending_columns(answer, solution, load, task.limb is not None))
+    root = np.concatenate(roots, axis=1)
+    fit = _outcome(solved, answer, root @ root.T, known)
+    if doubts is not None:
+        fit = replace(fit, offset_doubt=doubts[1] @ doubts[1].T)
+    fit = replace(fit, bending=bends)
+    if task.mode == "keep":
+        assert task.factory is not None
+        fit = replace(fit, matrix=task.factory, response=np.asarray(np.linalg.pinv(task.factory)))
+    fit = _with_shares(solved, fit)
+    findings += check_scale(fit, leaning=members[0].problem.maker is not None)
+    if problem.maker is None:
+        findings += check_axes(fit, problem, solution)
+    findings += check_answer(fit, task.factory)
+    return fit
+
+
+def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShare) -> InSituFit:
     """Return the fit, without what is said of it."""
-    parts, limb = problem.sets, solution.limb
+    problem, solution = solved.problem, solved.solution
+    parts, limb, k = problem.sets, solution.limb, len(solution.A)
     predicted = solution.response @ transforms(problem, solution)
-    offsets = [part.middle.by(B) for part, B in zip(parts, predicted, strict=True)]
     stats, set_stats = _stats(problem, solution, known)
+    columns, shares = FitColumns.of(k), loop_shares(problem, solution)
     return InSituFit(
-        matrix=weighted_inverse(solution.A, noise),
-        offset=parts[-1].end.by(predicted[-1]),
-        offsets=np.array(offsets),
+        matrix=answer[columns.matrix].reshape(AXES, k),
+        offset=answer[columns.offset],
+        offsets=np.array([part.middle.by(B) for part, B in zip(parts, predicted, strict=True)]),
         response=solution.A,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
         covariance=covariance,
-        noise=noise,
+        noise=pooled_noise(parts),
         temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
         rotation=solution.rotation,
         result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
@@ -91,51 +150,49 @@ def _outcome(
         set_stats=set_stats,
         affine_residual=np.array([part.affine_residual for part in parts]),
         set_names=tuple(part.name for part in parts),
-        temperature_gain=solution.limb[problem.of_loads][: problem.gains] if problem.gains else None,
-        hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
-        channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
-        offset_doubt=slope_doubt(problem, solution, noise)[1]
-        if problem.hysteresis or problem.channel_lags
-        else None,
+        temperature_reference=solved.reference or 0.0,
+        temperature_gain=limb[problem.of_loads][: problem.gains] if problem.gains else None,
+        hysteresis=shares if problem.lags and not problem.channel_lags else None,
+        channel_hysteresis=shares if problem.channel_lags else None,
+        data_share=known.share,
+        accelerometer_bias=solved.sphere.bias,
+        accelerometer_scale=solved.sphere.scale,
+        delay=solved.delay,
     )
 
 
-def _with_common_scale(fit: InSituFit, doubt: float, *, weighed: bool) -> InSituFit:
-    """Return a fit all of whose gains may be off by one factor of a deviation, and what it weighs with them.
+def _slope_columns(doubts: tuple[Matrix, Matrix], rows: int) -> list[Matrix]:
+    """Return what is open of one slope, for the matrix and for the offset by themselves, shape (rows, a)."""
+    of_matrix, of_offset = doubts
+    first = len(of_matrix)
+    after = rows - first - len(of_offset)
+    return [np.pad(of_matrix, ((0, rows - first), (0, 0))), np.pad(of_offset, ((first, after), (0, 0)))]
 
-    Args:
-        fit: The fit.
-        doubt: The deviation.
-        weighed: Whether the limb's mass was given.
-    """
-    covariance, columns = fit.covariance.copy(), fit.columns
-    off = np.zeros(len(covariance))
-    off[columns.matrix] = doubt * fit.matrix.ravel()
+
+def _common_scale(answer: Vector, channels: int, doubt: float, weighed: bool) -> Matrix:
+    """Return a column by which all gains, and the limb unless it was weighed, are off by one factor."""
+    columns, off = FitColumns.of(channels), np.zeros_like(answer)
+    off[columns.matrix] = doubt * answer[columns.matrix]
     if not weighed:
-        off[columns.limb] = doubt * fit.limb.parameters[:STATIC]
-    return replace(fit, covariance=covariance + np.outer(off, off))
+        off[columns.limb] = doubt * answer[columns.limb]
+    return off[:, None]
 
 
-def _with_bending(fit: InSituFit, share: float, load: Matrix, *, weighed: bool) -> InSituFit:
-    """Return a fit whose axes are each unsure by a share, for the squares of gravity in their readings.
+def _bending_columns(answer: Vector, solution: Solution, load: Vector, weighed: bool) -> Matrix:
+    """Return columns by which each axis, the last offset at its load, (6,), and the limb are unsure by all.
 
-    Squares move no slope, but what makes them has cubes as well, which do.
-
-    Args:
-        fit: The fit.
-        share: Of the readings' spread.
-        load: At which the last offset was found, shape (6,).
-        weighed: Whether the limb's mass was given, which no axis moves.
+    Squares of gravity move no slope, but what makes them has cubes as well, which do. A limb that was weighed
+    is moved by no axis.
     """
-    covariance, columns = fit.covariance.copy(), fit.columns
-    for axis, (row, gain) in enumerate(zip(fit.matrix, fit.response.T, strict=True)):
-        place = columns.row(axis)
-        covariance[place, place] += share**2 * np.outer(row, row)
-        covariance[columns.offset, columns.offset] += (share * load[axis]) ** 2 * np.outer(gain, gain)
+    columns = FitColumns.of(len(solution.A))
+    found = np.zeros((len(answer), 2 * AXES + STATIC))
+    for axis, gain in enumerate(solution.A.T):
+        found[columns.row(axis), axis] = answer[columns.row(axis)]
+        found[columns.offset, AXES + axis] = load[axis] * gain
     if not weighed:
-        moved = np.concatenate([[fit.limb.mass], np.full(3, np.linalg.norm(fit.limb.mass_com))])
-        covariance[columns.limb, columns.limb] += np.diag((share * moved) ** 2)
-    return replace(fit, covariance=covariance, bending=share)
+        mass, *moment = answer[columns.limb]
+        found[columns.limb, 2 * AXES :] = np.diag([mass, *np.full(3, np.linalg.norm(moment))])
+    return found
 
 
 def _stats(problem: Problem, solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitStats, ...]]:
@@ -200,83 +257,34 @@ def refused(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...])
     )
 
 
-def fit_of(task: Task, solved: Solved) -> InSituFit:
-    """Return the answer; what is to be said of it goes to the findings."""
-    options, findings, sets = task.options, solved.findings, solved.sets
-    problem, solution = solved.problem, solved.solution
-    timed = all(data.time is not None for data in sets)
-    hidden = not (options.hysteresis and timed and shows_loops(problem))
-    bending, bends = check_bending(sets, problem.sets, options, loops=hidden)
-    findings += bends
-    noise = pooled_noise(problem.sets)
-    behind = _drift(solved)
-    if behind is not None:
-        findings.append(behind)
-    doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(task, solved), options)
-    # A limb that is not as it was given draws all masses with it.
-    findings += doubted or check_masses(problem, solution, noise, options)
-    covariance = _covariance(task, solved, solution, noise)
-    of_data = data_share(problem, solution, noise, options.axis_tolerance)
-    if problem.maker is not None or len(problem.limb_root):
-        findings += of_data.findings(FitColumns.of(len(noise)))
-    fit = _outcome(problem, solution, noise, covariance, of_data)
-    if problem.maker is not None and options.factory_std is None:
-        known = float(of_data.share[fit.columns.limb][MASS])
-        fit = _with_common_scale(fit, COMMON * (1.0 - known), weighed=task.limb is not None)
-    fit = replace(
-        fit,
-        data_share=of_data.share,
-        accelerometer_bias=solved.sphere.bias,
-        accelerometer_scale=solved.sphere.scale,
-        delay=solved.delay,
-        temperature_reference=0.0 if solved.reference is None else solved.reference,
-    )
-    if task.mode == "keep":
-        assert task.factory is not None
-        fit = replace(fit, matrix=task.factory, response=np.asarray(np.linalg.pinv(task.factory)))
-    fit = _with_shares(task, solved, fit)
-    if bending:
-        load = transforms(problem, solution)[-1, :AXES] @ problem.sets[-1].end.signals
-        fit = _with_bending(fit, bending, load, weighed=task.limb is not None)
-    findings += check_scale(fit, options, leaning=problem.maker is not None)
-    if problem.maker is None:
-        findings += check_axes(fit, problem, solution, options)
-    findings += check_answer(fit, task.factory)
-    return fit
-
-
-def _drift(solved: Solved) -> Finding | None:
-    """Return what may hide behind a drift, or None."""
+def _drift(solved: Solved) -> list[Finding]:
+    """Return what may hide behind a drift."""
     slow = slow_turn(solved.sets, solved.problem.sets)
-    if slow is not None or solved.reference is None:
-        return slow
-    return drifting(compress(solved.sets, InSituOptions(), solved.problem.moving, True))
+    if slow is None and solved.reference is not None:
+        slow = drifting(compress(solved.sets, InSituOptions(), solved.problem.moving, True))
+    return [] if slow is None else [slow]
 
 
-def _covariance(task: Task, solved: Solved, solution: Solution, noise: Matrix) -> Matrix:
-    """Return the covariance of the answer: of each member, and of what lies between them."""
-    problem = solved.problem
+def _members_root(solved: Solved, solution: Solution, noise: Matrix) -> Matrix:
+    """Return a root of the answer's covariance: of each member, what lies between them, and of the IMU."""
+    problem, roots = solved.problem, []
 
     def unknowns(one: Solution) -> Vector:
         return np.concatenate([(problem.whitening @ one.response).ravel(), one.outer])
 
-    middle, roots = unknowns(solution), []
+    middle = unknowns(solution)
     for one in solved.members:
-        root = unknowns_root(one.problem, one.solution)
-        roots += [
-            np.sqrt(one.weight) * root,
-            np.sqrt(one.weight) * (unknowns(one.solution) - middle)[:, None],
-        ]
-    root = np.concatenate(roots, axis=1)
-    if task.mode == "keep":
-        root = np.concatenate([root, _kept_doubt(task, problem, solution, noise)], axis=1)
+        apart = (unknowns(one.solution) - middle)[:, None]
+        roots += [np.sqrt(one.weight) * unknowns_root(one.problem, one.solution), np.sqrt(one.weight) * apart]
+    if solved.task.mode == "keep":
+        roots.append(_kept_doubt(solved.task, problem, solution, noise))
     beside = errors_of_imu(solved.sets, problem, solution, solved.sphere, solved.delay_std)
-    return fit_covariance(problem, solution, noise, beside, root)
+    return answer_root(problem, solution, noise, beside, np.concatenate(roots, axis=1))
 
 
 def _kept_doubt(task: Task, problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     """Return by how much deviations of a kept matrix's entries move all unknowns, shape (u, 36)."""
-    prior = task.prior(noise, _MAKER)
+    prior = prior_of(task, noise, _MAKER)
     assert prior is not None
     errors = np.diag(prior.std.ravel()).reshape(AXES, AXES, -1)
     changes = np.einsum("ka,abq->kbq", problem.whitening @ prior.response, errors)
@@ -290,10 +298,10 @@ def _kept_doubt(task: Task, problem: Problem, solution: Solution, noise: Matrix)
     return moved
 
 
-def _with_shares(task: Task, solved: Solved, fit: InSituFit) -> InSituFit:
+def _with_shares(solved: Solved, fit: InSituFit) -> InSituFit:
     """Return the fit with what the readings know of the maker's errors, and what was found in words."""
-    what = "bias, mass and centre of mass"
-    sets = len(np.unique(np.round(solved.problem.added[:, :STATIC], 9), axis=0))
+    task, what = solved.task, "bias, mass and centre of mass"
+    sets = different_masses(solved.problem.added[:, :STATIC])
     tools = "one load" if sets == 1 else f"{sets} loads"
     if task.factory is None or task.mode == "free":
         return replace(fit, scope=f"{what}, and a matrix of its own ({tools})")
@@ -304,48 +312,38 @@ def _with_shares(task: Task, solved: Solved, fit: InSituFit) -> InSituFit:
     for one in solved.members:
         assert one.problem.maker is not None
         prior += one.weight * one.problem.maker.std**2
-        posterior += one.weight * _error_variance(one.problem, one.solution)
+        errors = one.problem.maker.errors(one.problem.whitening, one.problem.inputs)
+        root = unknowns_root(one.problem, one.solution)[: errors.shape[1]]
+        posterior += one.weight * np.sum((errors @ root) ** 2, axis=1).reshape(AXES, AXES)
     known = np.clip(1.0 - posterior / prior, 0.0, 1.0)
     scales = solved.problem.maker.std / np.diag(solved.problem.maker.std)[0]
-    D = task.factory @ fit.response - np.eye(AXES)
-    moved = float(np.max(np.abs(D) / scales))
+    moved = float(np.max(np.abs(task.factory @ fit.response - np.eye(AXES)) / scales))
     share = float(np.exp(sum(one.weight * np.log(max(one.share, 1e-9)) for one in solved.members)))
-    number = int(np.sum(known > 0.5))
     words = (
-        f"{what}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, {number} of 36 entries "
-        f"by the readings ({tools})"
+        f"{what}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, "
+        f"{np.sum(known > 0.5)} of 36 entries by the readings ({tools})"
     )
+    stated = task.options.factory_std
     return replace(
-        fit,
-        scope=words,
-        maker_known=known,
-        maker_share=float(np.mean(task.options.factory_std)) if task.options.factory_std else share,
+        fit, scope=words, maker_known=known, maker_share=float(np.mean(stated)) if stated else share
     )
 
 
-def _error_variance(problem: Problem, solution: Solution) -> Matrix:
-    """Return the posterior variances of the entries of D, shape (6, 6)."""
-    assert problem.maker is not None
-    root = unknowns_root(problem, solution)
-    errors = problem.maker.errors(problem.whitening, problem.inputs)
-    return np.asarray(np.sum((errors @ root[: errors.shape[1]]) ** 2, axis=1).reshape(AXES, AXES))
-
-
-def _limb_alone(task: Task, solved: Solved) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+def _limb_alone(solved: Solved) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return the limb's mass and its deviation in kg by the readings alone, and with the factory matrix."""
     problem, solution = solved.problem, solved.solution
     of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
     free = replace(problem, maker=None, limb_root=problem.limb_root[of_limb:])
+    noise = pooled_noise(problem.sets)
 
     def weighed(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
         beside = errors_of_imu(solved.sets, one, alone, solved.sphere, solved.delay_std)
-        root = unknowns_root(one, alone)
-        covariance = fit_covariance(one, alone, pooled_noise(one.sets), beside, root)
+        root = answer_root(one, alone, noise, beside, unknowns_root(one, alone))
         mass = FitColumns.of(len(alone.A)).limb.start + MASS
-        return float(alone.limb[MASS]), float(np.sqrt(covariance[mass, mass]))
+        return float(alone.limb[MASS]), float(np.linalg.norm(root[mass]))
 
     by_data = None if data_rank(free, solution.limb).missing else weighed(free)
-    if task.factory is None:
+    if solved.task.factory is None:
         return by_data, None
-    return by_data, weighed(replace(free, maker=task.prior(pooled_noise(problem.sets), _MAKER)))
+    return by_data, weighed(replace(free, maker=prior_of(solved.task, noise, _MAKER)))

@@ -7,50 +7,46 @@ noise is where it is,
 
 bilinear in the response A and the limb's inertial parameters :math:`\varphi_b`. Given :math:`\varphi_b` (and
 a rotation of the accelerometer, if that is unknown) A is a linear least-squares solution, also with what the
-maker's matrix says of it (:class:`Maker`), so only the few outer unknowns are searched (variable projection:
-Golub and Pereyra, 1973; Jacobian of Kaufman, 1975). Rows of all sets have noise of variance one, so that what
-is known beforehand has its weight among them.
+maker's matrix says of it, so only the few outer unknowns are searched (variable projection:
+Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.model import (
-    AXES,
-    DIRECT,
-    MASS,
-    MOVING,
-    STATIC,
-    transform_basis,
-)
+from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
+from surefoot.calibration.in_situ.data import InSituOptions
+from surefoot.calibration.in_situ.linear import orthonormal
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
+from surefoot.calibration.in_situ.problem import Problem, whitening
 
 __all__ = [
-    "ROUNDING",
-    "Maker",
-    "Problem",
+    "Fitted",
     "Solution",
+    "beside_channels",
+    "beside_loads",
+    "criterion",
+    "deviance",
     "expand",
     "loop_shares",
     "minima",
-    "of_unit_length",
+    "projected",
     "solve",
     "transforms",
+    "whitened",
 ]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-
-ROUNDING = 1e-13
-"""Singular values at or below this share of the largest are rounding."""
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
 """Starts from which to search; the second where the rotation is unknown."""
@@ -58,142 +54,11 @@ _SEARCHES, _TURNED_SEARCHES = 3, 36
 _AS_GOOD = 10.0
 """Minima that cost this much more than the lowest are none."""
 
-_CONVERGED, _EVALUATIONS = 1e-14, 60
+_CONVERGED, _EVALUATIONS = 1e-8, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
 """Mass in kg by which unknowns are scaled at least, and angle in rad below which a short series is exact."""
-
-
-class Maker(NamedTuple):
-    """What is known of the response beforehand: A = A_0 (1 + D), and what redundant channels read beside it.
-
-    Attributes:
-        response: A_0 in counts per N and N m, shape (k, 6).
-        std: Deviations of the entries of D, shape (6, 6).
-        beyond: Deviation of what lies beside the space of A_0, as a share of its columns.
-    """
-
-    response: Matrix
-    std: Matrix
-    beyond: float
-
-    def errors(self, whitening: Matrix, inputs: int) -> Matrix:
-        """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
-        inverse = np.linalg.pinv(self.response) @ np.linalg.inv(whitening)
-        R = np.zeros((AXES, AXES, len(whitening), inputs))
-        for j in range(AXES):
-            R[:, j, :, j] = inverse
-        return R.reshape(AXES**2, -1)
-
-    def rows(self, whitening: Matrix, inputs: int) -> tuple[Matrix, Vector]:
-        """Return rows by (W A row by row), shape (m, k inputs), of deviation one, and their right side."""
-        channels = len(whitening)
-        beside = np.linalg.svd(self.response)[0][:, AXES:].T @ np.linalg.inv(whitening)
-        more = np.zeros((len(beside), AXES, channels, inputs))
-        for j in range(AXES):
-            more[:, j, :, j] = beside / (self.beyond * np.linalg.norm(self.response[:, j]))
-        rows = self.errors(whitening, inputs) / self.std.reshape(-1, 1)
-        rows = np.concatenate([rows, more.reshape(len(beside) * AXES, channels * inputs)])
-        right = np.zeros(len(rows))
-        right[: AXES**2] = np.eye(AXES).ravel() / self.std.ravel()
-        return rows, right
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A least-squares problem in readings whitened by the noise, z = W r.
-
-    Attributes:
-        sets: J of them, compressed.
-        added: Inertial parameters of what was added, shape (J, p).
-        whitening: W, shape (k, k): W Sigma W' = 1.
-        basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
-        moving: Whether the signals are those of a moving limb.
-        temperature: Whether the temperature is a signal that acts on the readings directly.
-        channel_lags: Number of such signals behind it, the lags of channels.
-        rotation: Whether the accelerometer's rotation is unknown.
-        maker: What is known of the response beforehand, or None.
-        limb: Expected inertial parameters, shape (p,); zero where nothing is known.
-        limb_root: Rows that weigh phi - limb, shape (q, p).
-        gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
-    """
-
-    sets: tuple[CompressedSet, ...]
-    added: Matrix
-    whitening: Matrix
-    basis: Matrix
-    moving: bool
-    temperature: bool
-    channel_lags: int
-    rotation: bool
-    maker: Maker | None
-    limb: Vector
-    limb_root: Matrix
-    gains: int = 0
-
-    @property
-    def parameters(self) -> int:
-        """Number p of inertial parameters."""
-        return len(self.limb)
-
-    @property
-    def of_loads(self) -> slice:
-        """Places of what makes a load act on itself in the parameters, behind the limb's; or empty."""
-        return slice(MOVING if self.moving else STATIC, self.parameters)
-
-    @property
-    def motion(self) -> slice:
-        """Places of the signals of gravity and motion."""
-        return slice(0, len(transform_basis(self.moving)[0, 0]))
-
-    @property
-    def of_lags(self) -> slice:
-        """Places of the loops of hysteresis in the signals; or empty."""
-        behind = self.basis.shape[2] if self.hysteresis else self.signals.shape[2]
-        return slice(behind - (AXES if self.hysteresis else self.channel_lags), behind)
-
-    @property
-    def loops(self) -> slice:
-        """Places of the shares of the axes' hysteresis in the parameters; or empty."""
-        return slice(self.of_loads.start + self.gains, self.parameters)
-
-    @property
-    def hysteresis(self) -> bool:
-        """Whether the axes' hysteresis is part of the problem."""
-        return bool(self.parameters > self.of_loads.start + self.gains)
-
-    @property
-    def inputs(self) -> int:
-        """Columns of the response: six, and one more for each signal that acts on the readings directly."""
-        return AXES + self.temperature + self.channel_lags
-
-    @cached_property
-    def signals(self) -> NDArray[np.float64]:
-        """The sets' compressed signals in rows of variance one, shape (J, n, s)."""
-        return np.stack([part.whiten @ part.uu for part in self.sets])
-
-    @cached_property
-    def readings(self) -> Matrix:
-        """The sets' rows of readings, of variance one, shape (J n, k)."""
-        return np.asarray(np.concatenate([part.whiten @ part.ur for part in self.sets]) @ self.whitening.T)
-
-    @cached_property
-    def prior(self) -> tuple[Matrix, Vector]:
-        """Rows by (W A row by row) of what the maker says, shape (m, k inputs), and their right side."""
-        if self.maker is None:
-            return np.zeros((0, len(self.whitening) * self.inputs)), np.zeros(0)
-        return self.maker.rows(self.whitening, self.inputs)
-
-    def unwhitened(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the residual of the sets' rows, shape (J, n, k), in counts and by the sets' own rows."""
-        root = np.stack([part.unwhiten for part in self.sets])
-        return np.asarray(root @ residual @ np.linalg.inv(self.whitening).T)
-
-    @property
-    def outer(self) -> int:
-        """Number of outer unknowns: the parameters and, where it is unknown, the rotation vector."""
-        return self.parameters + 3 * self.rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,23 +121,22 @@ def transforms(problem: Problem, solution: Solution | _Outer) -> NDArray[np.floa
     return whole
 
 
-def of_unit_length(columns: Matrix) -> tuple[Matrix, Vector]:
-    """Return columns over their lengths, and the lengths; one for a column of zeros."""
-    size = np.linalg.norm(columns, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    return columns / size, size
-
-
 def loop_shares(problem: Problem, solution: Solution) -> Vector:
-    """Return the shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
+    """Return the shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops.
+
+    Those of creep are for an octave of time, as those of loops are for a doubling of the swing.
+    """
     if problem.channel_lags:
         return np.diag(solution.response[:, -problem.channel_lags :])
     return solution.limb[problem.loops]
 
 
-def solve(problem: Problem, starts: Sequence[Vector]) -> Solution:
-    """Return the best of the minima next to starts, shape (p,), or (p + 3,) with the rotation vector."""
-    found = [_search(problem, start) for start in starts]
+def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUATIONS) -> Solution:
+    """Return the best of the minima next to starts, shape (p,), or (p + 3,) with the rotation vector.
+
+    A few evaluations come near enough to compare minima.
+    """
+    found = [_search(problem, start, evaluations) for start in starts]
     return expand(problem, min(found, key=_rank_of)[1])
 
 
@@ -291,7 +155,7 @@ def _rank_of(found: tuple[float, Vector]) -> tuple[bool, float]:
     return bool(outer[MASS] <= 0.0), cost
 
 
-def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
+def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) -> tuple[float, Vector]:
     """Return the cost and the outer unknowns at the minimum next to a start."""
     from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
@@ -302,7 +166,8 @@ def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
         lambda x: residual(x * scale),
         start / scale,
         jac=lambda x: residual.jacobian(x * scale) * scale,
-        max_nfev=_EVALUATIONS,
+        method="lm",
+        max_nfev=evaluations,
         **dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED),
     )
     return float(found.cost), found.x * scale
@@ -326,14 +191,14 @@ class _Linear(NamedTuple):
         X = (problem.signals @ transforms(problem, outer).swapaxes(1, 2)).reshape(-1, problem.inputs)
         channels = problem.readings.shape[1]
         if problem.maker is None:
-            left, back = _orthonormal(X)
+            left, back = orthonormal(X)
             return cls(outer, X, back @ (left.T @ problem.readings), left, False)
         prior, right = problem.prior
         every = np.zeros((len(X) * channels + len(prior), channels * problem.inputs))
         of_sets = every[: len(X) * channels].reshape(len(X), channels, channels, problem.inputs)
         of_sets[:, np.arange(channels), np.arange(channels)] = X[:, None]
         every[len(X) * channels :] = prior
-        left, back = _orthonormal(every)
+        left, back = orthonormal(every)
         found = back @ (left.T @ np.concatenate([problem.readings.ravel(), right]))
         return cls(outer, X, found.reshape(channels, problem.inputs).T, left, True)
 
@@ -344,14 +209,6 @@ class _Linear(NamedTuple):
             return np.asarray((of_sets - self.left @ (self.left.T @ of_sets)).reshape(*batch, n * k))
         rows = np.concatenate([of_sets.reshape(*batch, n * k), np.zeros((*batch, of_prior))], axis=-1)
         return np.asarray(rows - (rows @ self.left) @ self.left.T)
-
-
-def _orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
-    """Return an orthonormal basis of columns, and their pseudo-inverse by that basis."""
-    unit, size = of_unit_length(columns)
-    left, singular, right = np.linalg.svd(unit, full_matrices=False)
-    kept = singular > ROUNDING * singular[0]
-    return left[:, kept], right[kept].T / singular[kept] / size[:, None]
 
 
 class _Residual:
@@ -436,3 +293,107 @@ def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solut
         cost=0.5 * float(np.sum(rows**2) + off @ off),
         outer=x,
     )
+
+
+def projected(solution: Solution, slopes: Matrix) -> Matrix:
+    """Return what the unknowns of a solution leave of slopes of the rows of the sets, shape (rows, q)."""
+    basis, _ = orthonormal(solution.jacobian)
+    slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
+    return np.asarray(slopes - basis @ (basis.T @ slopes))
+
+
+Fitted = tuple[Problem, Solution]
+
+_ROUNDS = 2
+"""Fits, as the loads that signals follow from come from the fit itself."""
+
+
+def beside_loads(
+    plain: Problem,
+    solution: Solution,
+    columns: Callable[[Problem, Solution], list[Matrix]],
+    std: float,
+    options: InSituOptions,
+) -> tuple[Problem, Solution]:
+    """Return the problem with signals that follow from the loads, and its solution.
+
+    Each is one more parameter behind the limb's: what an axis reads of its signal.
+
+    Args:
+        plain: The problem without.
+        solution: Its solution.
+        columns: Returns the signals of the axes at the rows of each set, shape (m, 6), by a solution.
+        std: Expected size of the parameters.
+        options: Of the fit.
+    """
+    limb_root = block_diag(plain.limb_root, np.eye(AXES) / std)
+    p, _, s = plain.basis.shape
+    basis = np.zeros((p + AXES, AXES, s + AXES))
+    basis[:p, :, :s] = plain.basis
+    # Each axis's signal, times its parameter, adds to the wrench along that axis.
+    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
+    problem = plain
+    start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
+    for _ in range(_ROUNDS):
+        parts = with_signals(plain.sets, columns(problem, solution), options, first=s)
+        problem = replace(
+            plain,
+            sets=parts,
+            added=np.pad(plain.added, ((0, 0), (0, AXES))),
+            whitening=whitening(parts),
+            basis=basis,
+            limb=np.pad(plain.limb, (0, AXES)),
+            limb_root=limb_root,
+        )
+        solution = solve(problem, [start])
+        start = solution.outer
+    return problem, solution
+
+
+def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:
+    """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
+    parts = with_signals(plain.sets, columns, options)
+    return replace(
+        plain,
+        sets=parts,
+        channel_lags=plain.channel_lags + columns[0].shape[1],
+        whitening=whitening(parts),
+    )
+
+
+def criterion(problem: Problem, solution: Solution) -> float:
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    left = whitened(problem, solution)
+    rows = sum(part.rows for part in problem.sets)
+    return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
+
+
+def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
+    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+
+    In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
+
+    Args:
+        parts: The sets, with n rows of k channels in all.
+        left: What a fit leaves of them, as :func:`whitened` returns it.
+    """
+    rows, channels = sum(map(len, left)), left[0].shape[1]
+    scatter = sum(one.T @ one for one in left)
+    size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
+    _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
+    logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
+    of_colour = channels * sum(part.log_colour for part in parts)
+    value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
+    return value if np.isfinite(value) else np.inf
+
+
+def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
+    """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
+    found = []
+    between = problem.unwhitened(solution.residual)
+    for part, one in zip(problem.sets, between, strict=True):
+        root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
+        found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
+    return found

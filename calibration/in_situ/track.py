@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
+from surefoot.calibration.in_situ.data import InSituTrackerConfig
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -36,7 +37,6 @@ from surefoot.calibration.in_situ.model import (
     offset_covariance,
     transform_basis,
 )
-from surefoot.calibration.in_situ.options import InSituTrackerConfig
 from surefoot.calibration.reference import GRAVITY
 
 __all__ = ["InSituEstimate", "InSituTracker", "in_situ_tracker"]

@@ -12,16 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
-from surefoot.calibration.in_situ.model import (
-    MOMENT,
-    STATIC,
-    inertia_matrix,
-    inertial_parameters,
-    limb_parameters,
-)
+from surefoot.calibration.in_situ.model import STATIC, inertial_parameters, signals, transform_basis
 
 __all__ = [
     "AddedMassEstimate",
@@ -188,48 +181,31 @@ def offset_of_set(
     )
 
 
-def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray[np.float64]:
-    """Return the part of a set's wrench that comes of turning: zero at rest.
-
-    With g - a in place of g, what is left of a moving body's wrench is -(dw x m c + w x (w x m c)) and
-    -(I dw + w x I w) about the sensor's origin.
+def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+    """Return what limb and added mass exert in N and N m (in-situ paper, Eq. 4), shape (n, 6).
 
     Args:
-        data: The set.
+        data: The set; what was added counts as compact.
         limb: The bare limb; where its inertia is unknown it counts as compact.
-        added: Whether to count the set's added mass, as compact.
-
-    Returns:
-        N and N m, shape (n, 6).
     """
-    found = np.zeros((len(data.raw), 6))
-    if data.angular_velocity is None or data.angular_acceleration is None:
-        return found
-    spin, rate = data.angular_velocity, data.angular_acceleration
-    if limb.inertia is None:
+    body = limb.parameters
+    if data.moves and limb.inertia is None:
         body = inertial_parameters(limb.mass, limb.com, True)
-    else:
-        body = limb_parameters(limb.mass, limb.mass_com, limb.inertia)
-    if added:
-        body = body + inertial_parameters(data.added_mass, data.added_com, True)
-    first, inertia = body[MOMENT], inertia_matrix(body)
-    found[:, :3] = -np.cross(rate, first) - np.cross(spin, np.cross(spin, first))
-    found[:, 3:] = -rate @ inertia.T - np.cross(spin, spin @ inertia.T)
-    return found
+    body = body + inertial_parameters(data.added_mass, data.added_com, len(body) > STATIC)
+    basis = transform_basis(data.moves)
+    return np.asarray(signals(data, data.moves) @ np.einsum("p,pws->sw", body[: len(basis)], basis))
+
+
+def motion_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+    """Return the part of :func:`expected_wrench` that comes of turning: zero at rest, shape (n, 6)."""
+    still = replace(data, angular_velocity=None, angular_acceleration=None)
+    return expected_wrench(data, limb) - expected_wrench(still, limb)
 
 
 def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
     """Return a set with gravity in the sensor's frame, and readings without what the temperature does."""
     raw = data.raw if data.temperature is None else fit.at_reference(data.raw, data.temperature)
     return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
-
-
-def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
-    """Return what limb and added mass exert in N and N m (in-situ paper, Eq. 4), shape (n, 6)."""
-    mass = limb.mass + data.added_mass
-    first = np.asarray(limb.mass_com) + data.added_mass * data.added_com
-    still = np.concatenate([mass * data.gravity, np.cross(first, data.gravity)], axis=1)
-    return np.asarray(still + motion_wrench(data, limb))
 
 
 def _pair(
@@ -263,18 +239,16 @@ def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: M
     """
     k = len(response)
     first = 6 * k + STATIC
-    weight = np.linalg.inv(noise)
+    weight, basis = np.linalg.inv(noise), transform_basis(False)
     information = np.zeros((first + len(sets) * k, first + len(sets) * k))
     for j, data in enumerate(sets):
         slopes = np.zeros((4, k, len(information)))
-        M = _gravity_map(
-            limb.mass + data.added_mass, limb.mass_com + data.added_mass * np.asarray(data.added_com)
-        )
-        parts = [_gravity_map(*unit) for unit in _units()]
+        body = limb.parameters[:STATIC] + inertial_parameters(data.added_mass, data.added_com, False)
+        M = np.einsum("p,pws->ws", body, basis)
         for axis in range(3):
             # d(A M e) / dA, and A (dM / dphi) e, for gravity along one axis.
             slopes[axis, :, : 6 * k] = np.kron(np.eye(k), M[:, axis])
-            slopes[axis, :, 6 * k : first] = np.stack([response @ part[:, axis] for part in parts], axis=1)
+            slopes[axis, :, 6 * k : first] = response @ basis[:, :, axis].T
         slopes[3, :, first + j * k : first + (j + 1) * k] = np.eye(k)
         u = np.column_stack([data.gravity, np.ones(len(data.gravity))])
         information += np.einsum("cd,ckp,kl,dlq->pq", u.T @ u, slopes, weight, slopes, optimize=True)
@@ -323,12 +297,3 @@ def normalised_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Lim
     scale = np.sqrt(np.diag(fit.covariance))
     unit = fit.covariance / np.outer(scale, scale)
     return float(error / scale @ np.linalg.solve(unit, error / scale))
-
-
-def _gravity_map(mass: float, mass_com: NDArray[np.float64]) -> Matrix:
-    """Return M with w = M g (in-situ paper, Eqs. 3-5), shape (6, 3)."""
-    return np.vstack([mass * np.eye(3), skew(mass_com)])
-
-
-def _units() -> list[tuple[float, NDArray[np.float64]]]:
-    return [(1.0, np.zeros(3)), *((0.0, axis) for axis in np.eye(3))]

@@ -5,7 +5,7 @@ errors, can be known no better than with the covariance of the recursion (Tichav
 1998, in the linear case). It is the filter's own without its estimates: its rows are made with the *true*
 scales and offsets, which a simulated log knows, nobody holds the robot, and how bad the sensors are and how
 loud rows are is as stated. So it holds for the model as it is assumed
-(:class:`~surefoot.calibration.moment.config.MomentConfig`), on the motion that the log holds: where a robot
+(:class:`~surefoot.calibration.moment.config.Moment`), on the motion that the log holds: where a robot
 stands still, it is high. A mass that the filter only considers is free here, as nothing forbids to estimate
 it.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Spread, first_variance
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.moment.health import map_covariance, to_cop
 from surefoot.calibration.moment.model import Rows
@@ -51,7 +51,7 @@ def posterior_bound(
     raw: Floats,
     reference: Reference | MomentumReference,
     truth: Parameters,
-    config: MomentConfig | None = None,
+    config: Moment | None = None,
 ) -> Bound:
     """Compute the bound of a log.
 
@@ -136,9 +136,9 @@ class LogPassages:
         raw: Floats,
         reference: Reference | MomentumReference,
         truth: Parameters,
-        config: MomentConfig | None = None,
+        config: Moment | None = None,
     ) -> None:
-        config = config or MomentConfig()
+        config = config or Moment()
         self.raw = raw = _check(setup, np.asarray(raw, dtype=np.float64), reference, truth)
         self._setup, self._filter = setup, MomentFilter(setup, config)
         self._columns, self._spread = self._filter.columns, Spread.of(setup, config)
@@ -153,7 +153,7 @@ class LogPassages:
         self.blocks = self._read(reference)
 
     def whole(self) -> Passage:
-        """Return what all of it makes of any covariance, the momentum unknown at its beginning."""
+        """Return the passage of the whole log, the momentum unknown at its beginning."""
         whole = self._begin(None)
         for _, passage in self.blocks:
             whole = whole.then(passage)
@@ -166,7 +166,7 @@ class LogPassages:
         return learnt
 
     def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return what errors of (a, b) do to forces, the vertical force and the CoP of some samples.
+        """Return the derivatives of forces, vertical force and CoP of some samples by (a, b).
 
         Returns:
             Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N,
@@ -228,7 +228,7 @@ class LogPassages:
         return blocks
 
     def _pass(self, block: Block, k: int, last: Rows | None) -> tuple[Passage, Rows]:
-        """Return what a block makes of a covariance, and its rows; ``last`` are those of the block before."""
+        """Return the passage of a block, and its rows; ``last`` are those of the block before."""
         columns, T = self._columns, block.duration
         N, known = columns.size, self._path[k]
         identity, none = np.eye(N), np.zeros((N, N))

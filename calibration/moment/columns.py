@@ -5,6 +5,7 @@
 | scale | K | 1 | a, against the starting map |
 | offset | K | W (W m for a torque) | b, offsets of the start |
 | drift | K | W (W m) | u, what zeros have drifted since, in readings |
+| talk | T | 1 (m) | of the vertical force of a six-axis sensor, the share that its other axes show |
 | com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
 | mass | 1 | 1 | m, error of the believed mass |
 | delay | 1 | s | how late the robot's clock is |
@@ -19,11 +20,18 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import OnlineSetup
 
 VERTICAL, SHEAR = 3, 6
 """Components that load cells see, (P_z, H_x, H_y), and those of six-axis sensors."""
+
+VERTICAL_AXIS, AXES = 2, 6
+"""Place of the vertical force in a six-axis sensor's channels, and their number."""
+
+TALK_ARM = 0.03
+"""Full scale of a torque by that of a force in m, which cross-talk is a share of: 0.02 to 0.04 of sensors in
+feet (ATI Mini45, iCub's FTSens)."""
 
 WIDE = 5.0
 """Stated standard deviations of the prior that the filter runs on: more than the worst severity."""
@@ -38,6 +46,7 @@ class Columns(NamedTuple):
     scale: slice
     offset: slice
     drift: slice
+    talk: slice
     com: slice
     mass: slice
     delay: slice
@@ -48,7 +57,7 @@ class Columns(NamedTuple):
     def of(cls, layout: FeetLayout) -> "Columns":
         """Return the unknowns of a robot with these feet."""
         K, C = layout.channels, SHEAR if sees_shear(layout) else VERTICAL
-        return cls(*in_a_row(K, K, K, 2, 1, 1, C, C))
+        return cls(*in_a_row(K, K, K, len(find_talks(layout)[0]), 2, 1, 1, C, C))
 
     @property
     def size(self) -> int:
@@ -72,27 +81,43 @@ class Spread(NamedTuple):
     Attributes:
         scale: Of scales, shape (K,).
         offset: Of offsets, shape (K,).
+        talk: Of cross-talk, shape (T,).
         com: Of the centre of mass in m^2, shape (2,).
         unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
     """
 
     scale: NDArray[np.float64]
     offset: NDArray[np.float64]
+    talk: NDArray[np.float64]
     com: NDArray[np.float64]
     unit: NDArray[np.float64]
 
     @classmethod
-    def of(cls, setup: OnlineSetup, config: MomentConfig) -> "Spread":
+    def of(cls, setup: OnlineSetup, config: Moment) -> "Spread":
         """Return those of a robot."""
         torque = ~(setup.layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
         unit = np.where(torque, setup.length, 1.0)
         scale = np.full(setup.layout.channels, config.scale_std**2)
-        return cls(scale, (config.offset_std * unit) ** 2, np.full(2, config.com_std**2), unit)
+        talk = (config.cross_talk * np.where(torque, TALK_ARM, 1.0)[find_talks(setup.layout)[0]]) ** 2
+        return cls(scale, (config.offset_std * unit) ** 2, talk, np.full(2, config.com_std**2), unit)
 
 
 def sees_shear(layout: FeetLayout) -> bool:
     """Return whether a foot's channels see forces along the sole."""
     return bool((layout.wrench_map[:, :2] != 0.0).any())
+
+
+def find_talks(layout: FeetLayout) -> NDArray[np.int64]:
+    """Return the channels that may show a vertical force, and the channels of these forces, shape (2, T)."""
+    pairs = [
+        (start + sensor.channels.start + axis, start + sensor.channels.start + VERTICAL_AXIS)
+        for foot, start in zip(layout.feet, (part.start for part in layout.slices), strict=True)
+        for sensor in foot.sensors
+        if sensor.six_axis
+        for axis in range(AXES)
+        if axis != VERTICAL_AXIS
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2).T
 
 
 def first_mean(columns: Columns) -> NDArray[np.float64]:
@@ -103,7 +128,7 @@ def first_mean(columns: Columns) -> NDArray[np.float64]:
 
 
 def first_variance(
-    columns: Columns, spread: Spread, config: MomentConfig, wide: float = WIDE
+    columns: Columns, spread: Spread, config: Moment, wide: float = WIDE
 ) -> NDArray[np.float64]:
     """Return the variances at the start, shape (N,), of which a wrench's are its mode's.
 
@@ -117,6 +142,7 @@ def first_variance(
     variance[columns.scale] = wide**2 * spread.scale
     variance[columns.offset] = wide**2 * spread.offset
     variance[columns.drift] = SMALLEST_DRIFT**2
+    variance[columns.talk] = spread.talk
     variance[columns.com] = spread.com
     variance[columns.mass] = config.mass_std**2
     variance[columns.delay] = config.delay_std**2

@@ -28,7 +28,7 @@ from surefoot.calibration.checks import check_not_negative, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class MomentConfig:
+class Moment:
     """Options of the moment filter; the defaults are those of cheap cells under a humanoid."""
 
     block: float = 0.1
@@ -42,6 +42,10 @@ class MomentConfig:
     offset_std: float = 0.03
     """How far offsets are thought to be from the starting map, in body weights (times foot lengths for a
     torque); weighed as `scale_std` is."""
+
+    cross_talk: float = 0.01
+    """Share of its vertical force that a six-axis sensor's other axes are thought to show, of full scales:
+    1 % by the data sheets of good ones. It is allowed for, and not taken off."""
 
     scale_drift: float = 0.02
     """Random walk of a scale per square root of a minute: 2 %, of cheap cells that warm up."""
@@ -88,4 +92,4 @@ class MomentConfig:
             self, "block", "scale_std", "offset_std", "velocity_noise", "vertical_noise", "momentum_noise",
             "tare_noise", "com_std", "mass_std", "delay_std",
         )  # fmt: skip
-        check_not_negative(self, "scale_drift", "offset_drift", "ripple")
+        check_not_negative(self, "cross_talk", "scale_drift", "offset_drift", "ripple")

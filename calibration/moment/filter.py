@@ -9,7 +9,7 @@ from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, Sample
 from surefoot.calibration.moment.blocks import Block, Blocks
 from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.health import (
     HealthConstants,
@@ -116,7 +116,7 @@ class MomentFilter:
         tare: What tares feet.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentConfig) -> None:
+    def __init__(self, setup: OnlineSetup, config: Moment) -> None:
         self.setup, self.config = setup, config
         layout = setup.layout
         self._channels, self._feet = layout.channels, len(layout.feet)
@@ -356,7 +356,7 @@ class MomentFilter:
         return product
 
     def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
-        """Return what modes hold under all severities."""
+        """Weigh all severities in each mode."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
@@ -397,12 +397,12 @@ class MomentFilter:
         )  # fmt: skip
 
 
-def moment_filter(setup: OnlineSetup, config: MomentConfig | None = None) -> OnlineMethod:
+def moment_filter(setup: OnlineSetup, config: Moment | None = None) -> OnlineMethod:
     """Return the moment filter as pure functions.
 
     Args:
         setup: The robot.
         config: Options.
     """
-    made = MomentFilter(setup, config or MomentConfig())
+    made = MomentFilter(setup, config or Moment())
     return OnlineMethod(made.init, made.update, made.retract, made.limits)

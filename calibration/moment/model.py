@@ -12,12 +12,13 @@ is measured by the force that acted, and the centre of mass by its velocity.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.cop import level_rows
 from surefoot.calibration.moment.blocks import Block
-from surefoot.calibration.moment.columns import SHEAR, Columns
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.columns import SHEAR, Columns, find_talks
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import OnlineSetup
 
 LEAST_LOAD = 0.2
@@ -68,14 +69,20 @@ class ModelConstants(NamedTuple):
     Attributes:
         velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
         spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
-        ripple: As of :class:`~surefoot.calibration.moment.config.MomentConfig`.
+        ripple: As of :class:`~surefoot.calibration.moment.config.Moment`.
         least_load: :data:`LEAST_LOAD`.
+        talks: Number of pairs of channels that may talk across, T.
+        talk_to: Channels that may show a vertical force, shape (T,).
+        talk_from: The channels of these forces, shape (T,).
     """
 
     velocity_variance: Array
     spin_variance: float
     ripple: float
     least_load: float
+    talks: int
+    talk_to: NDArray[np.int64]
+    talk_from: NDArray[np.int64]
 
 
 class Model:
@@ -87,18 +94,20 @@ class Model:
         columns: The unknowns.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentConfig, columns: Columns) -> None:
+    def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns) -> None:
         self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
         self._shear = columns.components == SHEAR
         self._order = _ORDER[int(self._shear)]
         self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
         self._spin = config.momentum_noise**2
         self._ripple = config.ripple
+        self._talk_to, self._talk_from = find_talks(setup.layout)
 
     @property
     def constants(self) -> ModelConstants:
         """Constants, by their names in C."""
-        return ModelConstants(self._velocity, self._spin, self._ripple, LEAST_LOAD)
+        talks = len(self._talk_to), self._talk_to, self._talk_from
+        return ModelConstants(self._velocity, self._spin, self._ripple, LEAST_LOAD, *talks)
 
     def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
@@ -130,6 +139,8 @@ class Model:
             reach = weighted.sum(axis=0)
             H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
             H[:, columns.offset], H[:, columns.drift] = reach, reach * a
+            shown = block.force[:, self._talk_from]
+            H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self._talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
             pulled = share @ gravity
             H[:, columns.mass] = -pulled[:, None]

@@ -144,7 +144,7 @@ def _part(belief: Belief, i: int) -> tuple[Array, Array]:
 def _turn_into(
     j: int, belief: Belief, i: int, rows: Rows, columns: Columns, mass_std: float
 ) -> tuple[Array, Array]:
-    """Return what mode i holds as it turns into mode j: w begins anew, and so does what it carries."""
+    """Turn mode i into mode j: the wrench begins anew, and so does a load."""
     before, mode = MODES[i], MODES[j]
     mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
     begin(mean, covariance, columns.wrench, wrench_variance(mode, rows))

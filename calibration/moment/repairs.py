@@ -70,7 +70,7 @@ class Repairs:
         """
         columns, stand_in, suspects = self._columns, self._faults.stand_in, state.suspects
         momentum, likeliest = columns.momentum, belief.chance.argmax()
-        robot = slice(columns.com.start, momentum.start)
+        robot = slice(columns.map.stop, momentum.start)
         known = np.concatenate([published, belief.mean[likeliest, robot]])
         covariance = np.zeros((momentum.start, momentum.start))
         covariance[columns.map, columns.map] = state.published.covariance

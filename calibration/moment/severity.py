@@ -49,7 +49,7 @@ class Weighed(NamedTuple):
     undetermined: Array
 
     def publish(self, chance: Array) -> Publication:
-        """Return what all modes hold together, by how likely they are, shape (J,)."""
+        """Combine all modes by how likely they are, shape (J,)."""
         mean, covariance = combine(chance, self.mean, self.covariance)
         return Publication(mean, covariance, np.clip(chance @ self.undetermined, 0.0, 1.0))
 

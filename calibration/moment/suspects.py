@@ -222,9 +222,9 @@ class Suspects:
         return found
 
     def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:
-        """Return what is left unexplained of rows that are linear about ``about``, shape (C,)."""
+        """Return the innovation of rows that are linear about ``about``, shape (C,)."""
         columns = self._columns
-        robot = slice(columns.com.start, columns.momentum.start)
+        robot = slice(columns.map.stop, columns.momentum.start)
         a, reach = known[columns.scale], rows.mean[:, columns.offset]
         weight = rows.mean_rest + reach @ (about[columns.scale] * about[columns.drift])
         force = np.einsum("ckk->ck", rows.crossed) @ a + reach @ _zero(known, columns)
@@ -232,7 +232,7 @@ class Suspects:
         return error
 
     def _changes(self, crossed: Array, reach: Array, known: Array, others: Array) -> Array:
-        """Return what suspects change of the mean momentum, shape (C, H)."""
+        """Return the change of the mean momentum by each suspect, shape (C, H)."""
         columns, i, j = self._columns, self._first, self._second
         a, zero = known[columns.scale], _zero(known, columns)
         own = a * np.einsum("ckk->ck", crossed)

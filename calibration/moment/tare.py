@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import update
 from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
@@ -77,7 +77,7 @@ class Tare:
         spread: How sure they are at the start.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentConfig, columns: Columns, spread: Spread) -> None:
+    def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns, spread: Spread) -> None:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
         self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0

@@ -6,17 +6,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.baselines import TareConfig, tare
+from surefoot.calibration.baselines import SwingTare, tare
 from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelConstants, ChannelFaults
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
-from surefoot.calibration.window.config import WindowConfig
+from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
 from surefoot.native import Library, c_header, required
@@ -73,17 +73,17 @@ def constants_of(
     like: Any
     covariance = faults = None
     if method == "moment":
-        moment = MomentFilter(setup, MomentConfig(**options))
+        moment = MomentFilter(setup, Moment(**options))
         front, like, faults = moment.front_end, moment.init(raw), moment.faults
         own, covariance = _side_by_side(moment.constants), "covariance"
     elif number == 1:
-        window = SlidingWindow(setup, WindowConfig(**options), quasi_static=method == "quasi-static")
+        window = SlidingWindow(setup, Window(**options), quasi_static=method == "quasi-static")
         front, like, own = window._front_end, window.init(raw), _window(window)
     else:
         front = FrontEnd(setup if method == "tare" else as_read(setup), imu=False)
         like = front.init(raw)
         if method == "tare":
-            config = TareConfig(**options)
+            config = SwingTare(**options)
             like = tare(setup, config).init(raw)
             own = {
                 "settle": round(config.settle / setup.dt),
@@ -110,7 +110,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
         setup: The robot.
         method: A method of :data:`~surefoot.calibration.online.METHODS` that the library has.
         options: Fields of its config, such as
-            :class:`~surefoot.calibration.moment.config.MomentConfig`.
+            :class:`~surefoot.calibration.moment.config.Moment`.
 
     Raises:
         RuntimeError: If there is no library here.
@@ -125,7 +125,11 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     if own is not None and name is not None:
         records[f"sf_{name} {name.removesuffix('_config')}"] = own
         if method == "moment":
-            sizes |= {"COMPONENTS": int(own["components"]), "BLOCK": int(own["capacity"])}
+            sizes |= {
+                "COMPONENTS": int(own["components"]),
+                "BLOCK": int(own["capacity"]),
+                "TALKS": int(own["talks"]),
+            }
             return c_header("surefoot_moment.h", sizes, records)
         if found.number == 1:
             sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}
@@ -143,7 +147,7 @@ def _side_by_side(parts: Iterable[NamedTuple]) -> dict[str, Any]:
 
 
 def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
-    """Return what every method knows of a robot, by the names in ``sf_config``."""
+    """Return a robot's constants by the names in ``sf_config``."""
     setup, layout = front.setup, front.setup.layout
     unused = ChannelConstants(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
     return {

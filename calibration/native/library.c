@@ -126,7 +126,8 @@ static const place places[] = {
     {"moment_work", "numbers", "", 0, sizeof(sf_moment_work)}, /* of which nobody reads one */
 
     PLACE(moment_config, components, "int"), PLACE(moment_config, capacity, "int"),
-    PLACE(moment_config, held, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std), O_REAL(ahead),
+    PLACE(moment_config, held, "int"), PLACE(moment_config, talks, "int"), PLACE(moment_config, talk_to, "int"),
+    PLACE(moment_config, talk_from, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std), O_REAL(ahead),
     O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(level), O_REAL(noise_share),
     O_REAL(largest_noise), O_REAL(largest_surprise), O_REAL(least_read), O_REAL(held_chance),
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),

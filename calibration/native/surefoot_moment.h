@@ -22,6 +22,9 @@
 #ifndef SF_COMPONENTS
 #define SF_COMPONENTS 6
 #endif
+#ifndef SF_TALKS
+#define SF_TALKS 10 /* five for each six-axis sensor, 0 for cells alone */
+#endif
 #ifndef SF_BLOCK
 #define SF_BLOCK 48
 #endif
@@ -29,7 +32,8 @@
 #define SF_MODES 3
 #define SF_SEVERITIES 4 /* of scales, and as many of offsets */
 #define SF_WEIGHED (3 * SF_CHANNELS)
-#define SF_STATES (SF_WEIGHED + 4 + 2 * SF_COMPONENTS)
+#define SF_KNOWN (SF_WEIGHED + SF_TALKS + 4)
+#define SF_STATES (SF_KNOWN + 2 * SF_COMPONENTS)
 #define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
 #define SF_REST (2 * SF_CHANNELS) /* weighed unknowns that are no scales */
@@ -46,7 +50,8 @@
 
 /* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
 typedef struct {
-    int components, capacity, held;
+    int components, capacity, held, talks;
+    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
     sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
@@ -92,7 +97,7 @@ typedef struct {
 /* SuspectState */
 typedef struct {
     sf_real score[SF_SUSPECTS], before[SF_COMPONENTS], error[SF_COMPONENTS], noise[SF_COMPONENTS];
-    sf_real known[SF_WEIGHED + 4], force[(SF_BLOCK + 2) * SF_CHANNELS];
+    sf_real known[SF_KNOWN], force[(SF_BLOCK + 2) * SF_CHANNELS];
 } sf_suspects;
 
 /* Leap */
@@ -155,10 +160,10 @@ typedef struct {
 
 /* Where parts of the unknowns stand: scales from 0 on. */
 SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
-SF_API int sf_coms(const sf_config *c) { return 3 * c->channels; }
+SF_API int sf_coms(const sf_config *c, const sf_moment_config *m) { return 3 * c->channels + m->talks; }
 SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
-SF_API int sf_momenta(const sf_config *c) { return 3 * c->channels + 4; }
-SF_API int sf_states(const sf_config *c, const sf_moment_config *m) { return 3 * c->channels + 4 + 2 * m->components; }
+SF_API int sf_momenta(const sf_config *c, const sf_moment_config *m) { return sf_coms(c, m) + 4; }
+SF_API int sf_states(const sf_config *c, const sf_moment_config *m) { return sf_momenta(c, m) + 2 * m->components; }
 
 /* Where parts of a sample stand that waits: forces in W and whether they were read first. */
 SF_API int sf_at_end(const sf_config *c) { return 2 * c->channels; }
@@ -174,7 +179,7 @@ SF_API int sf_waiting(const sf_config *c) { return 2 * c->channels + 13 + 13 * c
 /* Return whether a robot fits into the arrays; call it once for constants that come from elsewhere. */
 SF_API int sf_moment_fits(const sf_config *c, const sf_moment_config *m) {
     return sizeof(sf_real) == sizeof(double) && sf_robot_fits(c) && (m->components == 3 || m->components == 6) &&
-           m->components <= SF_COMPONENTS && m->capacity >= 1 && m->capacity <= SF_BLOCK && m->held >= 0 &&
+           m->components <= SF_COMPONENTS && m->talks >= 0 && m->talks <= SF_TALKS && m->capacity >= 1 && m->capacity <= SF_BLOCK && m->held >= 0 &&
            m->held < SF_MODES;
 }
 
@@ -372,7 +377,7 @@ SF_API void sf_measured_variance(const sf_config *c, const sf_moment_config *m, 
    lasts, in W^2. */
 SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n,
                                 const sf_real *published, const sf_real *lasting, sf_moment_work *w) {
-    int K = c->channels, C = m->components, N = sf_states(c, m), wide = sf_waiting(c), at = sf_momenta(c);
+    int K = c->channels, C = m->components, N = sf_states(c, m), wide = sf_waiting(c), at = sf_momenta(c, m);
     const sf_real *a = published, *b = published + K, *u = published + 2 * K;
     sf_moment_rows *out = &w->rows;
     sf_real read[SF_CHANNELS] = {0}, x = 0, y = 0, norm, arm[3] = {0, 0, 0}, fewest;
@@ -412,6 +417,8 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                     first[i] += one * (row[i] + u[i]);
                     far[i] += one;
                 }
+                for (int j = 0; j < m->talks; j++)
+                    first[3 * K + j] += by_share * unit[r * K + m->talk_to[j]] * row[m->talk_from[j]];
                 pulls[which * C + r] += by_share * pull;
             }
             for (int i = 0; i < K; i++) {
@@ -462,8 +469,8 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
         }
         /* The weight's torque about o: of an error of the centre of mass, in axes that head as the feet do. */
         sf_real *hx = H + N, *hy = H + 2 * N;
-        hx[sf_coms(c)] = share * y, hx[sf_coms(c) + 1] = share * x;
-        hy[sf_coms(c)] = share * -x, hy[sf_coms(c) + 1] = share * y;
+        hx[sf_coms(c, m)] = share * y, hx[sf_coms(c, m) + 1] = share * x;
+        hy[sf_coms(c, m)] = share * -x, hy[sf_coms(c, m) + 1] = share * y;
         hx[at - 1] -= share * out->velocity[1];
         hy[at - 1] += share * out->velocity[0];
     }
@@ -487,7 +494,7 @@ SF_API void sf_move_momentum(const sf_config *c, const sf_moment_config *m, cons
 /* Model.move, and what it does to the modes: go on to a point o that has moved by `step` in m. */
 SF_API void sf_moment_move(const sf_config *c, const sf_moment_config *m, const sf_real step[3],
                              const sf_real *velocity, sf_modes *s) {
-    int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m);
     struct {
         int to, from;
         sf_real by;
@@ -528,7 +535,7 @@ SF_API void sf_mirror(sf_real *P, int N) {
 /* mix: let modes turn into each other. */
 SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes *s, const sf_moment_rows *rows,
                    sf_modes *out) {
-    int C = m->components, N = sf_states(c, m), mass = sf_momenta(c) - 2, com = sf_coms(c), wrench = sf_momenta(c) + C;
+    int C = m->components, N = sf_states(c, m), mass = sf_momenta(c, m) - 2, com = sf_coms(c, m), wrench = sf_momenta(c, m) + C;
     sf_real turning[SF_MODES][SF_MODES];
     for (int i = 0; i < SF_MODES; i++) {
         sf_real leaves = 0;
@@ -632,7 +639,7 @@ SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real 
 /* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
 SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const sf_real *noise, sf_modes *s,
                              sf_moment_work *w, sf_taught *out) {
-    int C = m->components, N = sf_states(c, m), at = sf_momenta(c), wrench = at + C, likeliest = 0, good = 1;
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m), wrench = at + C, likeliest = 0, good = 1;
     const sf_moment_rows *rows = &w->rows;
     for (int j = 1; j < SF_MODES; j++)
         if (s->chance[j] > s->chance[likeliest]) likeliest = j;
@@ -691,7 +698,7 @@ SF_API sf_real sf_log_below(sf_real x) {
 
 /* load_evidence */
 SF_API sf_real sf_load_evidence(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int j) {
-    int N = sf_states(c, m), at = sf_momenta(c) - 2;
+    int N = sf_states(c, m), at = sf_momenta(c, m) - 2;
     if (!(m->mode_load[j] > 0)) return 0;
     return sf_log_below(-s->mean[j * N + at] / sf_sqrt(s->covariance[(j * N + at) * N + at]));
 }
@@ -1240,7 +1247,7 @@ SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, co
 /* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
 SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
                         sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c) - 2;
+    int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
     for (int foot = 0; foot < c->feet; foot++) {
         int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
         sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], centre[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS];
@@ -1364,7 +1371,7 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
 
 /* MomentFilter.init: the state before any sample. */
 SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c) - 2;
+    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
     sf_front_init(c, &s->front);
     sf_channel_faults_init(c, &s->faults, s->front.raw);
     sf_break(c, m, s);
@@ -1428,7 +1435,7 @@ SF_API void sf_open_product(const sf_config *c, const sf_moment_config *m, const
 
 /* MomentFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
 SF_API void sf_begin_momentum(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows, sf_modes *s) {
-    int C = m->components, N = sf_states(c, m), at = sf_momenta(c);
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m);
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N;
         sf_begin(mean, P, N, at, 2 * C);
@@ -1501,7 +1508,7 @@ SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const 
     int K = c->channels, N = sf_states(c, m);
     for (int r = 0; r < m->components; r++) {
         const sf_real *H = rows->mean + r * N;
-        sf_real explained = rows->mean_rest[r] + sf_dot(H + 3 * K, known + 3 * K, 4);
+        sf_real explained = rows->mean_rest[r] + sf_dot(H + 3 * K, known + 3 * K, 4 + m->talks);
         for (int i = 0; i < K; i++) {
             explained += H[K + i] * (about[i] * about[2 * K + i]) + rows->crossed[(r * K + i) * K + i] * known[i];
             explained += H[K + i] * (known[K + i] + known[i] * known[2 * K + i]);
@@ -1578,12 +1585,12 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
 SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s,
                              const sf_channel_faults *faults, const sf_moment_rows *rows, const sf_real *known,
                              const sf_real *map, const sf_real *P, sf_leap *leap) {
-    int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c);
+    int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c, m);
     int count = sf_suspects_of(c), best = 0, about[2], other_about[2];
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_unexplained(c, m, rows, s->before, known, known, e);
     sf_unexplained(c, m, rows, s->before, known, s->known, before);
@@ -1591,11 +1598,12 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         const sf_real *H = rows->mean + r * N;
         sf_copy(reach + r * K, H + K, K);
         for (int i = 0; i < M; i++) along[i] = sf_dot(map + i * M, H, M);
-        for (int i = 0; i < 4; i++) by_robot[i] = sf_dot(P + (3 * K + i) * N + 3 * K, H + 3 * K, 4);
+        for (int i = 0; i < 4 + m->talks; i++)
+            by_robot[i] = sf_dot(P + (3 * K + i) * N + 3 * K, H + 3 * K, 4 + m->talks);
         for (int k = 0; k < C; k++) {
             const sf_real *row = rows->mean + k * N;
             S[r * C + k] = 2 * rows->variance[r * C + k] + rows->walk[r * C + k] + sf_dot(row, along, M) +
-                           sf_dot(row + 3 * K, by_robot, 4);
+                           sf_dot(row + 3 * K, by_robot, 4 + m->talks);
             S[r * C + k] *= sf_sqrt(s->noise[r]) * sf_sqrt(s->noise[k]);
         }
         S[r * C + r] += H[at + C + r] * H[at + C + r] * sf_wrench_variance(m, rows, 0, r);
@@ -1675,11 +1683,11 @@ SF_API void sf_follow_suspects(const sf_config *c, const sf_moment_config *m, sf
 SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int n, const sf_real step[3],
                       const sf_real *published, int likeliest, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), M = sf_weighed(c), guilty;
-    sf_real known[SF_WEIGHED + 4], rest[3] = {0, 0, 0};
+    sf_real known[SF_KNOWN], rest[3] = {0, 0, 0};
     sf_move_momentum(c, m, step, w->rows.velocity, s->suspects.before);
     sf_move_momentum(c, m, step, rest, s->suspects.error);
     sf_copy(known, published, M);
-    sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4);
+    sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);
     sf_follow_suspects(c, m, &s->suspects, s->pending, n, w->rows.at_end);

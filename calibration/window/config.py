@@ -33,7 +33,7 @@ from surefoot.calibration.setup import OnlineSetup
 
 
 @dataclass(frozen=True, kw_only=True)
-class WindowConfig:
+class Window:
     """Options of the sliding window; forces in body weights, lengths in foot lengths, as in the paper."""
 
     window: float = 0.5

@@ -17,7 +17,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.standing import QuietStanding, StandingState
-from surefoot.calibration.window.config import WindowConfig
+from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise, shorten, typical_square
 
 _STANDING_FORCE_NOISE = 0.004
@@ -91,7 +91,7 @@ class WindowState(NamedTuple):
 class SlidingWindow:
     """The sliding window for one setup: ``init`` and ``update`` are pure functions that share constants."""
 
-    def __init__(self, setup: OnlineSetup, config: WindowConfig, *, quasi_static: bool) -> None:
+    def __init__(self, setup: OnlineSetup, config: Window, *, quasi_static: bool) -> None:
         self.setup, self.config, self.quasi_static = setup, config, quasi_static
         self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
         self._front_end = FrontEnd(setup, quasi_static=quasi_static)
@@ -293,17 +293,17 @@ def _without_samples(state: WindowState) -> WindowState:
     return state._replace(pending=pending, samples=samples, started=False)
 
 
-def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
+def window(setup: OnlineSetup, config: Window | None = None) -> OnlineMethod:
     """Return the CoP paper's sliding window (Eq. 14) as a pair of pure functions.
 
     Args:
         setup: The robot.
         config: Options; the paper's conditions by default.
     """
-    return SlidingWindow(setup, config or WindowConfig(), quasi_static=False).method
+    return SlidingWindow(setup, config or Window(), quasi_static=False).method
 
 
-def quasi_static(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
+def quasi_static(setup: OnlineSetup, config: Window | None = None) -> OnlineMethod:
     """Return the quasi-static method (Han, Jiang and Chirikjian, IROS 2022) as a pair of pure functions.
 
     It is the sliding window against a robot that is thought to stand still: Fz_ref = M g, p_ref = (x, y) in
@@ -314,4 +314,4 @@ def quasi_static(setup: OnlineSetup, config: WindowConfig | None = None) -> Onli
         setup: The robot.
         config: Options, the same as the sliding window's.
     """
-    return SlidingWindow(setup, config or WindowConfig(), quasi_static=True).method
+    return SlidingWindow(setup, config or Window(), quasi_static=True).method

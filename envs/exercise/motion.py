@@ -489,7 +489,7 @@ class Motion:
         )
 
     def command(self, time: Any) -> Command:
-        """Return what is planned at a time in s after the episode start; of many robots at (N,) times."""
+        """Return the plan at a time in s after the episode start; of many robots at (N,) times."""
         plan, table = self._schedule, self._table
         cycle = np.remainder(time, plan.total)
         k = (plan.end <= cycle[..., None]).sum(axis=-1)

@@ -288,7 +288,7 @@ class _Physics:
 
 
 def _holder(env: gym.Env[Any, Any]) -> Any:
-    """Return what has the robot as its ``model`` and ``data``."""
+    """Return the environment whose ``model`` and ``data`` are the robot."""
     base = cast(Any, env.unwrapped)
     physics = getattr(base, "physics", None)
     foreign = not hasattr(base, "model") and hasattr(getattr(physics, "model", None), "ptr")

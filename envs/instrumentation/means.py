@@ -87,7 +87,7 @@ def _add_up(substeps: Sequence[Any]) -> tuple[list[Number], Number, Number]:
 
 
 def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, NDArray[Any]]:
-    """Return what ``info`` holds of a control step: means over its substeps, as ideal cells give them.
+    """Compute the truth of a control step for ``info``: means over its substeps, as ideal cells give them.
 
     Args:
         rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).

@@ -68,7 +68,7 @@ _VIEWS: Final = ("MjOption", "MjVisual", "MjStatistic", "_MjContactList", "MjCon
 
 
 def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path | mujoco.MjSpec | None:
-    """Return what describes an environment's robot: what the user gave, or its file; None without.
+    """Return the description of an environment's robot: the user's, or its file; None without.
 
     Args:
         spec: What the user gave: a file, a specification, or None.

@@ -124,7 +124,7 @@ class FeetTruth:
         )
 
     def cell_map(self) -> tuple[Array, Array]:
-        """Return what makes cells' forces of :attr:`wrench_sole`: factors (6 F, 4 F) and N to add (4 F,)."""
+        """Return the map from :attr:`wrench_sole` to cells' forces: factors (6 F, 4 F) and N to add (4 F)."""
         factors = self.layout.force_of_wrench
         return factors, np.zeros(factors.shape[1])
 

@@ -125,7 +125,7 @@ class Truth:
         )
 
     def cell_map(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what makes :attr:`force_cell` of :attr:`plate`: factors (12, 8) and N to add (8,)."""
+        """Return the map from :attr:`plate` to :attr:`force_cell`: factors (12, 8) and N to add (8,)."""
         return self.channels.force_of_plates, self.channels.preload
 
     @cached_property

@@ -24,7 +24,7 @@ def build_robot(setup: OnlineSetup, folder: Path, **options: float) -> list[Path
     Args:
         setup: The robot.
         folder: Where to.
-        options: Fields of :class:`~surefoot.calibration.moment.config.MomentConfig`.
+        options: Fields of :class:`~surefoot.calibration.moment.config.Moment`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.h").write_text(c_source(setup, **options))

@@ -10,7 +10,7 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, demo, evaluate, instrument, sweep, train, view
+from surefoot.experiments.cli import calibrate, compare, episodes, instrument, train, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
@@ -57,7 +57,7 @@ app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
 for look in (instrument.check, instrument.twin):
     app.command(epilog=f"Kinds of logs: {page('check')}")(look)
-for command in (demo.demo, view.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
+for command in (compare.demo, view.view, train.train, episodes.evaluate, episodes.sweep, episodes.replay):
     app.command()(command)
 
 

@@ -130,7 +130,7 @@ def motion(
     as_json: Json = False,
 ) -> None:
     """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
-    from surefoot.experiments.motion.plan import Limits, plan_motion
+    from surefoot.experiments.motion import Limits, plan_motion
 
     path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
     with one_line_errors(path):
@@ -147,7 +147,7 @@ def _check_reason(accept: str | None) -> None:
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
     """Print what a mapping file for a bag may look like, and end."""
-    from surefoot.experiments.logs.bag_guess import guess_topics
+    from surefoot.experiments.logs.bag import guess_topics
     from surefoot.experiments.study.progress import working
 
     with one_line_errors():

@@ -1,4 +1,4 @@
-"""``surefoot compare``: studies that hold calibrators against each other."""
+"""``surefoot compare``: studies that hold calibrators against each other; ``surefoot demo``, a first one."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,23 +23,18 @@ def walking(
     as_json: Json = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
-    if full:
-        if scenario or method:
-            fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
-        from surefoot.experiments.demo.page import run_demo
-        from surefoot.experiments.demo.presets import full_options, quick_options
+    from surefoot.experiments.walks.options import WalkStudyOptions, full_options
+    from surefoot.experiments.walks.page import report_walks
 
-        with one_line_errors(out):
-            preset = full_options(out, 10 if seeds is None else seeds, jobs)
-            report = run_demo(quick_options(preset) if quick else preset)
-    else:
-        from surefoot.experiments.arena.options import ArenaOptions
-        from surefoot.experiments.arena.page import compare_walking
-
-        with one_line_errors(out):
+    if full and (scenario or method):
+        fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
+    with one_line_errors(out):
+        if full:
+            options = full_options(out, 10 if seeds is None else seeds, jobs)
+        else:
             chosen: Any = {"scenarios": tuple(scenario or ()), "methods": tuple(method or ())}
-            options = ArenaOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
-            report = compare_walking(options.quickly() if quick else options)
+            options = WalkStudyOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
+        report = report_walks(options.quickly() if quick else options)
     show(report.tables, {"report": report.page}, as_json=as_json)
 
 
@@ -71,7 +66,7 @@ def robots(
     as_json: Json = False,
 ) -> None:
     """Compare calibrators on robots that others made: standing, moving, falling."""
-    from surefoot.experiments.robots.study import RobotOptions, compare_robots
+    from surefoot.experiments.walks.robots import RobotOptions, compare_robots
 
     with one_line_errors(out):
         options = RobotOptions(out=out, seeds=seeds, jobs=jobs)
@@ -86,8 +81,8 @@ def weights(
     as_json: Json = False,
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
-    from surefoot.experiments.demo.weights import paper_table_2, table_2, table_3
     from surefoot.experiments.study.page import save_tables
+    from surefoot.experiments.weights.paper import paper_table_2, table_2, table_3
     from surefoot.experiments.weights.weighing import run_weighing
 
     report = run_weighing(seed=seed)
@@ -95,3 +90,20 @@ def weights(
     if out is not None:
         save_tables(out, tables)
     show(tables, {} if out is None else {"tables": out}, as_json=as_json)
+
+
+def demo(
+    out: Out = Path("out/demo"),
+    seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
+    jobs: Jobs = 2,
+    quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
+    from surefoot.experiments.walks.options import demo_options
+    from surefoot.experiments.walks.page import report_walks
+
+    with one_line_errors(out):
+        options = demo_options(out, seeds, jobs)
+        report = report_walks(options.quickly() if quick else options)
+    show(report.tables, {"report": report.page}, as_json=as_json)

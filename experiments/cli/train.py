@@ -25,13 +25,13 @@ def train(
     trusted: Annotated[bool, Option("--trusted", help="Trust the zip's maker: pickled code runs.")] = False,
 ) -> None:
     """Train a policy by PPO, and write it with its learning curve and a card."""
-    from surefoot.experiments.policy.options import TrainOptions
+    from surefoot.experiments.policy.tasks import TrainOptions
 
     with one_line_errors(out, "what was trained until the last checkpoint is there."):
         try:
             if export is not None:
-                from surefoot.experiments.policy.export import export_zip
                 from surefoot.experiments.policy.train import POLICY
+                from surefoot.experiments.policy.view import export_zip
 
                 export_zip(export, out / POLICY, task=task, trusted=trusted)
                 typer.echo(f"Policy: {out / POLICY}")

@@ -4,9 +4,15 @@
 """
 
 from surefoot.experiments.episodes.episode import Episode
-from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan, plan_from_toml, run_episode
+from surefoot.experiments.episodes.plan import (
+    SCENARIOS,
+    EpisodePlan,
+    LoopScenario,
+    evaluation_plan,
+    plan_from_toml,
+    run_episode,
+)
 from surefoot.experiments.episodes.run import EpisodeResults, Replayed, replay_episode, run_plan
-from surefoot.experiments.episodes.scenarios import SCENARIOS, LoopScenario
 
 __all__ = [
     "SCENARIOS",

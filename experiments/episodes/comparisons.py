@@ -1,4 +1,8 @@
-"""Differences between the episodes of an evaluation, paired by seed; what was not run is left out."""
+"""Differences between the episodes of an evaluation, paired by seed; what was not run is left out.
+
+Feet against feet, acting against nobody, what is felt against another input, and whether domain randomisation
+is enough: {trained clean, trained randomised} x {drifting, calibrated}.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -66,6 +70,33 @@ def _inputs(frame: Frame, who: str) -> Iterator[Pair]:
         yield Run("true", "given", who), Run("true", other, who), f"given less {other}", None, False
 
 
+def trainings(frame: Frame) -> tuple[str, str] | None:
+    """Return the first policy of each training, on true feet and on randomised sensors, if both were run."""
+    trained = frame["trained"] if "trained" in frame else frame["controller"].map(lambda _: "")
+    found = dict(zip(trained[::-1], frame["controller"][::-1], strict=True))
+    return (found["true"], found["randomised"]) if {"true", "randomised"} <= found.keys() else None
+
+
+def _randomisation(frame: Frame, who: str) -> Iterator[Pair]:
+    """Pair what training on randomised sensors brings with what calibration does, at each severity."""
+    pair = trainings(frame)
+    if pair is None or who != pair[1]:
+        return
+    (clean, calibrated), (wild, both) = (
+        (Run("none", "given", name), Run(CALIBRATED, "given", name)) for name in pair
+    )
+    for severity in severities_of(frame):
+        for first, second, what in (
+            (wild, clean, "randomised less clean, both drifting"),
+            (calibrated, clean, "calibrated less drifting, both clean"),
+            (calibrated, wild, "calibration alone less randomisation alone"),
+            (both, calibrated, "both together less calibration alone"),
+            (both, wild, "both together less randomisation alone"),
+        ):
+            yield first, second, what, severity, True
+    yield Run("true", "given", pair[1]), Run("true", "given", pair[0]), "both on true feet", None, True
+
+
 @dataclass(frozen=True)
 class Comparison:
     """A kind of differences: one table, one figure and one section of a page."""
@@ -79,7 +110,7 @@ class Comparison:
     def find(self, frame: Frame) -> list[Difference]:
         """Return the differences in the rows of a study."""
         return [
-            Difference(who, what, severity, interval, judged)
+            Difference(first.controller or who, what, severity, interval, judged)
             for who in controllers_of(frame)
             for first, second, what, severity, judged in self.pairs(frame, who)
             if (interval := difference(frame, first, second, severity)) is not None
@@ -90,5 +121,12 @@ COMPARISONS = (
     Comparison("differences", "Paired differences of returns", "Feet against feet", (), _feeds),
     Comparison("nobody", "What acting is worth", "Is acting worth it?", (_say("nobody"),), _acting),
     Comparison("inputs", "What another CoP costs", "Is the CoP used?", (_say("inputs"),), _inputs),
+    Comparison(
+        "randomisation_differences",
+        "What randomisation and calibration are worth",
+        "Is domain randomisation enough?",
+        (_say("randomisation"),),
+        _randomisation,
+    ),
 )
 """All comparisons, in the order of the page."""

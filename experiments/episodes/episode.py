@@ -18,9 +18,8 @@ import surefoot
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.walks.closed_loop import Moment, moments
 from surefoot.experiments.walks.score import rms
-from surefoot.experiments.walks.walkers import TruthTap, on_feet
+from surefoot.experiments.walks.walkers import Moment, TruthTap, moments, on_feet
 from surefoot.files import parse_json
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
@@ -88,7 +87,7 @@ def episode_moments(
     than the episode names, or something is refused.
     """
     change = _change(episode, controller)
-    env, tap, controller = _made(episode, controller, drawing)
+    env, tap, controller = _make(episode, controller, drawing)
     bare: Any = env.unwrapped
     settle = bare.stand_time if episode.settle is None else episode.settle
     return moments(env, tap, controller, episode.seed, settle, change)
@@ -97,7 +96,7 @@ def episode_moments(
 def check_episode(episode: Episode) -> None:
     """Make everything that an episode needs; raise ValueError with scenario and controller if refused."""
     try:
-        env, _, _ = _made(episode, None, {})
+        env, _, _ = _make(episode, None, {})
     except Exception as error:
         raise ValueError(
             f"Scenario '{episode.scenario}' with controller '{episode.controller}' cannot be run: {error}"
@@ -157,7 +156,7 @@ def versions() -> dict[str, str]:
     return {name: found[name] for name in VERSIONS}
 
 
-def _made(
+def _make(
     episode: Episode, controller: Controller | None, drawing: Mapping[str, Any]
 ) -> tuple[gym.Env[Any, Any], TruthTap, Controller]:
     """Return an environment on its feet, the tap that sees its truth, and the controller."""
@@ -179,7 +178,7 @@ def _made(
 
 
 def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Return what is done to an observation before the controller sees it."""
+    """Make the function that changes an observation before the controller sees it."""
     held = _taken_from(episode, controller) if episode.cop_input in TAKEN else []
     seen = 0
 

@@ -53,9 +53,10 @@ def survival_curves(path: Path, rows: Frame) -> Path:
             for axes, severity in zip(line, severities, strict=True):
                 part = rows[rows["controller"] == controller]
                 part = part[(part["feed"] == "true") | (part["severity"] == severity)]
-                for feed, runs in by_way(part, "feed").items():
+                for i, (feed, runs) in enumerate(by_way(part, "feed").items()):
                     curve = survival(runs["time"], runs["fell"])
-                    draw_steps(axes, curve.time, curve.share, feed)
+                    # Curves that coincide are drawn side by side.
+                    draw_steps(axes, curve.time, curve.share - 0.007 * i, feed)
                     band = {"step": "post", "color": look_of(feed).colour, "alpha": 0.12, "linewidth": 0}
                     axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)

@@ -1,31 +1,53 @@
 """What an evaluation says in words and against its claims: nothing is written beforehand but the grammar."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-from surefoot.experiments.episodes.comparisons import CALIBRATED
-from surefoot.experiments.episodes.randomisation import Answer
+from surefoot.experiments.episodes.comparisons import CALIBRATED, trainings
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
-from surefoot.experiments.episodes.tables import percent
-from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.episodes.tables import percent_interval
+from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, claim_table, interval_text
 
 
-def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] = ()) -> Table:
-    """Return what was set out to be reached by a policy, and by randomisation, and what came of it."""
+def target_table(frame: Frame) -> Table | None:
+    """Table of the claims about a policy and about randomisation; ``None`` without policies.
+
+    What learnt nothing was set no target: of policies, the first that was trained on true feet has some.
+    """
+    trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
+    learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
+    if not learnt:
+        return None
+    controller = next((name for name in learnt if trained.get(name) == "true"), learnt[0])
     own = frame[frame["controller"] == controller]
-    claims = [*_claims(own)]
-    for answer in randomisation:
-        alone, gap = answer.deciding
-        what = f"severity {answer.severity:g}: randomised and calibrated, less either alone"
-        measured = f"{interval_text(gap)} (less {alone})"
-        claims.append(Claim(what, "not clearly below 0", measured, not answer.worse))
+    claims = [*_claims(own), *_claims_of_randomisation(frame)]
     used = difference(own, Run("true"), Run("true", "shuffled"))
     if used is not None:
         claims.append(_clearly("true CoP given less shuffled", used))
     title = f"Set out to reach, by {labels(controllers_of(frame))[controller]}"
     return claim_table(claims, title, Words("episodes")("targets"))
+
+
+def _claims_of_randomisation(frame: Frame) -> Iterator[Claim]:
+    """Claim that randomisation and calibration together are not clearly worse than either alone."""
+    pair = trainings(frame)
+    if pair is None:
+        return
+    clean, wild = pair
+    for severity in severities_of(frame):
+        both = Run(CALIBRATED, "given", wild)
+        alone = {"calibration": Run(CALIBRATED, "given", clean), "randomisation": Run("none", "given", wild)}
+        gaps = {name: difference(frame, both, other, severity) for name, other in alone.items()}
+        found = {name: gap for name, gap in gaps.items() if gap is not None and gap.n > 1}
+        if found:
+            # The difference that ends lowest decides.
+            name = min(found, key=lambda one: found[one].mean + found[one].half)
+            what = f"severity {severity:g}: randomised and calibrated, less either alone"
+            measured = f"{interval_text(found[name])} (less {name})"
+            worse = found[name].apart and found[name].mean < 0.0
+            yield Claim(what, "not clearly below 0", measured, not worse)
 
 
 def _claims(own: Frame) -> Iterator[Claim]:
@@ -46,7 +68,7 @@ def _claims(own: Frame) -> Iterator[Claim]:
             yield Claim(what, "intervals apart", measured, apart)
         won = won_back(own, CALIBRATED, severity)
         if won is not None:
-            measured = percent(won, "{:.1f} ({:.1f} to {:.1f})")
+            measured = percent_interval(won, "{:.1f} ({:.1f} to {:.1f})")
             yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
         for other in ("window", "quasi-static"):
             gap = difference(own, Run(CALIBRATED), Run(other), severity)
@@ -78,7 +100,7 @@ def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
         text += f" and {int(falls.sum())} of {len(falls)} fall"
         shares = {feed: won_back(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
         won = [
-            percent(share, f"{feed} wins {{:.1f}} % of it back ({{:.0f}} to {{:.0f}})")
+            percent_interval(share, f"{feed} wins {{:.1f}} % of it back ({{:.0f}} to {{:.0f}})")
             for feed, share in shares.items()
             if share is not None
         ]

@@ -5,27 +5,128 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from itertools import count, product
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+from gymnasium.envs.registration import registry
+
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
-from surefoot.experiments.episodes.scenarios import (
-    FAULT_AFTER,
-    LoopScenario,
-    scenario_named,
-    scenario_of_task,
-)
 from surefoot.experiments.policy.controllers import Controller, controller_hash, trained_on
-from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, task_named
+from surefoot.experiments.walks import scenarios
+from surefoot.experiments.walks.scenarios import INSTANT
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
 from surefoot.files import read_toml
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
+
+_WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
+_BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
+
+_SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
+FAULT_AFTER = STAND_TIME + 10.0
+"""Time in s from which on a fault that a seed draws may come, within a stride."""
+
+
+@dataclass(frozen=True)
+class LoopScenario:
+    """A task and its circumstances, with the loop closed."""
+
+    name: str  # for files and the command
+    title: str
+    environment: str = _WALK  # id
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
+    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
+    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
+    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # options by feed
+    fault_of: str | None = None  # scenario of walks that says which fault a seed draws
+    of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
+
+    def options_for(self, duration: float | None) -> dict[str, Any]:
+        """Return the environment's options for s; its plan goes on beyond the episode's end."""
+        around: dict[str, dict[str, Any]] = {
+            _WALK: {
+                "duration": max(duration or 0.0, _SHORTEST_WALK) + 2 * STAND_TIME,
+                "stand_time": STAND_TIME,
+            },
+            _STAND: {"duration": None},
+        }
+        return around.get(self.environment, {}) | dict(self.options)
+
+    def calibration_for(self, feed: str) -> dict[str, Any] | None:
+        """Return the options of a feed's calibration; ``None`` for the true one."""
+        method = FEEDS[feed]
+        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
+
+    def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
+        """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
+        if FEEDS[feed] is None:
+            return {} if self.of_task else None
+        drawn = {"severity": severity, **self.sensors}
+        if self.fault_of is not None:
+            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, FAULT_AFTER)
+            drawn["faults"] = [asdict(fault) for fault in faults]
+        return {k: asdict(v) if is_dataclass(v) else v for k, v in drawn.items()}  # type: ignore[arg-type]
+
+
+def scenario_of_task(name: str) -> LoopScenario:
+    """Return the scenario in which policies for a task are evaluated."""
+    task = task_named(name)
+    return LoopScenario(task.name, task.name, task.env_id, of_task=True)
+
+
+def _from_walks(scenario: scenarios.Scenario) -> LoopScenario:
+    walk = scenario.walk
+    return LoopScenario(
+        scenario.name,
+        scenario.title,
+        options={"speed": walk.speed, **walk.env},
+        sensors=walk.sensors,
+        beliefs=walk.beliefs,
+        fault_of=scenario.name if scenario.faults else None,
+    )
+
+
+def _table() -> dict[str, LoopScenario]:
+    """Scenarios of recorded walks on load cells, and more; a clock's error has no place in a closed loop."""
+    walked = [
+        _from_walks(scenario)
+        for scenario in scenarios.SCENARIOS.values()
+        if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
+    ]
+    hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
+    own = (
+        LoopScenario("hard-pushes", "walking, pushed hard", options={"speed": 0.04, **hard}),
+        LoopScenario("stand", "standing", _STAND),
+        LoopScenario("stand-pushes", "standing, pushed", _STAND, hard),
+        LoopScenario("balance", "balance under a payload and pushes", _BALANCE),
+        LoopScenario("carry", "walking under a payload and pushes", _CARRY),
+    )
+    return {scenario.name: scenario for scenario in (*walked, *own)}
+
+
+SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
+"""All scenarios by name, in the order of the report; :func:`scenario_named` knows which can be run here."""
+
+
+def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
+    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists what there is."""
+    known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
+    if name not in known:
+        raise ValueError(f"There is no scenario '{name}'. Available: {', '.join(known)}.")
+    found = known[name]
+    if found.environment not in registry:
+        raise ValueError(
+            f"Scenario '{name}' asks for the environment '{found.environment}', which is not registered; "
+            "import the package that registers it, as in 'package:Name-v0'."
+        )
+    return found
+
 
 _AXES = ("controllers", "feeds", "scenarios", "severities", "seeds", "cop_inputs")
 _OWN_KEYS = ("based_on", "title", "environment", "options", "sensors", "beliefs", "methods")
@@ -99,7 +200,7 @@ class EpisodePlan:
         return data | {"files": self.files}
 
     def title_of(self, scenario: str) -> str:
-        """Return what to call a scenario."""
+        """Title of a scenario."""
         return scenario_named(scenario, self.own).title
 
     def _episodes(self) -> Iterator[Episode]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from surefoot.experiments.study.statistics import Interval, mean_interval
-from surefoot.experiments.study.tables import Column, Frame
+from surefoot.experiments.study.tables import Column, Frame, decimal
 
 _SHARE_RESAMPLES = 4000  # bootstrap samples of the seeds behind a share that is won back
 _CROSSING_RESAMPLES = 2000  # resamples of the seeds behind the severity at which half fall
@@ -147,7 +147,7 @@ class HalfFall:
     def _number(self, value: float) -> str:
         if np.isinf(value):
             return f"above {self.highest:g}" if value > 0 else f"below {self.lowest:g}"
-        return f"{value:.3g}"
+        return decimal(value, ".3g")
 
 
 def half_fall(rows: Frame) -> HalfFall | None:

@@ -3,12 +3,19 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from surefoot.experiments.episodes.comparisons import Difference
-from surefoot.experiments.episodes.scores import controllers_of, half_fall, same_seeds, won_back
+from surefoot.experiments.episodes.comparisons import CALIBRATED, Difference
+from surefoot.experiments.episodes.scores import (
+    controllers_of,
+    half_fall,
+    same_seeds,
+    severities_of,
+    won_back,
+)
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import by_way, short_label
 from surefoot.experiments.study.statistics import Share, fall_share
 from surefoot.experiments.study.tables import (
+    NOTHING,
     Cell,
     Column,
     Frame,
@@ -16,6 +23,7 @@ from surefoot.experiments.study.tables import (
     Valued,
     Verdict,
     count_of,
+    decimal,
     interval_text,
     laid_out,
     mean_of,
@@ -28,10 +36,10 @@ FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth t
 MOST_FAILURES = 50  # failed episodes that are listed
 
 
-def percent(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
+def percent_interval(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
     """Return a share with the ends of its interval in percent.
 
-    >>> percent((0.64, 0.52, 0.75)), percent((0.64, 0.52, 0.75)).value
+    >>> percent_interval((0.64, 0.52, 0.75)), percent_interval((0.64, 0.52, 0.75)).value
     ('64.0 % (52 to 75)', {'percent': 64.0, 'from': 52.0, 'to': 75.0})
     """
     parts = [100 * part for part in share[:3]]
@@ -39,11 +47,11 @@ def percent(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -
 
 
 def _fell(share: Share) -> str:
-    return percent(share, "{:.0f} ({:.0f} to {:.0f})")
+    return percent_interval(share, "{:.0f} ({:.0f} to {:.0f})")
 
 
 def _severity(runs: Frame) -> str:
-    return "–" if runs["feed"].iloc[0] == "true" else f"{runs['severity'].iloc[0]:g}"
+    return NOTHING if runs["feed"].iloc[0] == "true" else decimal(runs["severity"].iloc[0])
 
 
 def _fed(runs: Frame) -> str:
@@ -56,7 +64,8 @@ def _times_to_fall(runs: Frame) -> str:
     times: Column = runs.loc[runs["fell"].astype(bool), "time"]
     if len(times) >= FEW_FALLS or len(times) < 2:
         return with_interval(times)
-    return f"{number(times.min(), 3)} to {number(times.max(), 3)}"
+    ends = {"from": times.min(), "to": times.max()}
+    return Valued.of(" to ".join(map(number, ends.values())), ends)
 
 
 _SCORES: Mapping[str, Cell] = {
@@ -69,7 +78,7 @@ _SCORES: Mapping[str, Cell] = {
 _OUTCOMES: Mapping[str, Cell] = {
     "feed": lambda runs: short_label(runs["feed"].iloc[0]),
     "severity": _severity,
-    "episodes": lambda runs: str(len(runs)),
+    "episodes": lambda runs: decimal(len(runs), "d"),
     "fell (%)": lambda runs: _fell(fall_share(runs["fell"])),
     "on its feet (s)": mean_of("time"),
     "return": mean_of("return", digits=4),
@@ -78,12 +87,12 @@ _OUTCOMES: Mapping[str, Cell] = {
 }
 
 _WHICH: Mapping[str, Cell] = {
-    "case": lambda row: str(row["case"]),
+    "case": lambda row: decimal(row["case"], "d"),
     "controller": lambda row: row["controller"],
     "feed": lambda row: short_label(row["feed"]),
     "scenario": lambda row: row["scenario"],
-    "severity": lambda row: f"{row['severity']:g}",
-    "seed": lambda row: str(row["seed"]),
+    "severity": lambda row: decimal(row["severity"]),
+    "seed": lambda row: decimal(row["seed"], "d"),
 }
 
 _WORST: Mapping[str, Cell] = {
@@ -107,7 +116,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     def won(runs: Frame) -> str:
         first = runs.iloc[0]
         share = won_back(own[first["controller"]], first["feed"], first["severity"])
-        return "" if share is None else percent(share)
+        return "" if share is None else percent_interval(share)
 
     columns: dict[str, Cell] = {
         "controller": lambda runs: brief[runs["controller"].iloc[0]],
@@ -129,7 +138,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
 
 
 def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
-    """Return what came of one scenario of a sweep: a row a controller, feed and severity."""
+    """Outcomes of one scenario of a sweep: a row a controller, feed and severity."""
     names = labels(controllers_of(rows))
     columns = {"controller": lambda runs: names[runs["controller"].iloc[0]], **_OUTCOMES}
     parts = _pairs(rows[rows["scenario"] == scenario])
@@ -180,15 +189,41 @@ def failure_table(failed: Frame) -> Table | None:
     return laid_out("failed", f"{plural(len(failed), 'episode')} failed", columns, listed, note)
 
 
+def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:
+    """Return {trained clean, trained randomised} x {drifting, calibrated}, beside the true feet.
+
+    Returns are means over the seeds that both policies have on the same feet.
+    """
+    feeds = {"true": "true feet", "none": "drifting", CALIBRATED: "calibrated"}
+    given = frame[frame["cop_input"] == "given"]
+    columns: dict[str, Cell] = {"trained on": lambda who: who[0]}
+    seeds = []
+    for severity in (0.0, *severities_of(frame)):
+        for feed in [feed for feed in feeds if (feed == "true") == (severity == 0.0)]:
+            runs = given[(given["feed"] == feed) & (given["severity"] == severity)]
+            returns = runs.pivot_table(index="seed", columns="controller", values="return")
+            returns = returns.reindex(columns=[clean, randomised]).dropna()
+            heading = feeds[feed] + (f", {severity:g}" if severity else "")
+            columns[heading] = lambda who, of=returns: with_interval(of[who[1]], digits=4)  # type: ignore[misc]
+            seeds.append(f"{heading}: {len(returns)}")
+    note = (
+        "Means with 95 % intervals over the seeds that both policies have; numbers beside drifting and "
+        f"calibrated are severities. Seeds: {', '.join(seeds)}."
+    )
+    title = "Return by what the policy was trained on, and what it is given"
+    policies = (("true feet", clean), ("randomised feet", randomised))
+    return laid_out("randomisation", title, columns, policies, note)
+
+
 def difference_table(found: Sequence[Difference], name: str, title: str) -> Table:
     """Return differences of runs; a clear one is good or bad where its first side is to be the better one."""
     brief = labels(list(dict.fromkeys(one.controller for one in found)))
     columns: dict[str, Cell] = {
         "controller": lambda one: brief[one.controller],
         "difference": lambda one: one.what,
-        "severity": lambda one: "–" if one.severity is None else f"{one.severity:g}",
+        "severity": lambda one: NOTHING if one.severity is None else decimal(one.severity),
         "return": lambda one: interval_text(one.interval),
-        "seeds": lambda one: str(one.interval.n),
+        "seeds": lambda one: decimal(one.interval.n, "d"),
         "clear": lambda one: one.clear,
     }
     note = (

@@ -105,15 +105,13 @@ class Fit(Settings):
 
     sets: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The others are kept aside to prove it. All by default."""
-    drift: int | None = InSituOptions.drift
+    drift: StrictBool = InSituOptions.drift
     robust: StrictBool = InSituOptions.robust
     hysteresis: StrictBool = InSituOptions.hysteresis
     estimate_rotation: StrictBool = InSituOptions.estimate_rotation
     factory_std: tuple[Number, ...] | None = None
     keep_matrix: StrictBool = False
     """Whether the factory matrix stays as it is, and bias, mass and centre of mass are found."""
-    residual_tolerance: Number = InSituOptions.residual_tolerance
-    bending_tolerance: Number | None = InSituOptions.bending_tolerance
 
     @model_validator(mode="after")
     def _sound(self) -> Self:

@@ -18,7 +18,7 @@ from surefoot.calibration.in_situ.validation import (
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.log import InSituLog
-from surefoot.experiments.study.tables import Table, number, rounded, with_deviation
+from surefoot.experiments.study.tables import Table, decimal, number, rounded, with_deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +103,10 @@ def semi_axes_table(found: Calibrated) -> Table:
     rows = []
     for i, data in enumerate(found.sets):
         weight = (found.fit.limb.mass + data.added_mass) * GRAVITY
-        cells = [found.label(i), f"{data.added_mass:.3f}", number(weight)]
+        cells = [found.label(i), decimal(data.added_mass, ".3f"), number(weight)]
         for matrix in found.matrices.values():
             ellipsoid = force_ellipsoid(found.wrench(i, matrix)[:, :3], data.gravity)
-            cells += [*map(number, ellipsoid.semi_axes), f"{ellipsoid.ratio:.3f}"]
+            cells += [*map(number, ellipsoid.semi_axes), decimal(ellipsoid.ratio, ".3f")]
         rows.append(tuple(cells))
     columns = ["set", "added mass (kg)", "weight (N)"]
     for name in found.matrices:
@@ -131,12 +131,16 @@ def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
             for matrix in found.matrices.values()
         ]
         mass = [one.mass for one in weighed]
-        error = f"{mass[0] - data.added_mass:+.3f}"
-        masses.append((found.label(i), f"{data.added_mass:.3f}", *(f"{m:.3f}" for m in mass), error))
+        error = decimal(mass[0] - data.added_mass, "+.3f")
+        masses.append(
+            (found.label(i), decimal(data.added_mass, ".3f"), *(decimal(m, ".3f") for m in mass), error)
+        )
         for a, axis in enumerate("xyz" if data.added_mass > 0.0 else ""):
             given, place = 100 * data.added_com[a], [100 * one.position[a] for one in weighed]
-            error = f"{place[0] - given:+.2f}"
-            places.append((found.label(i), axis, f"{given:.2f}", *(f"{x:.2f}" for x in place), error))
+            error = decimal(place[0] - given, "+.2f")
+            places.append(
+                (found.label(i), axis, decimal(given, ".2f"), *(decimal(x, ".2f") for x in place), error)
+            )
     columns = ("given", *found.matrices, "error, calibrated")
     note = "What the sensor weighs less the calibrated limb, with an offset that is fitted to each set."
     title = "Place of the added mass (cm, in the sensor's frame)"
@@ -155,7 +159,7 @@ def limb_table(found: Calibrated) -> Table:
         off = 100 * (fit.limb.mass / known.mass_kg - 1.0)
         rows += [
             ("known mass (kg)", *rounded(known.mass_kg, known.mass_std_kg or np.nan)),
-            ("fitted / known - 1 (%)", f"{off:+.2f}", "–"),
+            ("fitted / known - 1 (%)", decimal(off, "+.2f"), "–"),
         ]
         note = (
             "The known mass did not enter the fit: it is a check of the absolute scale."
@@ -208,13 +212,13 @@ def set_table(found: Calibrated) -> Table:
         rows.append(
             (
                 found.label(i),
-                f"{data.added_mass:.3f}",
-                "–" if data.time is None else f"{data.time[-1] - data.time[0]:.1f}",
-                "–" if stats is None else str(stats.samples),
-                "–" if stats is None else str(stats.dropped + stats.gated),
+                decimal(data.added_mass, ".3f"),
+                "–" if data.time is None else decimal(data.time[-1] - data.time[0], ".1f"),
+                "–" if stats is None else decimal(stats.samples, "d"),
+                "–" if stats is None else decimal(stats.dropped + stats.gated, "d"),
                 "–" if stats is None else number(stats.residual_rms),
                 number(float(np.sqrt(np.nanmean(found.residual(i) ** 2)))),
-                f"{100 * found.affine_residual[i]:.2f}",
+                decimal(100 * found.affine_residual[i], ".2f"),
             )
         )
     unit = found.log.config.units.of_raw

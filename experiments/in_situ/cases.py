@@ -131,7 +131,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
     ``white`` has, a row a sensor and seed, squared errors of the offsets in N^2 and (N m)^2, means over sets
     and axes, and of the limb's mass in kg^2, beside their bounds. Kinds are those of :data:`KINDS`.
     """
-    options = InSituOptions(drift=0) if kind == "still" else InSituOptions()
+    options = InSituOptions(drift=False) if kind == "still" else InSituOptions()
     runs = [record_rig(range(1, FITTED + 1), rate=rate, at_rest=True, seed=seed) for seed in seeds]
     rows = []
     for sensor in SENSORS:

@@ -15,10 +15,15 @@ from surefoot.experiments.study.tables import (
     Cell,
     Frame,
     Table,
+    Valued,
     Verdict,
+    decimal,
     laid_out,
     mean_of,
     number,
+    share,
+    span,
+    value_of,
     with_interval,
 )
 
@@ -63,7 +68,7 @@ _SHOWN = {"measurement": "measurement space", "paper": "III-B, III-C", "manufact
 
 
 def _short(value: float) -> str:
-    return f"{value:.1e}" if 0.0 < abs(value) < 1e-4 else number(float(value), 4)
+    return decimal(value, ".1e") if 0.0 < abs(value) < 1e-4 else number(float(value), 4)
 
 
 def _of_values(what: Callable[..., float]) -> Callable[[Limit], str]:
@@ -84,7 +89,7 @@ def _limb_error(what: Callable[[Frame], str]) -> Cell:
 
 
 def _refused(part: Frame) -> str:
-    return str(int((part["refusal"] != "").sum()))
+    return decimal(int((part["refusal"] != "").sum()), "d")
 
 
 def _reason(part: Frame) -> str:
@@ -99,11 +104,11 @@ def _motion(part: Frame) -> str:
 
 _TARGETS: Mapping[str, Callable[[Limit], str]] = {
     "what": lambda limit: limit.name,
-    "at most": lambda limit: f"{limit.most:g}",
+    "at most": lambda limit: decimal(limit.most, "g"),
     "median": _of_values(np.median),
     "worst": _of_values(np.max),
-    "within it (%)": lambda limit: f"{100 * limit.share:.1f}",
-    "refused": lambda limit: str(limit.refused),
+    "within it (%)": lambda limit: decimal(100 * limit.share, ".1f"),
+    "refused": lambda limit: decimal(limit.refused, "d"),
     "the paper printed": lambda limit: limit.printed or "–",
     "met by all": lambda limit: Verdict.of(limit.met),
 }
@@ -116,7 +121,7 @@ _LIMB: Mapping[str, Cell] = {
     "spread (%)": _limb_error(lambda errors: number(errors.std())),
     "worst (%)": _limb_error(lambda errors: number(errors.abs().max())),
     "within 1 % (% of seeds)": _limb_error(
-        lambda errors: f"{100.0 * float(np.mean(errors.abs() <= 1.0)):.0f}" if len(errors) else "–"
+        lambda errors: decimal(100.0 * float(np.mean(errors.abs() <= 1.0)), ".0f") if len(errors) else "–"
     ),
     **_SHARES,
     "refused": _refused,
@@ -128,7 +133,7 @@ _BOUND: Mapping[str, Cell] = {
     "offset, torques / bound": lambda part: number(over_bound(part, "torque")),
     "limb's mass / bound": lambda part: number(over_bound(part, "limb")),
     "NEES / unknowns": lambda part: number(consistency(part).mean),
-    "95 % of consistent ones": lambda part: "{1:.3f} to {2:.3f}".format(*consistency(part)),
+    "95 % of consistent ones": lambda part: span(*consistency(part)[1:3], ".3f"),
     "inside": lambda part: Verdict.of(consistency(part).inside),
     "refused": _refused,
 }
@@ -139,12 +144,12 @@ _MOTION: Mapping[str, Cell] = {
     "limb's weight, error (%)": _limb_error(with_interval),
     "worst (%)": _limb_error(lambda errors: number(errors.abs().max())),
     **_SHARES,
-    "refused": lambda part: f"{_refused(part)} of {len(part)}",
+    "refused": lambda part: share(int(_refused(part)), len(part)),
 }
 
 _REFUSALS: Mapping[str, Cell] = {
     "experiment": lambda part: _first(part, "case"),
-    "refused": lambda part: f"{int(part['refused'].sum())} of {len(part)}",
+    "refused": lambda part: share(int(part["refused"].sum()), len(part)),
     "reason": _reason,
     **_SHARES,
     "III-C, forces (%)": _percent_of("paper_force"),
@@ -153,21 +158,27 @@ _REFUSALS: Mapping[str, Cell] = {
 
 _EXACT: Mapping[str, Cell] = {
     "sensor": lambda row: row.sensor,
-    "offset (III-B)": lambda row: f"{row.offset:.1e}",
-    "matrix, forces (III-C)": lambda row: f"{row.matrix_force:.1e}",
-    "matrix, torques": lambda row: f"{row.matrix_torque:.1e}",
-    "mass": lambda row: f"{row.limb:.1e}",
-    "first moment": lambda row: f"{row.first_moment:.1e}",
+    "offset (III-B)": lambda row: decimal(row.offset, ".1e"),
+    "matrix, forces (III-C)": lambda row: decimal(row.matrix_force, ".1e"),
+    "matrix, torques": lambda row: decimal(row.matrix_torque, ".1e"),
+    "mass": lambda row: decimal(row.limb, ".1e"),
+    "first moment": lambda row: decimal(row.first_moment, ".1e"),
 }
 
 
+def _several(cells: list[str]) -> str:
+    """Join cells of numbers."""
+    return Valued.of(" / ".join(cells), list(map(value_of, cells))) if cells else "–"
+
+
 def _place(found: tuple[float, ...] | None) -> str:
-    return " / ".join(f"{x:g}" for x in found or ()) or "–"
+    return _several([decimal(x) for x in found or ()])
 
 
 def _mass(part: Frame) -> str:
     interval = mean_interval(part["mass"])
-    return f"{interval.mean:.4f}" + ("" if interval.n < 2 else f" ± {interval.half:.4f}")
+    text = f"{interval.mean:.4f}" + ("" if interval.n < 2 else f" ± {interval.half:.4f}")
+    return Valued.of(text, {"value": interval.mean, "plus_minus": interval.half})
 
 
 Printed = Callable[[PrintedRow], str]
@@ -177,30 +188,35 @@ _BY_SET: tuple[tuple[str, str, Mapping[str, Cell], Mapping[str, Printed], str], 
         "table1",
         "Table I: semi-axes of the force of sets that were not fitted",
         {
-            "axes (N)": lambda part: " / ".join(number(part[f"axis_{i}"].mean()) for i in (1, 2, 3)),
+            "axes (N)": lambda part: _several([number(part[f"axis_{i}"].mean()) for i in (1, 2, 3)]),
             "longest / shortest": mean_of("ratio", digits=4),
             "worst": lambda part: number(part["ratio"].max(), 4),
         },
         {
-            "axes (N)": lambda row: " / ".join(map(number, row.axes)),
-            "ratio": lambda row: f"{row.ratio:.2f}",
-            "ratio, manufacturer": lambda row: f"{row.axes_maker[0] / row.axes_maker[2]:.2f}",
+            "axes (N)": lambda row: _several([*map(number, row.axes)]),
+            "ratio": lambda row: decimal(row.ratio, ".2f"),
+            "ratio, manufacturer": lambda row: decimal(row.axes_maker[0] / row.axes_maker[2], ".2f"),
         },
         "The paper's leg was another one, of unknown weight: its axes are smaller for III-C's attenuation.",
     ),
     (
         "table2",
         "Table II: added mass in kg",
-        {"mass": _mass, "worst error": lambda part: f"{part['mass_error'].max():.4f}"},
-        {"proposed": lambda row: f"{row.mass:.2f}", "manufacturer": lambda row: f"{row.mass_maker:.2f}"},
+        {"mass": _mass, "worst error": lambda part: decimal(part["mass_error"].max(), ".4f")},
+        {
+            "proposed": lambda row: decimal(row.mass, ".2f"),
+            "manufacturer": lambda row: decimal(row.mass_maker, ".2f"),
+        },
         "What the sensor weighs less the limb that the method found; the manufacturer's less the paper's.",
     ),
     (
         "table3",
         "Table III: place of the added mass in cm",
         {
-            "x / y / z": lambda part: " / ".join(f"{100 * part[f'place_{a}'].mean():.1f}" for a in "xyz"),
-            "worst error, any axis": lambda part: f"{100 * part['place_error'].max():.2f}",
+            "x / y / z": lambda part: _several(
+                [decimal(100 * part[f"place_{a}"].mean(), ".1f") for a in "xyz"]
+            ),
+            "worst error, any axis": lambda part: decimal(100 * part["place_error"].max(), ".2f"),
         },
         {"proposed": lambda row: _place(row.place), "manufacturer": lambda row: _place(row.place_maker)},
         "In print the minus signs were lost.",
@@ -245,7 +261,7 @@ def _by_set(
 
     columns: dict[str, Cell] = {
         "sensor, set": lambda part: f"{_first(part, 'sensor')}, set {_first(part, 'set')}",
-        "added (kg)": lambda part: f"{part['added'].iloc[0]:.3f}",
+        "added (kg)": lambda part: decimal(part["added"].iloc[0], ".3f"),
         **{f"{_SHOWN[m]}: {heading}": of_method(m, ours[heading]) for m in _SHOWN for heading in ours},
         **{f"printed: {heading}": of_paper(cell) for heading, cell in printed.items()},
     }

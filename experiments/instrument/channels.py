@@ -59,7 +59,7 @@ class ChannelFacts:
 
 
 def facts_of(recording: Recording) -> list[ChannelFacts]:
-    """Return what each channel shows."""
+    """Facts of each channel."""
     return [_facts(recording, i) for i in range(len(recording.names))]
 
 

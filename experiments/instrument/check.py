@@ -17,7 +17,7 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import NOTHING, Table, decimal, number, percent, span
 from surefoot.experiments.study.tables import Verdict as Mark
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
 from surefoot.experiments.walking.hypotheses import Hypothesis
@@ -173,14 +173,14 @@ def settling_motion(kind: str) -> str:
 
 
 def wrong_table(checked: Checked) -> Table:
-    """Return what is wrong with a log, a row each."""
+    """Table of findings about a log."""
     rows = tuple(
         (
             Mark.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
             one.finding.name,
             one.since,
             f"{one.finding.reason} {one.finding.cure}".strip(),
-            one.settle or "–",
+            one.settle or NOTHING,
         )
         for one in checked.wrong
     )
@@ -190,7 +190,7 @@ def wrong_table(checked: Checked) -> Table:
 
 
 def channel_table(checked: Checked) -> Table:
-    """Return what the channels show, a row each."""
+    """Table of the channels' facts."""
     recording = checked.recording
     unit = "counts" if recording.scale is None else "N"
     rows = []
@@ -201,10 +201,10 @@ def channel_table(checked: Checked) -> Table:
         rows.append(
             (
                 one.name.removeprefix("raw_").removesuffix("_count"),
-                f"{100 * one.missing:.3g} %",
-                f"{one.low:.10g} to {one.high:.10g}",
+                percent(one.missing, ".3g"),
+                span(one.low, one.high, ".10g"),
                 number(one.step),
-                f"{100 * one.repeats:.3g} %" if np.isfinite(one.repeats) else "–",
+                percent(one.repeats, ".3g") if np.isfinite(one.repeats) else NOTHING,
                 number(rate),
                 number(scale * one.noise.white),
                 number(scale * one.noise.walk * np.sqrt(60.0)),
@@ -221,7 +221,7 @@ def channel_table(checked: Checked) -> Table:
 
 
 def words_of(checked: Checked) -> str:
-    """Return what is wrong as lines of text."""
+    """Findings as lines of text."""
     lines = []
     for one in checked.wrong:
         kind = "Wrong" if one.finding.refuses else "Note"
@@ -232,12 +232,12 @@ def words_of(checked: Checked) -> str:
 
 
 def facts_table(one: Recording) -> Table:
-    """Return what a log is."""
+    """Table of a log's kind, size and rate."""
     rows = [
         ("file", one.file),
         ("kind", one.kind),
-        ("samples", str(len(one.raw))),
-        ("channels", str(len(one.names))),
+        ("samples", decimal(len(one.raw), "d")),
+        ("channels", decimal(len(one.names), "d")),
     ]
     if one.has_times:
         steps = np.diff(one.time)

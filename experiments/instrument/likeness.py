@@ -47,7 +47,7 @@ def constant_stretches(
 
 
 def simulate(recording: Recording, cells: LoadCells, periods: Floats, seed: int = 0) -> Recording:
-    """Return what cells read under the loads of a recording; chips of known periods in s keep them."""
+    """Simulate readings of cells under the loads of a recording; chips of known periods in s keep them."""
     rows = slice(0, LONGEST)
     time, K = recording.time[rows], len(recording.names)
     load = np.zeros((len(time), K)) if recording.load is None else recording.load[rows]

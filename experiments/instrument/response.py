@@ -46,7 +46,7 @@ class Response(NamedTuple):
     delay: Interval | None  # mean age of readings in s
 
     def memory(self, time: Floats, load: Floats, capacity: float) -> Floats:
-        """Return what hysteresis and creep add to readings in counts, shape (N, K)."""
+        """Hysteresis and creep in counts, shape (N, K)."""
         added = self.hysteresis.value * loop_of(load, capacity)
         if self.creep is not None:
             added = added + self.creep.value * creep_of(time, load, self.creep_time)
@@ -84,7 +84,7 @@ class Blocks(NamedTuple):
 
 
 def loop_of(load: Floats, capacity: float) -> Floats:
-    """Return what hysteresis adds to a load in N, by a unit of its share, shape (N, K)."""
+    """Hysteresis of a load in N, by a unit of its share, shape (N, K)."""
     element, rng = hysteresis(UNIT, capacity, smallest=SMALLEST_LOOP), np.random.default_rng(0)
     turns = np.flatnonzero(np.concatenate([[True], (np.diff(load, axis=0) != 0.0).any(axis=1)]))
     state, found = element.init(load.shape[1:], rng), []
@@ -95,7 +95,7 @@ def loop_of(load: Floats, capacity: float) -> Floats:
 
 
 def creep_of(time: Floats, load: Floats, constant: float) -> Floats:
-    """Return what creep adds to a load in N, by a unit of its share, shape (N, K); rows are even."""
+    """Creep under a load in N, by a unit of its share, shape (N, K); rows are even."""
     kept = np.exp(-float(np.median(np.diff(time))) / constant)
     followed: Floats = lfilter([1.0 - kept], [1.0, -kept], load, axis=0)
     return followed

@@ -16,7 +16,7 @@ from surefoot.experiments.instrument.noise import FEWEST, conversions, step_of
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import Response, respond
 from surefoot.experiments.instrument.wander import SURE, Interval, Wander, normal_interval, wander_of
-from surefoot.experiments.study.tables import Table, Verdict, number
+from surefoot.experiments.study.tables import Table, Verdict, number, span
 from surefoot.files import write_text
 from surefoot.sensors import LoadCells
 from surefoot.sensors.stages.mechanics import Mechanics
@@ -246,7 +246,7 @@ def parameter_table(twin: Twin) -> Table:
             one.name,
             one.of.removeprefix("raw_").removesuffix("_count"),
             number(one.value.value, 4),
-            f"{one.value.low:.4g} to {one.value.high:.4g}",
+            span(one.value.low, one.value.high, ".4g"),
             one.unit,
         )
         for one in twin.parameters

@@ -1,4 +1,4 @@
-"""What a log of a walk must hold before a calibrator sees it."""
+"""What a log of a walk must hold before a calibrator sees it, and what becomes of findings about a file."""
 
 import re
 from collections.abc import Sequence
@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration import CalibrationRefused
+from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.reference import Reference
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
@@ -21,7 +23,7 @@ LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squ
 
 
 def naming_cure(table: LogTable) -> str:
-    """Return what is said of missing columns: where they are listed, and how columns get their names."""
+    """Cure for missing columns: where they are listed, and how columns get their names."""
     others = [name for name in table.names if not OF_USE.fullmatch(name)]
     file = Path(table.file)
     if not others or file.suffix.lower() not in (".csv", ".parquet"):
@@ -122,3 +124,27 @@ def check_reference(reference: Reference, file: str) -> None:
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lengths of vectors, finite for absurd ones too."""
     return np.asarray(np.linalg.norm(np.clip(vectors, -LARGEST, LARGEST), axis=-1))
+
+
+def pass_or_refuse(
+    findings: Sequence[Finding], accept: str, file: str, written: str
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return notices of what was accepted, and those of weaker findings.
+
+    Args:
+        findings: What checks saw.
+        accept: The reason to go on past what refuses; empty for none.
+        file: What messages call the file.
+        written: What says the reason, such as ``"every file"``.
+
+    Raises:
+        CalibrationRefused: With all that refuses, if there is no reason to go on.
+    """
+    decision = decide(findings, accept)
+    if decision.refused:
+        first, *others = decision.refused
+        more = "".join(f" Also: {other.reason}" for other in others)
+        more += f" If you know better: --accept REASON goes on, and {written} says so."
+        raise CalibrationRefused(f"{file}: {first.reason}", f"{first.cure}{more}")
+    passed = tuple(f"{file}: accepted ({accept}): {one.reason} {one.cure}" for one in decision.passed)
+    return passed, tuple(f"{file}: {text}" for text in decision.warnings)

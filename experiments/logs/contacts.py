@@ -56,7 +56,7 @@ def contacts(
         down = np.stack([values[name] for name in wanted], axis=-1) > 0.5
         if wanted is phases:
             return down[:, :2], down[:, 2:], source
-        return _sure(down, dt), _sure(~down, dt), source
+        return _erode(down, dt), _erode(~down, dt), source
     return *guess_contacts(reference, dt), GUESSED
 
 
@@ -77,7 +77,7 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
     swing = (height > LIFTED) & moving[:, None] & sure
     together = (np.abs(height) < TOGETHER) & ~(speed > MOVING)[:, None]
     stance = (swing[:, ::-1] | together) & sure
-    return _sure(stance, dt), _sure(swing, dt, SURE_ALOFT)
+    return _erode(stance, dt), _erode(swing, dt, SURE_ALOFT)
 
 
 def feel_contacts(load: NDArray[np.float64], weight: float, dt: float) -> tuple[Bools, Bools]:
@@ -96,11 +96,11 @@ def feel_contacts(load: NDArray[np.float64], weight: float, dt: float) -> tuple[
     low = np.nanmin(np.where(flat & np.isfinite(load), mean, np.inf), axis=0)
     swing = flat & (np.abs(mean - low) < 2.0 * FLAT * weight) & steps & np.isfinite(load)
     stance = (load > low + LOADED * span) & steps
-    return _sure(stance, dt, SURE_ALOFT), _sure(swing, dt, SURE_ALOFT)
+    return _erode(stance, dt, SURE_ALOFT), _erode(swing, dt, SURE_ALOFT)
 
 
-def _sure(held: Bools, dt: float, margin: float = SURE) -> Bools:
-    """Return what held for a while before and after."""
+def _erode(held: Bools, dt: float, margin: float = SURE) -> Bools:
+    """Samples whose neighbours up to a margin in s hold as well."""
     kept = minimum_filter1d(held.astype(np.int8), 2 * round(margin / dt) + 1, axis=0, mode="nearest")
     return np.asarray(kept > 0)
 

@@ -118,7 +118,7 @@ class Description(Settings):
         return self
 
     def facts(self) -> dict[str, Any]:
-        """Return what a log holds of it, by the names of the log's fields."""
+        """Fields of a log that a description fills."""
         return {field: getattr(self, key) for key, field in _FIELDS.items()}
 
 

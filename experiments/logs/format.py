@@ -139,17 +139,7 @@ def read_log(
     not, or time leaps.
     """
     path = Path(path)
-    mapping = TableMapping() if is_bag(path) else TableMapping.beside(path)
-    tables, bag, moved = [], None, None
-    if is_bag(path):
-        bag = read_bag(path, None if topics is None else Path(topics))
-    else:
-        tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
-        bag = merge(tables) if len(tables) > 1 else None
-    if bag is None:
-        table = tables[0]
-    else:
-        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+    mapping, tables, table, moved = _read_tables(path, None if topics is None else Path(topics))
     told = _description(path, tables[0].data.schema.metadata if tables else None)
     description = Description.read(told, f"{path.name}: the description")
     beside = description.motion is not None and description.motion.table
@@ -160,8 +150,7 @@ def read_log(
     if np.isnan(description.dt_s):
         table.require(["time_s"], LISTED)
         description = description.model_copy(update={"dt_s": table.step})
-    facts = description.facts()
-    layout = description.layout
+    facts, layout = description.facts(), description.layout
     has_truth = any(name.startswith("truth_") for name in table.names)
     counts = ["time_s", *raw_names_of(layout)]
     bare = description.motion is None and not _has_references(table)
@@ -177,7 +166,7 @@ def read_log(
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
     else:
-        made = _made_reference(path, table, moved or table, description, time)
+        made = _make_reference(path, table, moved or table, description, time)
         reference, about, facts["turned"] = made
         facts["about"] = facts["about"] | about
     if table.notices:
@@ -192,6 +181,22 @@ def read_log(
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )
+
+
+def _read_tables(
+    path: Path, topics: Path | None
+) -> tuple[TableMapping, list[LogTable], LogTable, LogTable | None]:
+    """Read a log's mapping, the tables that it is of, and of a bag the robot's motion besides."""
+    mapping = TableMapping() if is_bag(path) else TableMapping.beside(path)
+    tables, bag = [], None
+    if is_bag(path):
+        bag = read_bag(path, topics)
+    else:
+        tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
+        bag = merge(tables) if len(tables) > 1 else None
+    if bag is None:
+        return mapping, tables, tables[0], None
+    return mapping, tables, bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
 
 
 def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
@@ -256,7 +261,7 @@ def _reference_of_feet(
     return reference, facts | {"about": facts["about"] | {"feet_alone": True, "contacts": source}}
 
 
-def _made_reference(
+def _make_reference(
     path: Path,
     table: LogTable,
     moved: LogTable,
@@ -302,7 +307,7 @@ def _made_reference(
 
 
 def _description(path: Path, metadata: Any) -> Any:
-    """Return what lies in the metadata of a Parquet file, or beside a CSV file."""
+    """Read the description in the metadata of a Parquet file, or beside a CSV file."""
     side, text = path, (metadata or {}).get(METADATA_KEY)
     if path.suffix != ".parquet":
         side = path.with_suffix(".json")

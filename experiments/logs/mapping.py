@@ -129,7 +129,7 @@ def _rename(table: LogTable, own: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _factor(name: str, unit: str) -> float:
-    """Return what one unit of a column is in SI; LogError if the column has no such unit."""
+    """Factor from a unit of a column to SI; LogError if the column has no such unit."""
     kinds = sorted((kind for kind in UNITS if name.endswith(f"_{kind}")), key=len)
     known = UNITS[kinds[-1]] if kinds else {}
     if unit not in known:

@@ -177,7 +177,7 @@ def make_reference(
     force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
-    known = _surrounded(motion, place)
+    known = _has_neighbours(motion, place)
     nobody = np.zeros(2, dtype=bool)
     rows: list[Reference] = []
     fed, values = 0, np.zeros(where.size)
@@ -193,7 +193,7 @@ def make_reference(
     return reference._replace(angular_momentum_rate=reference.angular_momentum_rate * (mass / model.mass))
 
 
-def _surrounded(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return which moments lie among rows of which none is lost."""
     first, last = place - NEEDED, place + NEEDED - 1
     inside = (first >= 0) & (last < len(motion.number))

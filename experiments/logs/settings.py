@@ -52,7 +52,7 @@ class Settings(BaseModel):
 
 
 def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
-    """Return what refuses a value of which something does not hold."""
+    """Make a validator that refuses values of which something does not hold."""
 
     def check(value: Any) -> Any:
         if not holds(value):
@@ -63,7 +63,7 @@ def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
 
 
 def array_of(*shape: int | None) -> PlainValidator:
-    """Return what makes finite numbers an array of a shape, in which ``None`` is any length."""
+    """Make a validator of finite arrays of a shape, in which ``None`` is any length."""
 
     def check(value: Any) -> NDArray[np.float64]:
         try:

@@ -157,7 +157,7 @@ def _parquet_of(path: Path) -> pa.Table:
 
 
 def _text_of(path: Path) -> tuple[Any, str]:
-    """Return what pyarrow reads in UTF-8, and the beginning of a text; LogError if it is none."""
+    """Source for pyarrow in UTF-8, and the beginning of its text; LogError if it is none."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     encoding = _encoding(path, head)

@@ -13,8 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments.policy.controllers import controller_hash
-from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
 from surefoot.experiments.study.figures import figure_at
@@ -50,7 +49,7 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
 
 
 def own_scores(out: Path) -> Frame | None:
-    """Return what an evaluation wrote of the very policy in a folder on its own task; ``None`` if nothing."""
+    """Scores that an evaluation wrote of the policy in a folder on its own task; ``None`` without any."""
     task = _task_of(PolicyNetwork.load(out / POLICY))
     try:
         scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)

@@ -57,7 +57,7 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
         policy = _policy(name, _id_of(env))
         check_fits(policy, env, name, same_task=same_task)
         return policy
-    function = _imported(name)
+    function = _import_function(name)
     parameters = list(inspect.signature(function).parameters)
     made: Any = function(bare.state_layout) if parameters[:1] == ["state_layout"] else function
     if not callable(made):
@@ -98,7 +98,7 @@ def controller_hash(name: str, env_id: str = "") -> str:
     elif name.endswith(_FILES):
         content = _file(name).read_bytes()
     else:
-        path = Path(inspect.getsourcefile(inspect.unwrap(_imported(name))) or "")
+        path = Path(inspect.getsourcefile(inspect.unwrap(_import_function(name))) or "")
         if not path.is_file():
             return ""
         content = path.read_bytes()
@@ -173,7 +173,7 @@ def _file(name: str) -> Path:
     return path
 
 
-def _imported(name: str) -> Callable[..., Any]:
+def _import_function(name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     if not (module and function):
         available = ", ".join(map(repr, (*_BUILT_IN, *_SHIPPED)))

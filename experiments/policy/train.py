@@ -19,10 +19,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.export import network_of
-from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
-from surefoot.experiments.policy.tasks import task_named
-from surefoot.experiments.policy.view import PolicyView, make_task
+from surefoot.experiments.policy.tasks import REWARD_SCALE, TrainOptions, task_named
+from surefoot.experiments.policy.view import PolicyView, make_task, network_of
 from surefoot.files import atomic_path, locked, read_json, write_text
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"

@@ -112,7 +112,10 @@ def _local(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
 def _dask(jobs: int, address: str | None) -> Iterator[Workers]:
     dask, distributed = _module("dask"), _module("distributed", "dask")
     # A task whose worker dies is tried again by itself, by us: dask need not.
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), _reached("dask", address):
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        _explain_address("dask", address),
+    ):
         local = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
         client = distributed.Client(**local) if address is None else distributed.Client(address)
     with client:
@@ -143,7 +146,7 @@ def _ray(jobs: int, address: str | None) -> Iterator[Workers]:
         # Results are small; by default ray takes a third of the memory for what it moves about.
         local = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": 100_000_000}
         options = {"address": "local", **local} if address is None else {"address": address}
-        with _reached("ray", address):
+        with _explain_address("ray", address):
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
     try:
         call = ray.remote(max_retries=0)(_call)
@@ -159,7 +162,7 @@ def _call(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 @contextmanager
-def _reached(name: str, address: str | None) -> Iterator[None]:
+def _explain_address(name: str, address: str | None) -> Iterator[None]:
     try:
         yield
     except OSError as error:

@@ -94,10 +94,10 @@ def figure_at(path: Path, width: float, height: float) -> Iterator["Figure"]:
     with mpl.rc_context(_RC):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        # Without a date the same figure is the same file.
-        metadata: Any = {"Date": None} if path.suffix == ".svg" else None
+        # Without a date the same figure is the same file; without paper of its own it lies on any page.
+        drawn: Any = {"metadata": {"Date": None}, "transparent": True} if path.suffix == ".svg" else {}
         with atomic_path(path) as part:
-            figure.savefig(part, dpi=DPI, metadata=metadata)
+            figure.savefig(part, dpi=DPI, **drawn)
 
 
 def grid_of(figure: "Figure", rows: int, columns: int, **kwargs: Any) -> Any:
@@ -137,20 +137,17 @@ def draw_curve(
         axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
 
 
-def draw_mean(
-    axes: "Axes", values: Any, factor: float, at: float, name: str, *, upright: bool = False
-) -> None:
-    """Draw a mean with its 95 % interval at a place of the other axis: rightwards or upright."""
+def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) -> None:
+    """Draw a mean with its 95 % interval at a height."""
     interval, look = mean_interval(values), look_of(name)
     # What is nothing, a logarithmic axis cannot show.
     if interval.n == 0 or not interval.mean > 1e-9:
         return
     mean, half = factor * interval.mean, factor * float(np.nan_to_num(interval.half))
     # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
-    place: dict[str, Any] = {"x": mean, "y": at, "xerr": [[min(half, 0.9 * mean)], [half]]}
-    if upright:
-        place = {"x": at, "y": mean, "yerr": place["xerr"]}
-    axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
+    reach: Any = [[min(half, 0.9 * mean)], [half]]
+    style: Any = {"color": look.colour, "marker": look.marker, "markersize": 4.5, "capsize": 2.0}
+    axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
 def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:
@@ -172,16 +169,16 @@ def logarithmic(axes: "Axes", label: str = "") -> None:
     """Make the vertical axis logarithmic with plain numbers; or the horizontal one, which has a label."""
     from matplotlib.ticker import FuncFormatter
 
-    if label:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_xlabel(label)
-        return
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis, scale = (axes.xaxis, axes.set_xscale) if label else (axes.yaxis, axes.set_yscale)
+    scale("log")
 
     def minor(value: float, _: float) -> str:
-        return f"{value:g}" if np.isfinite(value) and f"{value:e}"[0] in "25" else ""
+        low, high = axis.get_view_interval()
+        narrow = high < 100.0 * low or not label  # in which there is room for them
+        return f"{value:g}" if narrow and np.isfinite(value) and f"{value:e}"[0] in "25" else ""
 
-    axes.yaxis.set_minor_formatter(FuncFormatter(minor))
-    axes.tick_params(axis="y", which="minor", labelsize=8)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(minor))
+    axis.set_tick_params(which="minor", labelsize=8)
+    if label:
+        axes.set_xlabel(label)

@@ -132,12 +132,13 @@ def publish(
     *,
     lead: Section | None = None,
     prefix: str = "",
+    name: str = "report.html",
 ) -> Report:
-    """Save the tables of all sections as CSV, write ``report.html``, and return both."""
+    """Save the tables of all sections as CSV, write a page of a name, and return both."""
     shown = sections if lead is None else (lead, *sections)
     tables = tuple(table for section in shown for table in section.tables)
     save_tables(out / "tables", tables, prefix)
-    return Report(write_page(out / "report.html", title, introduction, sections, lead=lead), tables)
+    return Report(write_page(out / name, title, introduction, sections, lead=lead), tables)
 
 
 def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:

@@ -123,7 +123,7 @@ def attempt(case: Case) -> Outcome:
 
 
 def machine() -> str:
-    """Return what this runs on: versions, cores and architecture."""
+    """Versions, cores and architecture of this machine."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco", "gymnasium"))
     return (
         f"surefoot {surefoot.__version__}, Python {platform.python_version()}, {packages}; "

@@ -4,10 +4,10 @@ A name that a package only passes on is followed to the module that defines it; 
 counts as an import, and so does the id of an environment.
 """
 
-import ast
 import inspect
 import re
 import sys
+from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -20,8 +20,10 @@ from surefoot.names import plain_name
 from surefoot.sensors import presets
 
 _ROOT = Path(surefoot.__file__).parent
-_DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
-_ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
+_IMPORT = re.compile(r"^[ \t]*from (surefoot[\w.]*) import (?:\(([^)]*)\)|([^\n(]*))", re.MULTILINE)
+_WHOLE = re.compile(r"^[ \t]*import (surefoot\.[\w.]+)", re.MULTILINE)
+_STRING = re.compile(r"[\"'](surefoot(?:\.\w+)+)(?::\w+)?[\"']")
+_ENVIRONMENT = re.compile(r"[\"']surefoot/\w+-v\d+[\"']")
 
 
 @cache
@@ -38,13 +40,13 @@ def source_hash(*entries: str) -> str:
 
 @cache
 def code_of(module: str) -> str:
-    """Return what decides a module's results: the hash of its sources, and versions of what they use."""
+    """Hash of a module's sources, and versions of the packages they use: both decide its results."""
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
     return f"code {source_hash(module)}, {versions}"
 
 
 def own_code(*names: str) -> tuple[str, ...]:
-    """Return what decides the results of methods and presets that a user registered; nothing for others.
+    """Hashes that decide the results of methods and presets that a user registered; none of others.
 
     Of a method it is a hash of its file, of a preset what it holds.
     """
@@ -95,35 +97,32 @@ def _place(module: str) -> Path:
 
 @cache
 def _needs(module: str) -> frozenset[str]:
-    needed: set[str] = set()
-    for node in ast.walk(ast.parse(_file(module).read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "surefoot":
-            needed.update(_defining(str(node.module), alias.name) for alias in node.names)
-        elif isinstance(node, ast.Import):
-            needed.update(alias.name for alias in node.names if alias.name.startswith("surefoot."))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if _DOTTED.fullmatch(node.value) and _found(name := node.value.partition(":")[0]):
-                needed.add(name)
-            elif _ENVIRONMENT.fullmatch(node.value):
-                needed.add("surefoot.registration")
+    text = _file(module).read_text(encoding="utf-8")
+    needed = {_find_home(home, name) for home, name, _ in _imports(text)}
+    needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _found(name))
+    if _ENVIRONMENT.search(text):
+        needed.add("surefoot.registration")
     return frozenset(needed - {module})
 
 
-def _defining(module: str, name: str) -> str:
+def _imports(text: str) -> Iterator[tuple[str, str, str]]:
+    """Yield the names that a source imports from surefoot: of which module, which, and what it calls them."""
+    for home, several, one in _IMPORT.findall(text):
+        for part in re.sub(r"#[^\n]*", "", several or one).split(","):
+            if words := part.split():
+                yield home, words[0], words[-1]
+
+
+def _find_home(module: str, name: str) -> str:
     """Return the module in which ``from module import name`` ends."""
     if _found(f"{module}.{name}"):
         return f"{module}.{name}"
     if _file(module).name == "__init__.py":
-        return _passed_on(module).get(name, module)
+        return _exports(module).get(name, module)
     return module
 
 
 @cache
-def _passed_on(package: str) -> dict[str, str]:
-    tree = ast.parse(_file(package).read_text(encoding="utf-8"))
-    return {
-        alias.asname or alias.name: _defining(node.module, alias.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("surefoot.")
-        for alias in node.names
-    }
+def _exports(package: str) -> dict[str, str]:
+    text = _file(package).read_text(encoding="utf-8")
+    return {own: _find_home(home, name) for home, name, own in _imports(text)}

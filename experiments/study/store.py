@@ -77,7 +77,7 @@ class Store:
     ) -> Iterator["Store"]:
         """Take the folder for one study, or raise StudyError; a plan goes on with the same versions alone."""
         busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
-        with self._explained(), locked(self.folder, busy):
+        with self._explain_errors(), locked(self.folder, busy):
             if plan is not None:
                 self._claim(as_kept(plan), dict(versions or {}), any_version)
             self.read()
@@ -112,7 +112,7 @@ class Store:
     def add(self, outcome: Outcome) -> None:
         """Write what came of a case to the disk, or raise StudyError: the journal ends before it then."""
         data = _line_of(outcome).encode()
-        with self._explained():
+        with self._explain_errors():
             size = os.fstat(self._journal).st_size
             try:
                 while data:
@@ -132,7 +132,7 @@ class Store:
         return pd.DataFrame([row for outcome in found for row in outcome.tables.get(table, ())])
 
     def failures(self, cases: Iterable[Case]) -> dict[str, str]:
-        """Return what was raised in the cases that failed, by their names."""
+        """Errors of the cases that failed, by their names."""
         found = [self.outcomes[case.key] for case in cases if case.key in self.outcomes]
         return {outcome.name: outcome.error for outcome in found if outcome.error}
 
@@ -164,7 +164,7 @@ class Store:
             )
 
     @contextmanager
-    def _explained(self) -> Iterator[None]:
+    def _explain_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:

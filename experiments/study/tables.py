@@ -1,10 +1,12 @@
-"""Tables of a study: one content for the terminal, the page and the files."""
+"""Tables of a study: one content for the terminal, the page and the files.
 
-import re
+A cell is a text that knows the value of what it shows, all digits of it: files for machines hold values.
+"""
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from rich import box
 from rich.markup import escape
@@ -20,39 +22,40 @@ Frame = Any  # a pandas data frame: type checkers do not follow what indexing on
 Column = Any  # a pandas series, likewise
 Cell = Callable[[Any], str]  # makes a cell of what its row is about
 
+NOTHING = "–"
+
 
 class Valued(str):
-    """A cell that knows the value of what it shows, all digits of it: a number, or a mapping of some."""
+    """A cell that knows the value of what it shows: a number, a list, or a mapping of some."""
 
     value: Any
 
     @classmethod
-    def of(cls, text: str, value: Any) -> "Valued":
+    def of(cls, text: str, value: Any) -> Self:
         """Return the text with its value."""
         cell = cls(text)
         cell.value = value
         return cell
 
 
-class Verdict(str):
+class Verdict(Valued):
     """A cell that is good or bad, whatever its word; a page colours it by that."""
 
     good: bool
 
     @classmethod
-    def of(cls, good: bool, word: str = "") -> "Verdict":
+    def of(cls, good: bool, word: str = "") -> "Verdict":  # type: ignore[override]
         """Return a verdict; its word is "yes" or "no" unless another is given."""
-        verdict = cls(word or ("yes" if good else "no"))
+        word = word or ("yes" if good else "no")
+        verdict = cls(word)
         verdict.good = bool(good)
+        verdict.value = getattr(word, "value", {"yes": True, "no": False}.get(word, word))
         return verdict
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose cells are already text; its name is for files, its note says how to read it.
-
-    For machines a cell of text is read back: see :func:`value_of`.
-    """
+    """A table of cells; its name is for files, its note says how to read it."""
 
     name: str
     title: str
@@ -75,7 +78,7 @@ class Table:
         return table
 
     def to_plain(self) -> dict[str, Any]:
-        """Return it for JSON, a mapping a row; a heading that is there twice is numbered."""
+        """Return its values for JSON, a mapping a row; a heading that is there twice is numbered."""
         keys = [
             name if name not in self.columns[:i] else f"{name} ({self.columns[:i].count(name) + 1})"
             for i, name in enumerate(self.columns)
@@ -90,59 +93,24 @@ class Table:
         return pd.DataFrame(list(self.rows), columns=list(self.columns))
 
 
-_FORMS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = (
-    (re.compile(r"(-?[\d.]+) ± ([\d.]+)"), ("value", "plus_minus")),
-    (re.compile(r"(\d+) of (\d+)"), ("count", "of")),
-    (re.compile(r"(-?[\d.]+) to (-?[\d.]+)"), ("from", "to")),
-    (re.compile(r"(-?[\d.]+) ?%"), ("percent",)),
-)
-"""What cells of more than a bare number look like, and what their values are called."""
-
-_SEVERAL = re.compile(r"-?[\d.]+( / -?[\d.]+)+")
-
-_THOUSANDS = re.compile(r"-?\d{1,3}(,\d{3})+(\.\d+)?")
-
-
 def value_of(cell: str) -> Any:
-    """Return what a cell shows: a number, some with what they are, true or false, nothing, or its text.
+    """Value of a cell as JSON has it, nothing, or its text.
 
-    >>> [value_of(cell) for cell in ("1.50", "4.8 ± 0.2", "3 of 5", "yes", "–", "> 8")]
-    [1.5, {'value': 4.8, 'plus_minus': 0.2}, {'count': 3, 'of': 5}, True, None, '> 8']
-    >>> [value_of(cell) for cell in ("0.1 to 0.3", "64 %", "31 / 8.8 / -8.3")]
-    [{'from': 0.1, 'to': 0.3}, {'percent': 64}, [31, 8.8, -8.3]]
-    >>> value_of(number(1 / 3)), value_of(number(float("nan"))), value_of("8,347,750")
-    (0.3333333333333333, None, 8347750)
+    >>> [value_of(cell) for cell in (decimal(1 / 3, ".2f"), share(3, 5), number(float("nan")), "–", "> 8")]
+    [0.3333333333333333, {'count': 3, 'of': 5}, None, None, '> 8']
     """
-    if isinstance(cell, Valued):
-        value = cell.value
-        return (
-            {key: _finite(part) for key, part in value.items()} if isinstance(value, dict) else _finite(value)
-        )
-    if cell in ("yes", "no"):
-        return cell == "yes"
-    for form, keys in _FORMS:
-        if found := form.fullmatch(cell):
-            return dict(zip(keys, map(_read, found.groups()), strict=True))
-    return [_read(part) for part in cell.split(" / ")] if _SEVERAL.fullmatch(cell) else _read(cell)
-
-
-def _read(text: str) -> Any:
-    """Read one number, also with commas between thousands, or nothing, or else return the text."""
-    digits = text.replace(",", "") if _THOUSANDS.fullmatch(text) else text
-    for kind in (int, float):
-        try:
-            return _finite(kind(digits))
-        except ValueError:
-            continue
-    return None if text in ("", "–") else text
+    if not isinstance(cell, Valued):
+        return None if cell in ("", NOTHING) else cell
+    value = cell.value
+    if isinstance(value, Mapping):
+        return {key: _finite(part) for key, part in value.items()}
+    return [_finite(part) for part in value] if isinstance(value, list | tuple) else _finite(value)
 
 
 def _finite(value: Any) -> Any:
     """Return a number as JSON has it: nothing in the place of NaN and infinities."""
     value = value.item() if hasattr(value, "item") else value
-    if isinstance(value, str | bool | int):
-        return value
-    return float(value) if isfinite(value) else None
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def laid_out(
@@ -154,13 +122,49 @@ def laid_out(
 
 
 def mean_of(column: str, factor: float = 1.0, digits: int = 3) -> Cell:
-    """Return what makes a cell of a frame: the mean of a column with its interval."""
+    """Make cells of frames: the mean of a column with its interval."""
     return lambda runs: with_interval(runs[column], factor, digits)
 
 
 def count_of(column: str) -> Cell:
-    """Return what makes a cell of a frame: in how many rows a column is true."""
-    return lambda runs: f"{int(runs[column].sum())} of {len(runs)}"
+    """Make cells of frames: in how many rows a column is true."""
+    return lambda runs: share(int(runs[column].sum()), len(runs))
+
+
+def decimal(value: float, form: str = "g") -> str:
+    """Return a number in a form of Python's; a dash for none.
+
+    >>> decimal(0.25, ".1f"), decimal(12, "d"), decimal(float("nan"))
+    ('0.2', '12', '–')
+    """
+    return Valued.of(NOTHING if value != value else format(value, form), value)
+
+
+def share(count: int, of: int) -> str:
+    """Return a count of some.
+
+    >>> share(3, 5)
+    '3 of 5'
+    """
+    return Valued.of(f"{count} of {of}", {"count": count, "of": of})
+
+
+def span(low: float, high: float, form: str = "g") -> str:
+    """Return an interval.
+
+    >>> span(0.1, 0.25, ".1f")
+    '0.1 to 0.2'
+    """
+    return Valued.of(f"{low:{form}} to {high:{form}}", {"from": low, "to": high})
+
+
+def percent(part: float, form: str = ".0f") -> str:
+    """Return a share of one in percent.
+
+    >>> percent(0.64)
+    '64 %'
+    """
+    return Valued.of(f"{100 * part:{form}} %", {"percent": 100 * part})
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -174,7 +178,7 @@ def number(value: float, digits: int = 3) -> str:
 
 def _digits(value: float, digits: int) -> str:
     if value != value:
-        return "–"
+        return NOTHING
     if abs(value) < 5e-7:
         return "0"
     magnitude = abs(value)
@@ -193,9 +197,9 @@ def rounded(value: float, deviation: float) -> tuple[str, str]:
     (('4.76', '0.19'), ('-0.00002', '0.00016'), ('5232', '100'))
     """
     if not 0.0 < deviation < float("inf"):
-        return number(value), "–" if deviation != 0.0 else "0"
-    decimals = max(1 - int(f"{deviation:.1e}".partition("e")[2]), 0)
-    return f"{value:.{decimals}f}", f"{deviation:.{decimals}f}"
+        return number(value), Valued.of(NOTHING if deviation != 0.0 else "0", deviation)
+    form = f".{max(1 - int(f'{deviation:.1e}'.partition('e')[2]), 0)}f"
+    return decimal(value, form), decimal(deviation, form)
 
 
 def with_deviation(value: float, deviation: float) -> str:
@@ -224,7 +228,7 @@ def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> s
     '12.3 ± 0.4'
     """
     if interval.n == 0:
-        return "–"
+        return NOTHING
     both = {"value": factor * interval.mean, "plus_minus": factor * interval.half}
     mean = _digits(both["value"], digits)
     if interval.n == 1:
@@ -268,7 +272,7 @@ def at_most(what: str, value: float, limit: float, measured: str = "") -> Claim:
     >>> at_most("CoP rmse (mm)", 1.234, 2.0)
     Claim(what='CoP rmse (mm)', aim='≤ 2', measured='1.23', met=True)
     """
-    return Claim(what, f"≤ {limit:g}", measured or number(value), value <= limit)
+    return Claim(what, f"≤ {limit:g}".replace("e-0", "e-"), measured or number(value), value <= limit)
 
 
 def at_least(what: str, value: float, limit: float, measured: str = "") -> Claim:

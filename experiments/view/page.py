@@ -108,7 +108,7 @@ class Page(Served):
             self._save()
 
     def _waiting(self) -> list[tuple[str, Any]]:
-        """Return what browsers have asked for since the last frame, of each slider the last value alone."""
+        """Requests of browsers since the last frame, of each slider the last value alone."""
         asked: list[tuple[str, Any]] = []
         for what, value in super()._waiting():
             if what in LATEST:

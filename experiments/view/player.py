@@ -44,16 +44,16 @@ class LogFeet:
             self._position, self._R = position[held], R[held]
         else:
             self._position, self._R = log.truth.position_sole, log.truth.R_world_sole
-        self._raw = self._replayed("none")
+        self._raw = self._replay("none")
         self.choose(method)
 
     def choose(self, method: str) -> None:
         """Calibrate by another method; ValueError if there is none of that name."""
         self.method = method_chosen(method)
-        self._estimate = self._raw if self.method == "none" else self._replayed(self.method)
+        self._estimate = self._raw if self.method == "none" else self._replay(self.method)
 
     def shown(self, i: int) -> Shown:
-        """Return what there is to draw of sample ``i``."""
+        """State to draw of sample ``i``."""
         readings: dict[str, Reading] = {}
         flags = np.asarray(self._estimate.flags)[i]
         now = Shown(float(self.log.time[i]), self._position[i], self._R[i], readings, flags)
@@ -75,7 +75,7 @@ class LogFeet:
             cop = force @ places.reshape(-1, 3)[:, :2] / total
         return Reading(force, vgrf, cop)
 
-    def _replayed(self, method: str) -> Estimate:
+    def _replay(self, method: str) -> Estimate:
         return replay_log(self.log, method, starting_map(self.log, "nominal"))
 
 

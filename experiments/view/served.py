@@ -82,7 +82,7 @@ class Served:
         self._asked.put((what, value))
 
     def _waiting(self) -> list[tuple[str, Any]]:
-        """Return what browsers have asked for since the last frame."""
+        """Requests of browsers since the last frame."""
         asked: list[tuple[str, Any]] = []
         while True:
             try:

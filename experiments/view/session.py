@@ -9,8 +9,9 @@ import gymnasium as gym
 import numpy as np
 
 import surefoot
-from surefoot.calibration import METHODS, FootCalibrator, Parameters, Reference
+from surefoot.calibration import METHODS, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.online import method_entry
 from surefoot.calibration.setup import method_name
 from surefoot.controllers import Stabiliser
 from surefoot.envs.gait.footsteps import GaitTiming
@@ -22,6 +23,7 @@ from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
+from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
 from surefoot.robot.foot_view import FootView, default_parts
 from surefoot.robot.sensing.instruments import layout_options, usual_cells
 from surefoot.robot.sensing.live_errors import LiveErrors
@@ -74,10 +76,11 @@ class _Line:
             **layout_options(env.layout, drawing),
         )
         self.view = FootView(default_parts(drawing.flaw), env.layout, setup.mass, drawing.flaw)
+        self.momentum = method_entry(method).momentum
         self.estimate: Estimate
         self.seen: Mapping[str, Any] = {}
 
-    def update(self, raw: Floats, reference: Reference, soles: Any) -> None:
+    def update(self, raw: Floats, reference: Reference | MomentumReference, soles: Any) -> None:
         self.estimate = self.calibrator.update(raw, reference)
         self.seen = self.view.show(self.estimate, soles)
 
@@ -141,6 +144,9 @@ class Session:
         # Drift is that of LiveErrors, which can be changed.
         self._sensors = FootSensors(env, replace(cells, scale_drift=0.0, offset_drift=0.0))
         self._env = SelfCalibration(self._sensors, "none")
+        # What methods that learn from momentum are given besides.
+        robot = self._sensors.robot
+        self._momentum = RobotCalibration(CalibrationSetup("Session", robot.equipment), robot)
         self.source, self.drawing, self.layout = source, source.drawing, self._env.layout
         self.dt = float(source.dt)
         self.world = LiveWorld(source)
@@ -224,8 +230,7 @@ class Session:
         self._episode_steps += 1
         self._take_in(observation)
         if self.fell:
-            for line in self._lines.values():
-                line.calibrator.retract()
+            self._retract()
         self.over = bool(self.fell or truncated)
         if self._recording is not None:
             self._recording.keep(
@@ -263,7 +268,7 @@ class Session:
         return self._recording is not None
 
     def shown(self) -> Shown:
-        """Return what there is to draw now."""
+        """State to draw now."""
         truth = self.source.truth
         position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
         force = np.asarray(truth.force_cell[-1], dtype=np.float64).copy()
@@ -310,6 +315,7 @@ class Session:
         self._recording = None
         self.world.put_down()
         observation, _ = self._env.reset(seed=seed)
+        self._momentum.reset(seed)
         self.world.pick_up()
         if hasattr(self._controller, "reset"):
             self._controller.reset()
@@ -326,11 +332,22 @@ class Session:
         """Read the feet in all ways, and keep what the controller gets of it."""
         sensors = self._sensors
         self._raw = self.errors.read(sensors.raw, Parameters(*sensors.true_parameters()))
-        soles = self._env.beliefs.soles(sensors.time)
+        if self._momentum.believe(getattr(self.source, "command", None)):
+            self._retract()
         for line in self._lines.values():
-            line.update(self._raw, self._env.reference, soles)
+            self._update(line)
         self._observation = observation
         self._feed()
+
+    def _retract(self) -> None:
+        """Take back what was learnt while the robot fell."""
+        for line in self._lines.values():
+            line.calibrator.retract()
+
+    def _update(self, line: _Line) -> None:
+        """Feed a calibrator with the sample, and with the reference that its method learns from."""
+        reference = self._momentum.reference if line.momentum else self._env.reference
+        line.update(self._raw, reference, self._env.beliefs.soles(self._sensors.time))
 
     def _feed(self) -> None:
         """Give the controller what its feed sees of the last sample."""
@@ -375,7 +392,7 @@ class Session:
         method = method_chosen(method)
         if method not in self._lines:
             line = self._lines[method] = _Line(self._env, self._sensors, method)
-            line.update(self._raw, self._env.reference, self._env.beliefs.soles(self._sensors.time))
+            self._update(line)
         self._settings["method"] = method
         self._feed()
 

@@ -36,16 +36,16 @@ class Agreement(NamedTuple):
 
 
 def asked_of(log: Log) -> Ground:
-    """Return what the motion asks of the ground."""
-    reference = _late(log)
+    """Ground force and CoP that the robot's motion requires."""
+    reference = _late_references(log)
     height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)
     asked = ground_reference(reference, log.mass, height=height)
     return _ground(log, asked.vgrf, asked.moment)
 
 
 def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
-    """Return what the feet carry by forces of their channels in N, shape (N, K)."""
-    reference = _late(log)
+    """Ground force and CoP by forces of the feet's channels in N, shape (N, K)."""
+    reference = _late_references(log)
     wrench = sole_wrenches(force[: len(log) - log.lag], log.layout)
     vgrf, moment = level_moments(wrench, reference.position_sole, reference.R_level_sole)
     return _ground(log, vgrf.sum(axis=-1), moment.sum(axis=-2))
@@ -60,7 +60,7 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
     return Agreement(rms((one.vgrf - other.vgrf)[counted]), rms(place), int(counted.sum()))
 
 
-def _late(log: Log) -> Reference:
+def _late_references(log: Log) -> Reference:
     """Return the references from the first that describes a row, without those that cannot be."""
     late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
     sound = np.ones(len(log) - log.lag, dtype=bool)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.setup import method_name
+from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
-from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
@@ -169,7 +169,7 @@ def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters |
 
 
 def _last(facts: Facts) -> dict[str, Any]:
-    """Return what is known at the end of the log."""
+    """Map, uncertainty and notices at the end of the log."""
     log, estimate = facts.log, facts.estimate
     spread = standard_deviations(estimate, facts.initial)
     last: dict[str, Any] = {

@@ -82,7 +82,7 @@ class Fit(NamedTuple):
 
 
 def claims_of(log: Log, initial: Parameters, length: float) -> Claims:
-    """Return what a log claims, readings moved to the moments of the references."""
+    """Claims of a log, readings moved to the moments of the references."""
     weight, count = log.mass * GRAVITY, len(log) - log.lag
     plausible = np.abs(initial.force(log.raw)) <= OnlineSetup.plausible_weights * weight
     read = _fill(np.where(plausible, log.raw, np.nan)[:count], round(HELD / log.dt))
@@ -227,14 +227,14 @@ def _rows(claims: Claims, without: int | None = None) -> _Rows:
         # Two directions of three (or more) that the channel does not act along.
         Q = np.linalg.svd((by_offset[:, :, without] / floor[:, 0])[:, :, None])[0][:, :, 1:]
         H, y, kind = np.einsum("nij,nik->njk", Q, H), np.einsum("nij,ni->nj", Q, y), kind[1:]
-    air, y_air = _hanging(claims, swing, force, without)
+    air, y_air = _write_air_rows(claims, swing, force, without)
     H = np.concatenate([H.reshape(-1, H.shape[2]), air])
     kinds = np.concatenate([np.tile(kind, len(y)), np.full(len(air), 2)])
     return _Rows(H, np.concatenate([y.ravel(), y_air]), kinds, len(force))
 
 
 def _ground(claims: Claims) -> tuple[Floats, Floats]:
-    """Return what a newton on each channel does to the rows, and what the motion asks for.
+    """Rows by a newton on each channel, and their values that the motion requires.
 
     Rows are the vertical force in weights, both moments below the centre of mass in weights times m, and, if
     every foot sees them, the horizontal forces: (N, rows, K) and (N, rows).
@@ -256,7 +256,7 @@ def _ground(claims: Claims) -> tuple[Floats, Floats]:
     return columns[:, :seen], asked[:, :seen]
 
 
-def _hanging(
+def _write_air_rows(
     claims: Claims, swing: NDArray[np.bool_], force: Floats, without: int | None
 ) -> tuple[Floats, Floats]:
     """Write the rows of channels whose foot swings through a whole block: they carry nothing."""

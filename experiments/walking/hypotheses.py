@@ -50,7 +50,8 @@ def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
     yield from _signs(layout)
     yield from _sizes(layout)
     yield from _times()
-    yield from _beliefs()
+    yield from _accelerations()
+    yield from _places()
 
 
 def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
@@ -70,10 +71,7 @@ def _remake(claims: Claims, make: Callable[[], Reference]) -> Claims:
 
 
 def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
-    names = [name.replace("/", " ") for name in layout.channel_names]
     sizes = [foot.channels for foot in layout.feet]
-    K, where = layout.channels, layout.slices
-    plain = np.arange(K)
     if len(sizes) == 2:
         first, second = (foot.name for foot in layout.feet)
         if sizes[0] == sizes[1]:
@@ -81,7 +79,7 @@ def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
                 "feet exchanged",
                 f"the readings of the {first} and of the {second} foot are exchanged",
                 "exchange their plugs or their columns",
-                partial(_order, order=np.roll(plain, sizes[0])),
+                partial(_order, order=np.roll(np.arange(layout.channels), sizes[0])),
             )
         yield Hypothesis(
             "contacts exchanged",
@@ -101,7 +99,15 @@ def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
         "exchange the columns '..._stance' and '..._swing'",
         partial(_believe, change=lambda r: r._replace(stance=r.swing, swing=r.stance)),
     )
-    for i, j in combinations(range(K), 2):
+    yield from _orders(layout)
+
+
+def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
+    """Yield other orders of channels: two exchanged, or the cells of a foot in any order."""
+    names = [name.replace("/", " ") for name in layout.channel_names]
+    sizes = [foot.channels for foot in layout.feet]
+    plain, where = np.arange(layout.channels), layout.slices
+    for i, j in combinations(plain, 2):
         order = plain.copy()
         order[[i, j]] = j, i
         yield Hypothesis(
@@ -219,8 +225,8 @@ def _times() -> Iterator[Hypothesis]:
         )
 
 
-def _beliefs() -> Iterator[Hypothesis]:
-    """Yield mistakes of references, each as a linear map of vectors: gravity g is added before or after."""
+def _accelerations() -> Iterator[Hypothesis]:
+    """Yield wrong accelerations, each as a linear map of vectors: gravity g is added before or after."""
     one, no, g = np.eye(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY])
     named = "columns 'reference_com_acceleration_...'"
     accelerations = (
@@ -250,6 +256,10 @@ def _beliefs() -> Iterator[Hypothesis]:
     for kind, cause, cure, A, before, after in (*accelerations, *turns):
         change = partial(_accelerate, A=np.asarray(A, dtype=float), before=before, after=after)
         yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
+
+
+def _places() -> Iterator[Hypothesis]:
+    """Yield mistakes of the centre of mass, alone or together with its acceleration."""
     for angle, R in ((90, _QUARTER), (-90, _QUARTER.T), (180, np.diag([-1.0, -1.0, 1.0]))):
         yield Hypothesis(
             "references turned",
@@ -262,7 +272,7 @@ def _beliefs() -> Iterator[Hypothesis]:
         "axes exchanged", "x and y of centre of mass and acceleration are exchanged", axes,
         partial(_believe, change=partial(_turn, R=exchanged, spin=False)),
     )  # fmt: skip
-    change = partial(_accelerate, A=exchanged, before=no, after=no)
+    change = partial(_accelerate, A=exchanged, before=np.zeros(3), after=np.zeros(3))
     yield Hypothesis("axes exchanged", "x and y of the acceleration are exchanged", axes,
                      partial(_believe, change=change))  # fmt: skip
     places = (
@@ -272,9 +282,9 @@ def _beliefs() -> Iterator[Hypothesis]:
         ("centre of mass mirrored", "y of the centre of mass has the other sign", "turn it round",
          np.diag([1.0, -1, 1])),
         ("centre of mass in other units", "columns 'reference_com_...' are in millimetres",
-         "divide them by 1000", one / 1000),
+         "divide them by 1000", np.eye(3) / 1000),
         ("centre of mass in other units", "columns 'reference_com_...' are in centimetres",
-         "divide them by 100", one / 100),
+         "divide them by 100", np.eye(3) / 100),
     )  # fmt: skip
     for kind, cause, cure, A in places:
         yield Hypothesis(kind, cause, cure, partial(_believe, change=partial(_place_com, A=A)))

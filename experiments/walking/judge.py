@@ -173,7 +173,7 @@ def _quiet(claims: Claims) -> Iterator[Claims]:
 def _decide(
     claims: Claims, plain: Fit, explanations: list[Explanation], broken: list[Explanation]
 ) -> list[Finding]:
-    """Return what to say of a log: the mistake that mends it, a trouble of one channel, or nothing."""
+    """Findings about a log: the mistake that mends it, a trouble of one channel, or none."""
     best, other = explanations[0], broken[0]
     limit, hint = (float(np.log(odds * TRIED)) for odds in (ODDS, HINT))
     gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))

@@ -58,7 +58,7 @@ def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
-    """Return what a log lacks, a sentence each: what is so, what it means, and what would help."""
+    """Notices about a log, a sentence each: the fact, its meaning, and its cure."""
     found = []
     for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
         there = readings[np.isfinite(readings)]

@@ -11,7 +11,7 @@ from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameter
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import Words
-from surefoot.experiments.study.tables import Table, number, with_deviation
+from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import held, score_forces
 
@@ -78,7 +78,7 @@ def shown_tables(facts: Facts) -> tuple[Table, ...]:
 
 
 def log_table(facts: Facts) -> Table:
-    """Return what was calibrated."""
+    """Table of the log, its contacts and its starting map."""
     log = facts.log
 
     def shares(phase: NDArray[np.bool_]) -> str:
@@ -88,10 +88,10 @@ def log_table(facts: Facts) -> Table:
     about = log.about
     model = (("model", f"{about['model']}, {about['model_mass_kg']:.4g} kg"),) if "model" in about else ()
     rows = (
-        ("samples", str(len(log))),
+        ("samples", decimal(len(log), "d")),
         ("duration", f"{log.time[-1] - log.time[0]:.2f} s at {1 / log.dt:.4g} Hz"),
         ("mass", f"{log.mass:.4g} kg"),
-        ("channels", str(log.layout.channels)),
+        ("channels", decimal(log.layout.channels, "d")),
         ("motion is late by", f"{log.lag} samples"),
         *model,
         ("contacts", str(about.get("contacts", "as the log says"))),
@@ -110,11 +110,11 @@ def parameter_table(facts: Facts) -> Table:
     scale_std, offset_std = change.std
     rows = []
     for i, name in enumerate(log.layout.channel_names):
-        scale, offset = f"{change.scale[-1, i]:+.2f}", f"{change.offset[-1, i]:+.3f}"
+        scale, offset = decimal(change.scale[-1, i], "+.2f"), decimal(change.offset[-1, i], "+.3f")
         if scale_std is not None and offset_std is not None:
             scale = with_deviation(change.scale[-1, i], scale_std[-1, i])
             offset = with_deviation(change.offset[-1, i], offset_std[-1, i])
-        now = f"{factor * estimate.scale[-1, i]:.5f}", f"{estimate.offset[-1, i]:.4f}"
+        now = decimal(factor * estimate.scale[-1, i], ".5f"), decimal(estimate.offset[-1, i], ".4f")
         rows.append((name.replace("/", ", "), *now, scale, offset))
     columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by (%)", "offset changed by (N)")
     note = f"Changes against {facts.start}" + ("." if scale_std is None else ", ± one standard deviation.")
@@ -141,7 +141,7 @@ def agreement_table(facts: Facts) -> Table:
     rows = []
     for name, force in facts.sides():
         found = agreement(carried_by(log, force), asked, facts.settle)
-        rows.append((name, number(found.vgrf), number(1e3 * found.cop), str(found.rows)))
+        rows.append((name, number(found.vgrf), number(1e3 * found.cop), decimal(found.rows, "d")))
     return Table(
         "agreement",
         "Distance from what the robot's own motion asks for (rms)",
@@ -183,8 +183,8 @@ def flag_table(facts: Facts) -> Table:
         channels = np.flatnonzero(raised.any(axis=0))
         names = [log.layout.channel_names[i].replace("/", ", ") for i in channels]
         where = "all channels" if len(names) == raised.shape[1] else "; ".join(names)
-        span = f"{log.time[when[0]]:.2f} to {log.time[when[-1]]:.2f}"
-        rows.append((_flag_words(str(flag.name)), f"{100 * len(when) / len(flags):.2f} %", span, where))
+        between = span(log.time[when[0]], log.time[when[-1]], ".2f")
+        rows.append((_flag_words(str(flag.name)), percent(len(when) / len(flags), ".2f"), between, where))
     if not rows:
-        rows.append(("nothing was flagged", "0 %", "–", "–"))
+        rows.append(("nothing was flagged", percent(0.0), "–", "–"))
     return Table("flags", "Flags", ("flag", "of the samples", "between (s)", "on"), tuple(rows))

@@ -9,20 +9,117 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 import surefoot
-from surefoot.calibration import Reference
+from surefoot.calibration import Parameters, Reference
 from surefoot.controllers import Stabiliser
+from surefoot.envs import RobotDrawing
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.walks.foot_instruments import FootInstruments
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
+from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
+_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
+
+
+class FootInstruments:
+    """What one condition reads under one walk, by a random stream of an ``index``.
+
+    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
+    (``None`` unless there are load cells alone); ``about`` says what maps axis by axis leave out: cross-talk,
+    and the weight that counts as part of the zero.
+    """
+
+    def __init__(
+        self,
+        cells: LoadCells | None,
+        ankle: ForceTorque | None,
+        *,
+        index: int,
+        seed: int,
+        truth: Any,
+        drawing: RobotDrawing,
+        dt: float,
+    ) -> None:
+        if cells is None and ankle is None:
+            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
+        devices = tuple(device for device in (cells, ankle) if device is not None)
+        self._all = Instruments(devices, drawing, dt)
+        self.layout, self.nominal = self._all.layout, self._all.nominal
+        self.calibrated: Parameters | None = None
+        self.about: dict[str, Any] = {}
+        self._streams: list[np.random.Generator] = []
+        self._states: list[Any] = []
+        for part in self._all.parts:
+            in_ankles = isinstance(part, SensorsInAnkles)
+            rng = np.random.default_rng([_STREAM, index, seed, 1] if in_ankles else [_STREAM, index, seed])
+            state: Any = part.init(rng)
+            if cells is not None and not in_ankles:
+                if ankle is None:
+                    self.calibrated = run_weighing(cells=cells, state=state, seed=seed).channels.value
+                # Every chip delivers once before the walk, as they do while a robot boots.
+                _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
+            self._streams.append(rng)
+            self._states.append(state)
+        if ankle is not None:
+            self._note_ankles()
+        self._raw: list[Floats] = []
+        self._force: list[Floats] = []
+        self._maps: list[tuple[Floats, Floats]] = []
+
+    def read(self, truth: Any, dt: float) -> None:
+        """Take the readings after a control step."""
+        readings, forces, maps = [], [], []
+        part: Any
+        for i, part in enumerate(self._all.parts):
+            reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
+            readings.append(reading)
+            forces.append(part.force(truth))
+            maps.append(part.true_map(self._states[i]))
+        self._raw.append(self._all.joined(readings))
+        self._force.append(self._all.joined(forces))
+        self._maps.append(
+            (self._all.joined([m.scale for m in maps]), self._all.joined([m.offset for m in maps]))
+        )
+
+    @property
+    def raw(self) -> Floats:
+        """All readings in counts, shape (N, K)."""
+        return np.array(self._raw)
+
+    @property
+    def force(self) -> Floats:
+        """What the calibrated channels should have read in N and N m, shape (N, K)."""
+        return np.array(self._force)
+
+    @property
+    def maps(self) -> Floats:
+        """The maps that would have undone each channel's own errors, (scale, offset), shape (N, 2, K)."""
+        return np.array(self._maps)
+
+    def _note_ankles(self) -> None:
+        blocks, preload = [], []
+        for part, state in zip(self._all.parts, self._states, strict=True):
+            if isinstance(part, SensorsInAnkles):
+                blocks.append(part.cross_talk(state))
+                preload.append(part.preload)
+            else:
+                blocks.append(np.zeros((part.channels, part.channels)))
+                preload.append(np.zeros(part.channels))
+        order = self._all.order
+        talk = block_diag(*blocks)
+        self.about = {
+            "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
+            "truth_preload": self._all.joined(preload).tolist(),
+        }
 
 
 @dataclass(frozen=True)
@@ -86,12 +183,8 @@ def record_walk(
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     _, info = env.reset(seed=seed)
     controller.reset()
-    feet = [
-        FootInstruments(
-            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing, dt=bare.dt
-        )
-        for i, c in enumerate(conditions)
-    ]
+    known = {"seed": seed, "truth": bare.truth, "drawing": bare.drawing, "dt": bare.dt}
+    feet = [FootInstruments(c.cells, c.ankle, index=i, **known) for i, c in enumerate(conditions)]
     time: list[float] = []
     believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
     position, rotation = [], []
@@ -103,50 +196,49 @@ def record_walk(
         reference = env.reference
         for age, references in believed.items():
             early = age - youngest + clock_error
-            references.append(reference if early == 0.0 else _earlier(env, reference, early))
+            references.append(reference if early == 0.0 else _believe_earlier(env, reference, early))
         for one in feet:
             one.read(truth, bare.dt)
         position.append(truth.position_sole[-1].copy())
         rotation.append(truth.R_world_sole[-1].copy())
         done = terminated or truncated
-    mass = env.calibrator.setup.mass
+    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": bare.dt, "seed": seed}
+    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
     env.close()
-
-    kept = slice(_SETTLING, None)
     about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
     about["surefoot"] = surefoot.__version__
-    stacked = {
-        age: Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True)))
-        for age, references in believed.items()
-    }
+    poses = np.array(position), np.array(rotation)
     return {
-        condition.name: Log(
-            time=np.array(time)[kept],
-            raw=one.raw[kept],
-            reference=stacked[condition.age],
-            layout=one.layout,
-            mass=mass,
-            nominal=one.nominal,
-            calibrated=one.calibrated,
-            dt=bare.dt,
-            lag=int(info["surefoot"]["lag"]),
-            seed=seed,
-            truth=LogTruth(
-                force=one.force[kept],
-                position_sole=np.array(position)[kept],
-                R_world_sole=np.array(rotation)[kept],
-                scale=one.maps[kept, 0],
-                offset=one.maps[kept, 1],
-            ),
-            about=about
-            | one.about
-            | {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age},
-        )
+        condition.name: _make_log(condition, one, believed[condition.age], poses, about, common)
         for condition, one in zip(conditions, feet, strict=True)
     }
 
 
-def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
-    """Return what the robot assumes of a moment that lies ``early`` s before that of a reference."""
+def _make_log(
+    condition: Condition,
+    feet: FootInstruments,
+    references: Sequence[Reference],
+    poses: tuple[Floats, Floats],
+    about: Mapping[str, Any],
+    common: Mapping[str, Any],
+) -> Log:
+    """Make the log of one condition; its first rows are cut off."""
+    kept = slice(_SETTLING, None)
+    scale, offset = feet.maps[kept].swapaxes(0, 1)
+    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age}
+    return Log(
+        raw=feet.raw[kept],
+        reference=Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True))),
+        layout=feet.layout,
+        nominal=feet.nominal,
+        calibrated=feet.calibrated,
+        truth=LogTruth(feet.force[kept], poses[0][kept], poses[1][kept], scale, offset),
+        about={**about, **feet.about, **of_condition},
+        **common,
+    )
+
+
+def _believe_earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
+    """Beliefs of a moment ``early`` s before that of a reference."""
     earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
     return earlier

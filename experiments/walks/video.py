@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.walks.closed_loop import Moment, walk_moments
+from surefoot.experiments.walks.walkers import Moment, walk_moments
 from surefoot.files import atomic_path
 
 FRAMES_PER_SECOND = 16
@@ -65,6 +65,8 @@ def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: floa
     for frame, moment in pictures(lambda: walk_moments(feed, **options), partial(_sheet, feed), FIRST_MOMENT):
         frames.append(frame)
         fell_at = moment.time if moment.fell else None
+    if not frames:
+        raise ValueError(f"A film begins at {FIRST_MOMENT:g} s, when the robot has stood: make it longer.")
     return Reel(np.array(frames), fell_at)
 
 

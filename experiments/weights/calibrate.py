@@ -10,10 +10,10 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
-from surefoot.experiments.logs.refusals import pass_or_refuse
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
+from surefoot.experiments.study.tables import Cell, Table, decimal, laid_out, number, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
 
@@ -53,11 +53,11 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     write_text(out, json.dumps(facts, indent=1))
     columns: dict[str, Cell] = {
         "cell": lambda i: names[i],
-        "weighings": lambda i: str(fit.stats[i].samples),
+        "weighings": lambda i: decimal(fit.stats[i].samples, "d"),
         "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
             1e6 * fit.value.scale[i], 1e6 * std[i, 0]
         ),
-        "offset (N)": lambda i: f"{fit.value.offset[i]:.5f}",
+        "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
         "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
     }
     table = laid_out("weighings", "F = scale · count + offset", columns, range(len(names)))

@@ -267,7 +267,7 @@ def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Ar
 
 
 def full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
-    """Return what turns E into D E D^-1: the full scale of the row over that of the column, shape (6, 6)."""
+    """Return factors that turn E into D E D^-1: full scale of the row by that of the column, shape (6, 6)."""
     full = config.full_scale[:AXES]
     return full[:, None] / full
 

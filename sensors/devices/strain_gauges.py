@@ -201,7 +201,7 @@ def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
-    """Return what turns k unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
+    """Return the map from k unit errors to counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
     image: NDArray[np.float64] = response * per_axis(force, torque)
     if config.channels == AXES:

@@ -42,7 +42,7 @@ class FaultChance(NamedTuple):
 
 
 def parse_chances(chances: Mapping[str, float]) -> tuple[FaultChance, ...]:
-    """Return what may happen, of words and probabilities.
+    """Return the faults that may happen, of words and probabilities.
 
     Args:
         chances: As in :mod:`surefoot.sensors.faults.chances`.

@@ -254,7 +254,7 @@ def channels_of(config: Converter) -> list[Channel]:
 
 
 def _misread(fault: Fault, channel: Channel, code: float, draws: Any, dt: float) -> float:
-    """Return what a faulty channel reads by its own code and by chance; a code that never came stays NaN."""
+    """Return readings of a faulty channel by its own code and by chance; a code that never came stays NaN."""
     match fault.kind:
         case "dead":
             return code * 0.0 + channel.unloaded

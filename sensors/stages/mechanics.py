@@ -154,7 +154,7 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
 
 
 def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
-    """Return what impacts and overloads have done to the offsets in N, shape (K,); 0.0 without."""
+    """Return the change of offsets by impacts and overloads in N, shape (K,); 0.0 without."""
     offset: Array | float = 0.0
     if state.mounting:
         offset = offset + state.mounting.offset

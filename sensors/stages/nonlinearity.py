@@ -107,7 +107,7 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
 
 
 def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
-    """Return what :func:`drawn_nonlinearity` makes of readings, shape (K,) or (N, K)."""
+    """Apply :func:`drawn_nonlinearity` to readings, shape (K,) or (N, K)."""
     u = limit(reading / full_scale, -1.0, 1.0)
     off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
     return reading + off

@@ -233,7 +233,7 @@ class Telemetry:
         return arrived, TelemetryState(computer, total, count, due - self.dt, number, under_way)
 
     def hardware(self, state: TelemetryState) -> Hardware:
-        """Return what the IMU and the encoders are now."""
+        """Return the present state of IMU and encoders."""
         return Hardware(state.computer.imu, state.computer.encoders)
 
     def with_hardware(self, state: TelemetryState, hardware: Hardware) -> TelemetryState:

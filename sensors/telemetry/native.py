@@ -139,7 +139,7 @@ class NativeTelemetry(Telemetry):
         )
 
     def hardware(self, state: Any) -> Hardware:
-        """Return what the IMU and the encoders are now."""
+        """Return the present state of IMU and encoders."""
         if type(state) is not NativeTelemetryState:
             return super().hardware(state)
         record = state.record

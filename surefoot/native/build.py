@@ -54,12 +54,12 @@ def compiler(platform: str | None = None) -> tuple[str, ...] | None:
 
 
 def requirements() -> list[str]:
-    """Return what installing needs to compile: nothing with a compiler, or where ``SUREFOOT_NATIVE`` is 0."""
+    """Return the packages that compiling needs: none with a compiler, or where ``SUREFOOT_NATIVE`` is 0."""
     return [] if compiler() or os.environ.get("SUREFOOT_NATIVE") == "0" else [COMPILER]
 
 
 def ending(platform: str | None = None) -> str:
-    """Return what the names of libraries end with; arguments as of :func:`compiler`."""
+    """Return the ending of library names; arguments as of :func:`compiler`."""
     windows = platform.startswith("win") if platform else sys.platform == "win32"
     return ".dll" if windows else ".so"
 
@@ -84,7 +84,7 @@ class Sources(NamedTuple):
         return self.folder / (self.name + ending())
 
     def fingerprint(self, flags: Sequence[str] = FLAGS) -> str:
-        """Return what tells whether a library was compiled from the sources at hand, and with these flags."""
+        """Return the mark of a library that is compiled from the sources at hand with these flags."""
         found = (path for folder in (self.folder, SHARED) for path in sorted(folder.glob("*.[ch]")))
         parts = (" ".join(flags).encode(), *(path.read_bytes() for path in found))
         return sha256(b"".join(parts)).hexdigest()[:16]

@@ -10,7 +10,7 @@ from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
 from surefoot.calibration import MomentumReference, OnlineSetup, Parameters, posterior_bound, replay
 from surefoot.calibration.moment.bound import LogPassages, Passage
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import update
 
 SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, dt=DT, lag=0)
@@ -24,7 +24,7 @@ class Log(NamedTuple):
     truth: Parameters
 
     def bound(self, **options):
-        return posterior_bound(SETUP, *self, MomentConfig(**options))
+        return posterior_bound(SETUP, *self, Moment(**options))
 
 
 def log_of(seed, seconds, errors):
@@ -94,7 +94,7 @@ def test_deviations_are_those_of_forces_and_pressures_by_differences(log):
     "name", ["velocity_noise", "vertical_noise", "momentum_noise", "tare_noise", "scale_std", "offset_drift"]
 )
 def test_more_noise_is_never_better(log, name):
-    stated = getattr(MomentConfig(), name)
+    stated = getattr(Moment(), name)
     bounds = [log.bound(**{name: factor * stated}) for factor in (0.5, 1.0, 2.0)]
     for less, more in pairwise(bounds):
         for field in ("force", "vgrf", "cop"):

@@ -159,13 +159,7 @@ def test_planned_poses_leave_smaller_errors_than_random_or_raster_ones(prior):
     gravity = grid(7)
     plan = plan_excitation(prior, gravity, MASSES, count=30, samples=20, goal="matrix")
     planned = [(pose.orientation, pose.mass) for pose in plan.poses]
-    options = InSituOptions(
-        hysteresis=False,
-        factory_std=(0.2,) * 6,
-        scale_tolerance=5.0,
-        mass_tolerance=5.0,
-        residual_tolerance=1.0,
-    )
+    options = InSituOptions(hysteresis=False, factory_std=(0.2,) * 6)
     squares = {"planned": [], "random": [], "raster": []}
     for seed in range(16):
         rng = np.random.default_rng([43, seed])
@@ -173,7 +167,7 @@ def test_planned_poses_leave_smaller_errors_than_random_or_raster_ones(prior):
         ways = (planned, random_poses(rng, gravity, 30), raster_poses(gravity, 30))
         for name, poses in zip(squares, ways, strict=True):
             sets = read(response, poses, gravity, rng, 20)
-            fit = calibrate_in_situ(sets, factory_matrix=LEG_MATRIX, options=options)
+            fit = calibrate_in_situ(sets, factory_matrix=LEG_MATRIX, options=options, accept="noise")
             D = (fit.matrix @ response - np.eye(6)) * SIZE / SIZE[:, None]
             squares[name].append(np.mean(D**2))
     errors = {name: np.sqrt(np.mean(values)) for name, values in squares.items()}

@@ -7,8 +7,11 @@ from surefoot.calibration import (
     FeetLayout,
     FootCalibrator,
     FootLayout,
+    Moment,
     Parameters,
     Reference,
+    SwingTare,
+    Window,
     online_method,
     replay,
 )
@@ -256,7 +259,7 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
 
 @pytest.mark.parametrize(
     ("method", "options"),
-    [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"average": 4.0}), ("moment", {"lag": 2.0})],
+    [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"lag": 2.0})],
 )
 def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
     for library in (installed(), None):
@@ -282,3 +285,15 @@ def test_arguments_without_meaning_are_refused(log):
         FeetLayout((LAYOUT.feet[0], None))
     with pytest.raises(TypeError, match="'reference' must be a Reference, got NoneType"):
         make().update(log.raw[0], None)
+
+
+def test_options_may_be_a_value_that_names_its_method():
+    by_value = FootCalibrator(LAYOUT, Moment(scale_std=0.2, ripple=1.0), mass=MASS)
+    by_name = FootCalibrator(LAYOUT, "moment", mass=MASS, scale_std=0.2, ripple=1.0)
+    assert (by_value.method, by_value._options) == (by_name.method, by_name._options)
+    assert FootCalibrator(LAYOUT, Window(iterations=2), mass=MASS).method == "window"
+    assert FootCalibrator(LAYOUT, SwingTare(), mass=MASS).method == "tare"
+    with pytest.raises(ValueError, match=r"'ripple' is given twice, in Moment\(...\) and as a keyword"):
+        FootCalibrator(LAYOUT, Moment(ripple=1.0), mass=MASS, ripple=2.0)
+    with pytest.raises(TypeError, match=r"must be a name, such as 'moment', or its options, .* got 5 of int"):
+        FootCalibrator(LAYOUT, 5, mass=MASS)

@@ -87,7 +87,7 @@ ONE_SIDED = {
         "covariance",
         -0.5,
         (2, 2),
-        "'covariance' has the variance -0.5, which is less than none.",
+        "'covariance' has the variance -0.5",
     ),
     "unknown flag": ("status", 65536, ..., "'status' holds 6.554e+04, and 0 to 6.554e+04 can be."),
     "negative flag": ("status", -1, ..., "'status' holds -1, and 0 to 6.554e+04 can be."),
@@ -97,8 +97,8 @@ ONE_SIDED = {
         3,
         "'faults.kind' holds 1.311e+05 at (3,), and 0 to 6.554e+04",
     ),
-    "100 body weights": ("mean", 100.0, 9, "'mean' holds 100 at (9,), and -20 to 20 can be."),
-    "nothing to go back to": ("kept_mean", np.nan, (1, 2), "'kept_mean' holds nan at (1, 2), and -20 to 20"),
+    "100 body weights": ("belief.mean", 100.0, (0, 9), "'belief.mean' holds 100 at (0, 9), and -20 to 20"),
+    "nothing to go back to": ("kept.belief.mean", np.nan, (0, 1), "'kept.belief.mean' holds nan at (0, 1)"),
     "no motion": ("front.motion", 1e7, 5, "'front.motion' holds 1e+07 at (5,), and -1e+06 to 1e+06 can be."),
     "no count": ("front.raw", 2.0**31, 0, "'front.raw' holds 2.147e+09 at (0,), and "),
 }
@@ -127,8 +127,10 @@ def test_a_state_that_diverged_replaces_no_good_file(log, row, tmp_path):
     calibrator.save(tmp_path / "feet.npz")
     before = (tmp_path / "feet.npz").read_bytes()
     state = calibrator.state
-    calibrator.state = state._replace(mean=np.full_like(state.mean, np.nan))
-    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'mean' holds nan at \(0,\)"):
+    calibrator.state = state._replace(
+        belief=state.belief._replace(mean=np.full_like(state.belief.mean, np.nan))
+    )
+    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'belief.mean' holds nan"):
         calibrator.save(tmp_path / "feet.npz")
     assert (tmp_path / "feet.npz").read_bytes() == before
 
@@ -361,10 +363,15 @@ ARGUMENTS = {
     "a text for a time": (lambda: make(dt="1"), "'dt' must be a number, got '1' of type str."),
     "no time": (lambda: make(dt=None), "'dt' must be a number, got None of type NoneType."),
     "a list for a mass": (lambda: make(mass=[1]), "'mass' must be a number, got [1] of type list."),
-    "no method": (lambda: make(None), "'method' must be a name, such as 'moment', got None of NoneType."),
+    "no method": (
+        lambda: make(None),
+        "'method' must be a name, such as 'moment', or its options, such as "
+        "Moment(scale_std=0.2), got None of NoneType.",
+    ),
     "methods": (
         lambda: make(["moment"]),
-        "'method' must be a name, such as 'moment', got ['moment'] of list.",
+        "'method' must be a name, such as 'moment', or its options, such as "
+        "Moment(scale_std=0.2), got ['moment'] of list.",
     ),
     "no map": (lambda: make(initial=(1, 2)), "'initial' must be Parameters(scale, offset), got tuple."),
     "scales of zero": (

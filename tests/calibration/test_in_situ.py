@@ -71,12 +71,8 @@ def test_deviations_are_those_of_their_parts():
 
 def test_does_not_shrink_the_scale_as_regressing_on_readings_does():
     # At 1 % noise the paper's own III-C gives about 1.2 kg here.
-    masses = []
-    for seed in range(3):
-        rng = np.random.default_rng([3, seed])
-        sets, _ = paper_sets("leg", rng, n=2000, noise=0.01)
-        masses.append(calibrate_in_situ(sets).limb.mass)
-    assert np.mean(masses) == pytest.approx(SENSORS["leg"][1], rel=0.02)
+    sets, _ = paper_sets("leg", np.random.default_rng(3), n=2000, noise=0.01)
+    assert calibrate_in_situ(sets).limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.02)
 
 
 def test_order_of_samples_and_sets_does_not_matter():
@@ -94,14 +90,14 @@ def test_order_of_samples_and_sets_does_not_matter():
     np.testing.assert_allclose((other.offsets[-1] - fit.offsets[0]) / fit.offset_std, 0.0, atol=0.05)
 
 
-@pytest.mark.parametrize("factory", [False, True])
+@pytest.mark.parametrize("factory", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_units_and_mixture_of_the_channels_change_nothing(factory):
     """Counts, a driver's newtons and any other mixture of them: one answer to a hundredth of its sigma."""
     rng = np.random.default_rng(70)
-    sets, _ = noisy_sets("leg", rng, n=1200)
+    sets, _ = noisy_sets("leg", rng, n=600)
     matrix = SENSORS["leg"][0]
     response = np.linalg.inv(matrix)
-    walks = [np.cumsum(0.02 * NOISE * rng.standard_normal((1200, 6)), axis=0) for _ in sets]
+    walks = [np.cumsum(0.02 * NOISE * rng.standard_normal((600, 6)), axis=0) for _ in sets]
     sets = [replace(one, raw=one.raw + walk @ response.T) for one, walk in zip(sets, walks, strict=True)]
     counts = calibrate_in_situ(sets, factory_matrix=1.1 * matrix if factory else None)
     for mixture in (matrix, rng.standard_normal((6, 6))):
@@ -176,7 +172,7 @@ def test_finds_the_temperature_coefficient():
     for j, one in enumerate(sets):
         kelvin = 25.0 + 10.0 * np.sin(np.linspace(0.0, 3.0 + j, 600))
         warmed.append(replace(one, raw=one.raw + np.outer(kelvin, coefficient), temperature=kelvin))
-    fit = calibrate_in_situ(warmed, options=InSituOptions(drift=0))
+    fit = calibrate_in_situ(warmed, options=InSituOptions(drift=False))
     np.testing.assert_allclose(fit.temperature_coefficient, coefficient, atol=0.6)
     # Offsets are those of the mean temperature.
     reference = np.mean([one.temperature for one in warmed])
@@ -200,12 +196,10 @@ def warmed_sets(rng, gain, swing=15.0, n=1500):
 
 
 GAIN = 1e-3 * np.array([0.8, 0.6, -0.5, 0.7, 0.9, -0.6])
-WIDE = InSituOptions(residual_tolerance=0.5, mass_tolerance=0.5, scale_tolerance=0.5, axis_tolerance=5.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_gain_that_goes_with_the_temperature_is_found(seed):
-    warmed, _ = warmed_sets(np.random.default_rng([29, seed]), GAIN)
+def test_a_gain_that_goes_with_the_temperature_is_found():
+    warmed, _ = warmed_sets(np.random.default_rng([29, 0]), GAIN)
     fit = calibrate_in_situ(warmed)
     np.testing.assert_allclose(fit.temperature_gain, GAIN, atol=1.5e-4)
     assert fit.warnings == ()
@@ -220,16 +214,12 @@ def test_a_gain_that_goes_with_the_temperature_is_found(seed):
         raw = raw + warmer * fit.temperature_coefficient
         np.testing.assert_allclose(fit.wrench(raw, temperature=kelvin), load, rtol=1e-9)
         np.testing.assert_allclose(fit.at_reference(raw, kelvin), fit.response @ load + fit.offset, rtol=1e-9)
-    cool = calibrate_in_situ([replace(one, temperature=None) for one in warmed], options=WIDE, refuse=False)
-    true = np.linalg.inv(SENSORS["leg"][0])
-    ours, without = (np.linalg.norm(f.matrix @ true - np.eye(6)) for f in (fit, cool))
-    assert ours < 0.5 * without
+    assert np.linalg.norm(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]) - np.eye(6)) < 0.05
 
 
-@pytest.mark.parametrize("gain", [0.0, GAIN], ids=["alone", "and axes"])
-def test_gains_of_single_channels_that_go_with_the_temperature_are_warned_of(gain):
+def test_gains_of_single_channels_that_go_with_the_temperature_are_warned_of():
     rng = np.random.default_rng(32)
-    warmed, offset = warmed_sets(rng, gain + np.zeros(6))
+    warmed, offset = warmed_sets(rng, GAIN)
     each = 2e-4 * rng.standard_normal(6)
     warmed = [
         replace(one, raw=one.raw + (one.raw - offset) * each * (one.temperature - 25.0)[:, None])
@@ -330,9 +320,9 @@ def test_a_drifting_offset_does_not_hurt():
     )
     drifting = [replace(one, raw=one.raw + ramp) for one in sets]
     fit = calibrate_in_situ(drifting)
-    plain = calibrate_in_situ(drifting, options=InSituOptions(drift=0, residual_tolerance=0.2))
     steady = calibrate_in_situ(sets)
-    assert np.linalg.norm(fit.matrix - steady.matrix) < 0.2 * np.linalg.norm(plain.matrix - steady.matrix)
+    apart = np.abs(fit.matrix - steady.matrix) / np.hypot(fit.matrix_std, steady.matrix_std)
+    assert apart.max() < 3.0
     # The last set's offset is that at its end.
     np.testing.assert_allclose(fit.offset, offset + ramp[-1], atol=8.0 * fit.offset_std.max())
 
@@ -348,7 +338,7 @@ def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 4.0 * fit.limb_mass_std
 
 
-@pytest.mark.parametrize("own", [0.0, 2.0])
+@pytest.mark.parametrize("own", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_the_inertia_of_what_is_added_is_open_by_as_much_as_is_claimed(own):
     off = []
     for seed in range(3):
@@ -409,7 +399,7 @@ def test_a_good_factory_matrix_helps_and_a_bad_one_does_not_hurt():
     near = np.diag([1.01, 0.99, 1.01, 0.99, 1.01, 0.99]) @ matrix
     far = np.diag([1.3, 0.8, 1.2, 0.7, 1.3, 0.8]) @ matrix
     sums = np.zeros(3)
-    options = InSituOptions(scale_tolerance=1.0, hysteresis=False)
+    options = InSituOptions(hysteresis=False)
     for seed in range(3):
         sets, _ = noisy_sets("foot", np.random.default_rng([16, seed]), n=300, noise=4.0)
         for i, factory in enumerate((None, near, far)):
@@ -433,7 +423,7 @@ def test_what_the_data_know_is_not_drawn_to_an_aged_factory_matrix():
     assert beside.limb_mass_std == pytest.approx(alone.limb_mass_std, rel=0.02)
 
 
-@pytest.mark.parametrize("walk", [0.0, 0.3])
+@pytest.mark.parametrize("walk", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_known_limb_counts_for_as_much_as_it_is_sure(walk):
     rng = np.random.default_rng(27)
     sets, _ = noisy_sets("leg", rng, n=1000)
@@ -482,6 +472,34 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     assert abs(fit.limb.mass / mass - 1.0) < 0.5 * abs(plain.limb.mass / mass - 1.0)
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
     assert fit.delay == 0.0
+
+
+def creeping(wrench, share, times, dt=0.1):
+    """Loads and what they crept, by exponentials that each add a share in the end; in use for long before."""
+    read, at = wrench.copy(), np.tile(wrench.mean(axis=0), (len(times), 1))
+    decay = np.exp(-dt / np.array(times))[:, None]
+    for i, load in enumerate(wrench):
+        at = load + decay * (at - load)
+        read[i] += share * at.sum(axis=0)
+    return read
+
+
+def test_a_sensor_that_creeps_is_as_sure_as_it_is_right():
+    """Neither time constant is one of the law's."""
+    matrix, mass, _, _ = SENSORS["leg"]
+    rng = np.random.default_rng(42)
+
+    def read(wrench):
+        load = creeping(wrench, 0.005, (10.0, 100.0))
+        return (load + 0.3 * NOISE * rng.standard_normal(load.shape)) @ np.linalg.inv(matrix).T
+
+    fit = calibrate_in_situ(lagging_sets(read))
+    np.testing.assert_allclose(fit.hysteresis[:5], 0.0015, atol=0.0005)
+    assert fit.limb.mass == pytest.approx(mass, rel=0.003)
+    off = errors(fit, "leg", 0.0)
+    scale = np.sqrt(np.diag(fit.covariance))
+    nees = off / scale @ np.linalg.solve(fit.covariance / np.outer(scale, scale), off / scale)
+    assert nees / len(off) < 2.0
 
 
 def test_a_late_imu_is_told_from_hysteresis():
@@ -533,16 +551,15 @@ def test_channels_that_lag_are_no_loads_that_lag():
         counts = lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0))
         return counts + rng.standard_normal(counts.shape)
 
-    sets, tolerant = lagging_sets(read), InSituOptions(mass_tolerance=0.2)
-    fit = calibrate_in_situ(sets, options=tolerant)
-    plain = calibrate_in_situ(sets, options=replace(tolerant, hysteresis=False))
+    sets = lagging_sets(read)
+    fit = calibrate_in_situ(sets)
     assert fit.hysteresis is None
     assert (fit.channel_hysteresis > 0.005).all()
     assert fit.limb.mass == pytest.approx(mass, rel=0.015)
-    assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
+    assert fit.stats.residual_rms < 10.0  # where the loops are 300 counts wide
 
 
-@pytest.mark.parametrize(("seed", "samples"), [(18, 3000), ([1, 0], 600)])
+@pytest.mark.parametrize(("seed", "samples"), [([1, 0], 600)])
 def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
     sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
     fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
@@ -561,14 +578,14 @@ def test_arguments_are_left_alone():
     np.testing.assert_array_equal(first.matrix, second.matrix)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.1])
+@pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.slow), 1.1])
 def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
     matrix, mass, com, _ = SENSORS["foot"]
     limb = KnownLimb(mass, 0.005 * mass, com, 0.001)
     # Along what was seen: the limb's own wrench.
     seen = np.linalg.solve(matrix, wrench_of_gravity(mass, com))
     scores = []
-    for seed in range(5):
+    for seed in range(3):
         sets, _ = noisy_sets("foot", np.random.default_rng([20, seed]), n=1000, count=1)
         # The rows lean by a rule of their own, whatever the shares of the fit that finds the limb.
         options = InSituOptions(factory_std=(0.1,) * 6)
@@ -584,7 +601,7 @@ def test_few_samples_show_no_hysteresis():
     rng = np.random.default_rng(21)
     for _ in range(5):
         sets, _ = noisy_sets("leg", rng, n=12)
-        fit = calibrate_in_situ(sets, options=InSituOptions(scale_tolerance=10.0, axis_tolerance=10.0))
+        fit = calibrate_in_situ(sets, accept="few samples")
         assert fit.hysteresis is None
 
 

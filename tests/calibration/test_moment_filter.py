@@ -14,7 +14,7 @@ from surefoot.calibration import (
     Reference,
     replay,
 )
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 
 STATED = Errors.stated()
@@ -309,16 +309,16 @@ def test_other_methods_want_accelerations():
 )
 def test_an_option_without_meaning_is_refused(option, message):
     with pytest.raises(ValueError, match=message):
-        MomentConfig(**option)
+        Moment(**option)
 
 
 def test_there_are_few_options():
-    assert len(MomentConfig.__dataclass_fields__) <= 15
+    assert len(Moment.__dataclass_fields__) <= 15
 
 
 def test_a_block_is_full_when_its_time_is():
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0, dt=DT)
-    made = MomentFilter(setup, MomentConfig())
+    made = MomentFilter(setup, Moment())
     log = move(0, 3.0)
     for step in (DT, 2.0 * DT):
         state, learnt = made.init(log.raw[0]), []

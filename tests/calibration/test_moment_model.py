@@ -7,15 +7,15 @@ from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
 from surefoot.calibration.moment.blocks import Block
-from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.columns import Columns, Spread, find_talks, first_mean, first_variance
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.health import contact_probability
 from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
 from surefoot.calibration.moment.state import Belief
 
-CONFIG = MomentConfig()
+CONFIG = Moment()
 WEIGHT = MASS * GRAVITY
 ANKLES = FeetLayout(
     tuple(FootLayout.force_torque(name, position_sensor_sole=(0.01, 0.0, 0.05)) for name in ("left", "right"))
@@ -58,9 +58,10 @@ def momentum_of(block, layout, point, x, columns):
     wrench = np.concatenate([x[columns.wrench], np.zeros(6 - columns.components)])
     P = np.array([momentum[3], momentum[4], momentum[0]])
     H = np.array([momentum[1], momentum[2], momentum[5]])
-    shear = columns.components == 6
+    shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
         f = a * block.force[n] + b + a * u
+        f[to] += x[columns.talk] * block.force[n, origin]
         P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - (1.0 - m)])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
         arm = block.com[n] - point - np.append(d, 0.0)

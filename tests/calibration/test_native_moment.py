@@ -14,7 +14,7 @@ from test_native_filter import Log, play, robot, same_estimate, setup_of
 
 from surefoot.calibration import FootCalibrator, MomentumReference
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import NATIVE, c_source
 from surefoot.native import compiler
@@ -184,7 +184,7 @@ def test_accelerations_are_added_up_alike(library, layout, event):
 
 def test_every_constant_has_one_home(library):
     """What C is given are the fields of the Python's records, each once, and C has no others."""
-    filter_ = MomentFilter(setup_of("cells"), MomentConfig())
+    filter_ = MomentFilter(setup_of("cells"), Moment())
     names = [name for part in filter_.constants for name in part._fields]
     assert len(names) == len(set(names))
     assert set(names) == set(library.places["moment_config"]) - {""}

@@ -3,7 +3,7 @@ import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 
 from surefoot.calibration import Flag, OnlineSetup, Reference, online_method, replay
-from surefoot.calibration.baselines import TareConfig
+from surefoot.calibration.baselines import SwingTare
 
 
 def tared(log, **options):
@@ -33,7 +33,7 @@ def test_with_noise_the_zero_is_the_mean_over_a_swing():
         swing = max(swing, int(log.reference.swing[:, 0].sum()))
         found.append(tared(log).offset[-1] - NOMINAL.offset - log.correction.offset[-1])
     spread = np.std(np.concatenate(found))
-    assert 0.1 / np.sqrt(swing) < spread < 0.1 / np.sqrt(TareConfig().minimum_samples)
+    assert 0.1 / np.sqrt(swing) < spread < 0.1 / np.sqrt(SwingTare().minimum_samples)
 
 
 def test_a_foot_that_is_never_in_the_air_keeps_its_zero():
@@ -97,7 +97,7 @@ def test_channels_that_are_not_read_wait():
 )
 def test_options_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        TareConfig(**options)
+        SwingTare(**options)
 
 
 def test_a_gap_begins_the_count_anew():

@@ -18,7 +18,7 @@ from surefoot.calibration import (
 )
 from surefoot.calibration.cop import moment_rows
 from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.window.config import WindowConfig, confidence_from_standing
+from surefoot.calibration.window.config import Window, confidence_from_standing
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise
 
 WEIGHTS = Weights(force=2.0, cop=100.0, threshold=5.0)
@@ -161,7 +161,7 @@ def test_directions_that_the_data_do_not_excite_stay():
     force = NOMINAL.force(raw[0] * 1.001)
     rows = moment_rows(LAYOUT, reference.position_sole[0], reference.R_level_sole[0]).sum(axis=0)
     seen = np.concatenate([rows * force, rows], axis=1)
-    config = WindowConfig()
+    config = Window()
     spread = np.repeat([config.scale_step, config.offset_step * MASS * GRAVITY], 8)
     _, _, directions = np.linalg.svd(seen * spread)
     whitened = directions @ (change / spread)
@@ -360,7 +360,7 @@ def test_confidence_is_read_off_standing():
     assert delta_force == pytest.approx(0.2 * np.sqrt(8) / weight, rel=0.1)
     place = np.abs(LAYOUT.feet[0].position_cell_sole[:, 0] - 0.024).mean()
     assert delta_cop == pytest.approx(0.2 * np.sqrt(8) * place / weight / setup.length, rel=0.25)
-    WindowConfig(delta_force=delta_force, delta_cop=delta_cop)
+    Window(delta_force=delta_force, delta_cop=delta_cop)
 
 
 def test_confidence_needs_samples():
@@ -433,7 +433,7 @@ def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
 )
 def test_options_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        WindowConfig(**options)
+        Window(**options)
 
 
 def test_weights_can_be_scaled_for_a_study():
@@ -442,7 +442,7 @@ def test_weights_can_be_scaled_for_a_study():
         run(log, faults=Faults.bad(), **options).scale[-1]
         for options in (
             {},
-            {"force_weight": 4.0, "delta_force": 2 * WindowConfig().delta_force},
+            {"force_weight": 4.0, "delta_force": 2 * Window().delta_force},
             {"smoothness_weight": 5.0},
         )
     )

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 import surefoot
 from surefoot.calibration import GRAVITY, Reference, calibrate_in_situ, nao_shoe_layout
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.export import write_json
@@ -224,7 +224,7 @@ def test_options_of_the_moment_filter_have_the_defaults_that_the_page_says() -> 
     page = (ROOT / "docs" / "which-calibrator.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)[^|]* \| [^|]+ \|$", page, re.MULTILINE)
     assert len(rows) == 12
-    config = MomentConfig()
+    config = Moment()
     assert all(getattr(config, name) == float(default) for name, default in rows)
 
 

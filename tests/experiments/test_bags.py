@@ -17,8 +17,7 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.instrument.check import check_log
-from surefoot.experiments.logs.bag import Series, read_bag
-from surefoot.experiments.logs.bag_guess import guess_topics
+from surefoot.experiments.logs.bag import Series, guess_topics, read_bag
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.logs.motion import count_rows, even_times
 from surefoot.experiments.walking import calibrate as module

@@ -111,7 +111,6 @@ class TestUncertainty:
             cop_covariance=np.tile(np.diag([1e-6, 4e-6]), (len(log), 1, 1)),
             nis=np.where(count > 0, 3.6, np.nan),
             nis_rows=count,
-            matrix=np.tile(np.eye(8), (len(log), 1, 1)),
         )
         monkeypatch.setattr(module, "replay_log", lambda *_, **__: estimate)
         result = calibrate(log, tmp_path)
@@ -123,7 +122,6 @@ class TestUncertainty:
         np.testing.assert_allclose(walk["cop_level_y_std_m"], 2e-3)
         assert (walk["nis_rows"] == count).all()
         assert told["nis_per_row"] == pytest.approx(1.2)
-        assert told["matrix_relative"] == np.eye(8).tolist()
         assert "Normalised innovations are 1.20 per row" in result.tables[0].note
         assert result.tables[0].rows[7][3:] == ("0.0 ± 1.0", "0.00 ± 0.20")
         assert "bands of ± one standard deviation" in result.page.read_text()

@@ -24,7 +24,7 @@ from surefoot import __main__
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.study import progress
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.tables import Table, decimal, number
 
 RUNNER = CliRunner()
 
@@ -165,7 +165,7 @@ def test_every_command_that_prints_a_table_prints_json() -> None:
 
 
 def test_headings_that_are_twice_there_are_numbered_in_json() -> None:
-    table = Table("t", "T", ("what", "paper", "paper"), (("a", "1", "inf"),))
+    table = Table("t", "T", ("what", "paper", "paper"), (("a", number(1), decimal(np.inf)),))
     assert table.to_plain()["rows"] == [{"what": "a", "paper": 1, "paper (2)": None}]
 
 

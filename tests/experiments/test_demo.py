@@ -10,13 +10,12 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.experiments.arena.options import ArenaOptions
-from surefoot.experiments.arena.run import ArenaResults, run_arena, telling_walk
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.demo.page import write_demo_page
-from surefoot.experiments.demo.presets import demo_options, full_options, quick_options
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
+from surefoot.experiments.walks.options import WalkStudyOptions, demo_options, full_options
+from surefoot.experiments.walks.page import write_walks_page
+from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study, telling_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 pytestmark = pytest.mark.slow
@@ -25,9 +24,9 @@ METHODS = {"none", "tare", "quasi-static", "window", "moment"}
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
-    return run_arena(
-        ArenaOptions(
+def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
+    return run_walk_study(
+        WalkStudyOptions(
             out=tmp_path_factory.mktemp("demo"),
             seeds=2,
             jobs=1,
@@ -43,17 +42,17 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
 
 
 @pytest.fixture(scope="module")
-def report(results: ArenaResults) -> tuple[Report, str]:
-    report = write_demo_page(results)
+def report(results: WalkStudyResults) -> tuple[Report, str]:
+    report = write_walks_page(results)
     return report, report.page.read_text(encoding="utf-8")
 
 
-def log_of(results: ArenaResults, condition: str, seed: int) -> Path:
+def log_of(results: WalkStudyResults, condition: str, seed: int) -> Path:
     (path,) = (results.options.out / "logs").glob(f"*_{condition}_seed{seed}_*.parquet")
     return path
 
 
-def test_logs_hold_what_was_walked(results: ArenaResults) -> None:
+def test_logs_hold_what_was_walked(results: WalkStudyResults) -> None:
     assert len(list((results.options.out / "logs").iterdir())) == 4
     paper, bad = (read_log(log_of(results, name, 1)) for name in ("paper", "bad-start"))
     assert paper.truth is not None
@@ -68,7 +67,7 @@ def test_logs_hold_what_was_walked(results: ArenaResults) -> None:
     assert np.abs(bad.nominal.scale / bad.truth.scale[0] - 1).max() > 0.05
 
 
-def test_every_method_saw_the_same_walks(results: ArenaResults) -> None:
+def test_every_method_saw_the_same_walks(results: WalkStudyResults) -> None:
     table = results.yardsticks
     assert set(table["method"]) == METHODS | {"floor", "baseline", "reference"}
     for against in ("truth", "baseline"):
@@ -81,7 +80,7 @@ def test_every_method_saw_the_same_walks(results: ArenaResults) -> None:
     assert (table["held"].dropna() < 0.01).all()
 
 
-def test_the_floor_lies_below_a_bad_start(results: ArenaResults) -> None:
+def test_the_floor_lies_below_a_bad_start(results: WalkStudyResults) -> None:
     table = results.yardsticks[
         (results.yardsticks["condition"] == "bad-start") & (results.yardsticks["against"] == "truth")
     ]
@@ -90,7 +89,7 @@ def test_the_floor_lies_below_a_bad_start(results: ArenaResults) -> None:
     assert mean["floor"] == mean.min()
 
 
-def test_the_loop_is_paired(results: ArenaResults) -> None:
+def test_the_loop_is_paired(results: WalkStudyResults) -> None:
     counted = results.loop.groupby(["severity", "feed"])["seed"].apply(sorted)
     assert len(counted) == 4
     assert all(seeds == [0, 1] for seeds in counted)
@@ -98,7 +97,7 @@ def test_the_loop_is_paired(results: ArenaResults) -> None:
     assert (results.loop[results.loop["feed"] == "none"]["cop_error"] > 0).all()
 
 
-def test_the_page_is_whole(results: ArenaResults, report: tuple[Report, str]) -> None:
+def test_the_page_is_whole(results: WalkStudyResults, report: tuple[Report, str]) -> None:
     _, html = report
     places = [
         html.index(title)
@@ -116,7 +115,7 @@ def test_the_page_is_whole(results: ArenaResults, report: tuple[Report, str]) ->
         )
     ]
     assert places == sorted(places)
-    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 10
+    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 9
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page needs nothing beside it"
     assert "nan" not in re.sub(r"base64,[^\"]*", "", html).lower().replace("covenant", "")
     assert "There is no film in this report: not asked for." in html
@@ -125,7 +124,7 @@ def test_the_page_is_whole(results: ArenaResults, report: tuple[Report, str]) ->
     assert stored["options"]["seeds"] == 2
 
 
-def test_tables_are_files_too(results: ArenaResults, report: tuple[Report, str]) -> None:
+def test_tables_are_files_too(results: WalkStudyResults, report: tuple[Report, str]) -> None:
     for table in report[0].tables:
         found = pd.read_csv(results.options.out / "tables" / f"{table.name}.csv", dtype=str)
         assert len(found) == len(table.rows)
@@ -133,7 +132,7 @@ def test_tables_are_files_too(results: ArenaResults, report: tuple[Report, str])
     assert len(saved) == len(results.yardsticks)
 
 
-def test_one_case_repeated_by_the_command(results: ArenaResults, tmp_path: Path) -> None:
+def test_one_case_repeated_by_the_command(results: WalkStudyResults, tmp_path: Path) -> None:
     log, settle = str(log_of(results, "bad-start", 1)), str(results.options.settle)
     options = ["--method", "window", "--settle", settle, "--out", str(tmp_path)]
     result = CliRunner().invoke(app, ["calibrate", "walk", log, *options])
@@ -145,11 +144,10 @@ def test_one_case_repeated_by_the_command(results: ArenaResults, tmp_path: Path)
     assert float(shown[1]) == pytest.approx(expected, rel=6e-3)
 
 
-def test_what_is_there_is_not_done_again(results: ArenaResults, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("score_run", "run_loop"):
-        monkeypatch.setattr(f"surefoot.experiments.arena.cases.{name}", _must_not_run)
-    monkeypatch.setattr("surefoot.experiments.arena.walks.record_walk", _must_not_run)
-    again = run_arena(results.options)
+def test_what_is_there_is_not_done_again(results: WalkStudyResults, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("walks.run.score_run", "walks.scenarios.record_walk", "episodes.episode.episode_row"):
+        monkeypatch.setattr(f"surefoot.experiments.{name}", _must_not_run)
+    again = run_walk_study(results.options)
     for name in ("scores", "yardsticks", "sensitivity", "loop"):
         pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))
 
@@ -169,9 +167,9 @@ def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
     assert telling_walk(loop[loop["feed"] == "none"]) == (0.1, 0)
 
 
-def test_the_number_of_processes_changes_nothing(results: ArenaResults, tmp_path: Path) -> None:
+def test_the_number_of_processes_changes_nothing(results: WalkStudyResults, tmp_path: Path) -> None:
     fewer = {"scenarios": ("paper-0.1",), "loops": {2.0: ("none",)}, "factors": ()}
-    again = run_arena(dataclasses.replace(results.options, out=tmp_path, jobs=2, **fewer))
+    again = run_walk_study(dataclasses.replace(results.options, out=tmp_path, jobs=2, **fewer))
     walked, loop = results.yardsticks, results.loop
     walked = walked[walked["condition"] == "paper"].reset_index(drop=True)
     loop = loop[(loop["severity"] == 2.0) & (loop["feed"] == "none")].reset_index(drop=True)
@@ -183,5 +181,5 @@ def test_the_demo_is_a_part_of_the_full_study() -> None:
     full, demo = full_options(), demo_options()
     assert len(full.scenarios) == 6
     assert set(demo.scenarios) < set(full.scenarios)
-    quick = quick_options(full_options(seeds=5))
+    quick = full_options(seeds=5).quickly()
     assert (quick.seeds, quick.scenarios) == (2, ("paper-0.04", "bad-start-0.04"))

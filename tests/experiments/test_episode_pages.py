@@ -13,16 +13,16 @@ from typer.testing import CliRunner
 
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
+from surefoot.experiments.episodes.comparisons import COMPARISONS
 from surefoot.experiments.episodes.episode import VERSIONS, failed_row
-from surefoot.experiments.episodes.evaluation_page import EvaluationPage
 from surefoot.experiments.episodes.findings import controller_findings, target_table
-from surefoot.experiments.episodes.randomisation import BETTER, UNCLEAR, WORSE, Answer, answers, two_by_two
-from surefoot.experiments.episodes.rows import in_order
+from surefoot.experiments.episodes.page import check_episodes, commands_of, write_evaluation, write_sweep
+from surefoot.experiments.episodes.run import in_order
 from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, won_back
-from surefoot.experiments.episodes.sweep_page import SweepPage
-from surefoot.experiments.episodes.tables import difference_table, outcome_table, score_table
+from surefoot.experiments.episodes.tables import difference_table, outcome_table, score_table, two_by_two
 from surefoot.experiments.policy.controllers import drawn_names, labels
-from surefoot.experiments.study.statistics import Interval, fall_share, survival
+from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.study.statistics import fall_share, survival
 from surefoot.experiments.study.tables import Table, Verdict
 
 RUNNER = CliRunner()
@@ -65,8 +65,14 @@ def frame_of(*parts):
     return in_order(pd.DataFrame([result for part in parts for result in part]))
 
 
-def reached(frame, controller="clean", found=()):
-    return {row[0]: row[-1] for row in target_table(frame, controller, found).rows}
+def reached(frame):
+    return {row[0]: row[-1] for row in target_table(frame).rows}
+
+
+def page_of(frame, folder):
+    """Return the tables of an evaluation's page by name, and its text."""
+    report = write_evaluation(*check_episodes(frame), folder)
+    return {table.name: table for table in report.tables}, report.page.read_text(encoding="utf-8")
 
 
 def test_targets_are_met_or_not_by_the_numbers():
@@ -87,66 +93,36 @@ def test_what_was_not_run_is_left_out(tmp_path, undrawn):
     rows = reached(frame_of(episodes(means={"true": 100.0, "moment": 97.0})))
     assert list(rows) == ["survives on true CoP (%)"]
     assert reached(frame_of(episodes(means={"none": 50.0, "window": 60.0}))) == {}
-    page = EvaluationPage(frame_of(episodes(means={"none": 50.0}, severities=(1.0,))))
-    assert [table.name for table in page.tables] == ["scores_0"]
-    text = page.write(tmp_path).read_text(encoding="utf-8")
+    found, text = page_of(frame_of(episodes(means={"none": 50.0}, severities=(1.0,))), tmp_path)
+    assert list(found) == ["scores_0"]
     assert "Feet against feet" not in text
     assert "domain randomisation" not in text
     assert text.count("data:image/svg+xml;base64,") == 2
-    only_true = EvaluationPage(frame_of(episodes("zero", {"true": 100.0})))
-    assert "zero, true CoP: return" in only_true.write(tmp_path).read_text(encoding="utf-8")
-    assert only_true.commands() == [
+    only_true = frame_of(episodes("zero", {"true": 100.0}))
+    assert "zero, true CoP: return" in page_of(only_true, tmp_path)[1]
+    assert commands_of(only_true, TASKS["balance"]) == [
         "surefoot evaluate zero --task balance --feed true --severity 1 --seeds 20 --first-seed 0"
     ]
 
 
 @pytest.mark.parametrize(
-    ("wild", "enough", "both"),
+    ("wild", "choice", "both"),
     [
-        ({"none": 70.0, "moment": 90.0}, "is not enough", (WORSE, BETTER)),
-        ({"none": 70.0, "moment": 99.0}, "is not enough", (BETTER, BETTER)),
-        ({"none": 70.0, "moment": 97.0}, "is not enough", (UNCLEAR, BETTER)),
-        ({"none": 99.0, "moment": 99.9}, "is enough", (BETTER, BETTER)),
-        (
-            {"none": 97.0, "moment": 97.0},
-            "is not clearly different from calibration alone",
-            (UNCLEAR, UNCLEAR),
-        ),
+        ({"none": 70.0, "moment": 90.0}, "yes", "no"),
+        ({"none": 70.0, "moment": 99.0}, "yes", "yes"),
+        ({"none": 99.0, "moment": 99.9}, "yes", "yes"),
+        ({"none": 97.0, "moment": 97.0}, "no", "yes"),
     ],
 )
-def test_the_answer_on_randomisation_follows_the_numbers(wild, enough, both):
+def test_the_answer_on_randomisation_follows_the_numbers(wild, choice, both):
     frame = frame_of(episodes(), episodes("wild", {"true": 95.0, **wild}))
-    found = answers(frame, "clean", "wild")
-    calibration, randomisation = both
-    said = (
-        f"{calibration} either alone"
-        if calibration == randomisation
-        else f"{calibration} calibration alone and {randomisation} randomisation alone"
-    )
-    assert [answer.severity for answer in found] == [1.0, 2.0]
-    assert {answer.enough for answer in found} == {enough}
-    assert {answer.both for answer in found} == {said}
-    words = found[0].words()
-    assert f"by these two policies: randomisation {enough}" in words
-    assert f"Both together are {said}" in words
-    assert found[0].choice.mean == pytest.approx(97.0 - wild["none"], abs=1.0)
-    target = reached(frame, found=found)
-    assert {target[name] for name in target if "either alone" in name} == {"no" if WORSE in both else "yes"}
-
-
-def test_what_is_not_clear_is_not_said_to_be_as_good_and_the_gap_that_decides_is_shown():
-    wide, narrow, some = Interval(-3.0, 5.0, 20), Interval(-1.0, 0.3, 20), Interval(9.0, 1.0, 20)
-    missed = Answer(1.0, frozenset(range(20)), some, some, some, wide, narrow)
-    assert missed.both == f"{UNCLEAR} calibration alone and {WORSE} randomisation alone"
-    met = missed._replace(on_randomisation=some)
-    assert UNCLEAR in met.both
-    assert "no worse" not in met.words()
-    rows = [target_table(frame_of(episodes()), "clean", [each]).rows for each in (missed, met)]
-    shown = [row[1:] for of in rows for row in of if "either alone" in row[0]]
-    assert shown == [
-        ("not clearly below 0", "-1.00 ± 0.30 (less randomisation)", "no"),
-        ("not clearly below 0", "-3.00 ± 5.00 (less calibration)", "yes"),
-    ]
+    rows = {(one.what, one.severity): one for one in COMPARISONS[-1].find(frame)}
+    assert len(rows) == 2 * 5 + 1
+    alone = rows["calibration alone less randomisation alone", 1.0]
+    assert (alone.controller, alone.clear) == ("clean", choice)
+    assert alone.interval.mean == pytest.approx(97.0 - wild["none"], abs=1.0)
+    target = reached(frame)
+    assert {target[name] for name in target if "either alone" in name} == {both}
 
 
 def test_a_loss_that_is_none_is_not_won_back():
@@ -169,12 +145,11 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
         episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0}),
         episodes("zero", dict.fromkeys(MEANS, 60.0), fell=3),
     )
-    page = EvaluationPage(frame)
-    text = page.write(tmp_path).read_text(encoding="utf-8")
-    assert text.count("data:image/svg+xml;base64,") == 5
+    found, text = page_of(frame, tmp_path)
+    assert text.count("data:image/svg+xml;base64,") == 6
     assert 'src="figures' not in text
     for words in (
-        "randomisation is not enough",
+        "Is domain randomisation enough?",
         "The episodes were made with surefoot 9, python 9",
         "Every row is of the same seeds.",
         "over the episodes of these two trained policies",
@@ -186,18 +161,18 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
         "given less shuffled",
     ):
         assert words in text
-    names = [table.name for table in page.tables]
+    names = list(found)
     assert names == ["targets", "scores_0", "scores_1", "scores_2", "differences", "nobody", "inputs",
                      "randomisation", "randomisation_differences"]  # fmt: skip
     assert sorted(path.stem for path in (tmp_path / "tables").glob("*.csv")) == sorted(names)
-    assert "these are 16." in page.tables[names.index("differences")].note
+    assert "these are 16." in found["differences"].note
     cells = pd.read_csv(tmp_path / "tables" / "randomisation.csv")
     assert list(cells["trained on"]) == ["true feet", "randomised feet"]
     assert float(cells["drifting, 2"][1].split(" ± ")[0]) == pytest.approx(70.0, abs=3.0)
     whole = "--feed true --feed none --feed quasi-static --feed window --feed moment"
     some = "--feed true --feed none --feed moment"
     rest = "--severity 1 --severity 2 --seeds 20 --first-seed 0"
-    assert page.commands() == [
+    assert commands_of(frame, TASKS["balance"]) == [
         f"surefoot evaluate clean --task balance {whole} {rest} --uses-cop",
         f"surefoot evaluate wild --task balance {some} {rest}",
         f"surefoot evaluate zero --task balance {whole} {rest}",
@@ -210,12 +185,11 @@ def test_hostile_names_are_only_names(tmp_path):
     few = {"true": 100.0, "none": 50.0}
     hostile = "<script>alert(1)</script> $\\frac{"
     frame = frame_of(*(episodes(who, few, (1.0,), seeds=3) for who in (hostile, "a/same.npz", "b/same.npz")))
-    page = EvaluationPage(frame)
-    text = page.write(tmp_path).read_text(encoding="utf-8")
+    found, text = page_of(frame, tmp_path)
     assert "<script>" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt; $\\frac{" in text
     assert "surefoot evaluate &#39;&lt;script&gt;" in text
-    assert {row[0] for table in page.tables if table.name == "differences" for row in table.rows} == {
+    assert {row[0] for row in found["differences"].rows} == {
         hostile, "a/same.npz", "b/same.npz",
     }  # fmt: skip
 
@@ -225,40 +199,35 @@ def test_a_page_of_what_does_not_belong_together_is_refused():
     with pytest.raises(
         ValueError, match=r"'clean', feed 'true', severity 0, seed 0 is there twice.*NAME=FILE"
     ):
-        EvaluationPage(pd.concat([frame, frame[frame["feed"] == "true"]]))
+        check_episodes(pd.concat([frame, frame[frame["feed"] == "true"]]))
     with pytest.raises(ValueError, match="tasks balance, walk cannot share a page"):
-        EvaluationPage(pd.concat([frame, frame.assign(scenario="walk")]))
+        check_episodes(pd.concat([frame, frame.assign(scenario="walk")]))
     with pytest.raises(ValueError, match="no episodes"):
-        EvaluationPage(frame[:0])
+        check_episodes(frame[:0])
 
 
 def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
     clean, wild = episodes(), episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0})
     few = [result for result in wild if result["seed"] >= 12]
-    page = EvaluationPage(frame_of(clean, few))
-    text = page.write(tmp_path).read_text(encoding="utf-8")
+    frame = frame_of(clean, few)
+    found, text = page_of(frame, tmp_path)
     assert "Not all rows are of the same seeds" in text
     assert "Every row is of the same seeds" not in text
     paired = [score_table(frame_of(*parts)).note for parts in ((clean, few), (clean, wild))]
     assert ["paired" in note for note in paired] == [False, True]
-    by_name = {table.name: table for table in page.tables}
-    seeds = {(row[0], row[-2]) for row in by_name["differences"].rows}
+    seeds = {(row[0], row[-2]) for row in found["differences"].rows}
     assert seeds == {("clean", "20"), ("wild", "8")}
-    assert {gap.n for answer in answers(page.frame, "clean", "wild") for gap in answer[2:]} == {8}
+    pairs = COMPARISONS[-1].find(frame)
+    assert {one.interval.n for one in pairs if "both clean" not in one.what} == {8}
     # The policy that was run on more seeds is shown on those that both have.
-    cells = by_name["randomisation"].rows[0]
-    own = page.frame[(page.frame["controller"] == "clean") & (page.frame["severity"] == 2.0)]
+    cells = found["randomisation"].rows[0]
+    own = frame[(frame["controller"] == "clean") & (frame["severity"] == 2.0)]
     drifting = own[own["feed"] == "none"].set_index("seed")["return"]
     assert float(cells[4].split(" ± ")[0]) == pytest.approx(drifting[12:].mean(), abs=0.01)
     assert drifting[12:].mean() != pytest.approx(drifting.mean(), abs=0.1)
-    assert "8 at severity 1, 8 at severity 2" in by_name["randomisation"].note
+    assert "drifting, 2: 8" in found["randomisation"].note
     apart = [result for result in episodes("wild", seeds=40) if result["seed"] >= 20]
-    assert answers(frame_of(clean, apart), "clean", "wild") == []
-    # Pairs share seeds, all four do not.
-    odd = [r for r in wild if r["feed"] != "moment" or r["seed"] < 5]
-    held = [r for r in clean if r["feed"] != "none" or r["seed"] >= 5]
-    assert answers(frame_of(held, odd), "clean", "wild") == []
-    assert two_by_two(frame_of(clean, apart), "clean", "wild", []).rows[0] == ("true feet", "–")
+    assert two_by_two(frame_of(clean, apart), "clean", "wild").rows[0][:2] == ("true feet", "–")
 
 
 def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
@@ -292,7 +261,7 @@ def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undr
     assert len(set(titles)) == 3 + 3 + 3 * 5
     assert len({row[0] for row in outcome_table(rows, "x", "X").rows}) == 3
     titles.clear()
-    figures.forest(tmp_path / "f.png", EvaluationPage(frame).compared[0][1])
+    figures.forest(tmp_path / "f.png", COMPARISONS[0].find(frame))
     assert {title.partition(",")[0] for title in titles} == {drawn[name] for name in controllers[:3]}
 
 
@@ -312,8 +281,8 @@ def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
     frame = frame[(frame["controller"] != "zero") | ~frame["seed"].between(3, 9)]
     who = frame["controller"]
     versions = who.map({"clean": "surefoot 1", "theirs": "surefoot 2", "zero": ""})
-    page = EvaluationPage(frame.assign(versions=versions, runs=who != "theirs"))
-    commands = page.commands()
+    frame = frame.assign(versions=versions, runs=who != "theirs")
+    commands = commands_of(frame, TASKS["balance"])
     assert [command.partition(" --task")[0] for command in commands] == [
         "surefoot evaluate clean",
         *["surefoot evaluate zero"] * 2,
@@ -322,7 +291,7 @@ def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
         "3 --first-seed 0",
         "10 --first-seed 10",
     ]
-    text = page.write(tmp_path).read_text(encoding="utf-8")
+    _, text = page_of(frame, tmp_path)
     for words in (
         "No command runs theirs: the episodes were given as files.",
         "Those of clean were made with surefoot 1.",
@@ -334,14 +303,13 @@ def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
 
 
 def test_targets_are_those_of_a_policy():
-    def page_of(*controllers):
-        return EvaluationPage(
-            frame_of(*(episodes(name, {"true": 100.0, "none": 50.0}) for name in controllers))
-        )
+    def targets_of(*controllers):
+        few = {"true": 100.0, "none": 50.0}
+        return target_table(frame_of(*(episodes(name, few) for name in controllers)))
 
-    assert "targets" not in [table.name for table in page_of("zero", "stabiliser").tables]
-    assert page_of("zero", "wild", "clean").targets.title == "Set out to reach, by clean"
-    assert page_of("zero", "mine").targets.title.endswith("by mine")
+    assert targets_of("zero", "stabiliser") is None
+    assert targets_of("zero", "wild", "clean").title == "Set out to reach, by clean"
+    assert targets_of("zero", "mine").title.endswith("by mine")
 
 
 SEVERITIES = np.array([0.0, 1.0, 2.0, 4.0])
@@ -431,20 +399,20 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("swept")
 def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
     plan = EpisodePlan(scenarios=("stand",), severities=(1.0, 3.0), seeds=tuple(range(4)))
-    page = SweepPage(run_plan(plan, tmp_path))
-    text = page.write().read_text(encoding="utf-8")
+    results = run_plan(plan, tmp_path)
+    report = write_sweep(results)
+    text = report.page.read_text(encoding="utf-8")
     assert text.count("data:image/svg+xml;base64,") == 3
     assert 'src="figures' not in text
     assert "5 episodes failed" in text
     assert "RuntimeError: no &lt;gains&gt;" in text
-    assert page.half is not None
-    assert len(page.half.rows) == 4
+    assert len({table.name: table for table in report.tables}["half"].rows) == 4
     outcomes = pd.read_csv(tmp_path / "tables" / "outcome_stand.csv")
     fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["feed"] == "moment")]
     assert list(fed["fell (%)"].str.split().str[0].astype(int)) == [0, 100]
     assert list(fed["episodes"]) == [4, 4]
     # Falls are bad whatever the word.
-    listed = tables.worst_table(page.worst)
+    listed = tables.worst_table(results.finished.sort_values("time").head(5))
     assert {(row[7], row[7].good) for row in listed.rows} == {("yes", False)}
 
 
@@ -452,11 +420,11 @@ def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
 def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
     plan = replace(EpisodePlan(), controllers=("zero",), seeds=(2,))
     results = run_plan(plan, tmp_path)
-    assert "5 episodes failed" in SweepPage(results).write().read_text(encoding="utf-8")
+    assert "5 episodes failed" in write_sweep(results).page.read_text(encoding="utf-8")
     with pytest.raises(
         ValueError, match=r"no episodes to make a page of: all 5 failed, the first with .*no <gains>"
     ):
-        EvaluationPage(results.rows)
+        check_episodes(results.rows)
 
 
 @pytest.mark.slow
@@ -464,8 +432,7 @@ def test_the_worst_are_filmed_or_it_says_why(tmp_path: Path, undrawn: None) -> N
     plan = EpisodePlan(
         ("stabiliser",), ("none",), ("stand",), (1.0, 2.0), seeds=(3,), duration=0.3, settle=0.1
     )
-    page = SweepPage(run_plan(plan, tmp_path), films=1)
-    text = page.write().read_text(encoding="utf-8")
+    text = write_sweep(run_plan(plan, tmp_path), films=1).page.read_text(encoding="utf-8")
     films = list((tmp_path / "films").glob("*.mp4")) if (tmp_path / "films").is_dir() else []
     # Where nothing can be drawn there is a reason in its place.
     assert (
@@ -494,7 +461,7 @@ def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
 
 def test_a_clear_loss_is_not_good_and_a_cost_is_no_merit() -> None:
     rows = frame_of(episodes(means=MEANS | {"moment": 40.0}, severities=(1.0,)))
-    compared = EvaluationPage(rows).compared[0][1]
+    compared = COMPARISONS[0].find(rows)
     cells = {row[1]: row[-1] for row in difference_table(compared, "differences", "Differences").rows}
     assert isinstance(cells["moment less drifting"], Verdict)
     assert (cells["moment less drifting"], cells["moment less drifting"].good) == ("yes", False)

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from surefoot.experiments.episodes import EpisodePlan, run_plan
-from surefoot.experiments.episodes.rows import EPISODES
+from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import JOURNAL
 
 TOYS = """

@@ -23,9 +23,9 @@ from surefoot.experiments.episodes import (
 )
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes.episode import OUTCOME, episode_row, failed_row
-from surefoot.experiments.episodes.rows import EPISODES
+from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
-from surefoot.experiments.walks.closed_loop import run_loop
+from surefoot.experiments.walks.walkers import walk_moments
 
 RUNNER = CliRunner()
 SHORT = EpisodePlan(
@@ -140,8 +140,9 @@ def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
 
 def test_an_episode_is_the_closed_loop_at_true_feet() -> None:
     plan = replace(SHORT, feeds=("true",), scenarios=("speed-0.04",), seeds=(7,), duration=4.3, settle=4.0)
-    row, run = episode_row(plan.episodes[0]), run_loop("true", speed=0.04, seed=7, duration=4.3)
-    assert (row["time"], row["fell"]) == (pytest.approx(run.time), run.fell)
+    row, moments = episode_row(plan.episodes[0]), [*walk_moments("true", speed=0.04, seed=7, duration=4.3)]
+    assert (row["time"], row["fell"]) == (pytest.approx(moments[-1].time), moments[-1].fell)
+    assert row["return"] == pytest.approx(sum(moment.reward for moment in moments))
     assert row["cop_error"] == 0.0
     assert row["tracking"] > 0.0
     assert 3.0 < row["return"] / row["steps"] < 4.0

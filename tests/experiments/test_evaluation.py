@@ -17,15 +17,13 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes import evaluation_plan, run_episode, run_plan
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, check_episode
-from surefoot.experiments.episodes.plan import EpisodePlan
-from surefoot.experiments.episodes.rows import Origin, in_order, origins_of, read_episodes
-from surefoot.experiments.episodes.scenarios import scenario_named
+from surefoot.experiments.episodes.plan import EpisodePlan, scenario_named
+from surefoot.experiments.episodes.run import Origin, in_order, origins_of, read_episodes
 from surefoot.experiments.episodes.scores import controllers_of
 from surefoot.experiments.episodes.tables import score_table
 from surefoot.experiments.policy.card import own_scores, write_card
 from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
-from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.tasks import SENSORS, TASKS, shipped_policy
+from surefoot.experiments.policy.tasks import SENSORS, TASKS, TRAINING_SEEDS, shipped_policy
 from surefoot.experiments.policy.view import make_task
 from surefoot.experiments.study.store import StudyError
 

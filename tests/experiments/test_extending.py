@@ -27,12 +27,12 @@ from surefoot.calibration import (
     register_method,
 )
 from surefoot.calibration.episodes import begin_episode
-from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration
@@ -158,7 +158,7 @@ def row_of(log: Log, k: int) -> Reference:
 
 def test_a_users_calibrator_takes_part_in_studies(own):
     name = "my_feet:slow-tare"
-    assert ArenaOptions(methods=("none", name)).rows[1:] == ("none", name)
+    assert WalkStudyOptions(methods=("none", name)).rows[1:] == ("none", name)
     plan = evaluation_plan(("zero",), (name, "true", "none"), seeds=1, task="walk")
     assert plan.feeds == ("true", "none", name)
     case = case_of(plan.episodes[-1])

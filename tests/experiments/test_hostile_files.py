@@ -259,7 +259,10 @@ OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
         SelfCalibration, {"errors": "small"},
         "A BeliefErrors is made of a mapping of its fields, got ",
     ),
-    "no method": (SelfCalibration, {"method": None}, "'method' must be a name, such as 'moment', got None"),
+    "no method": (
+        SelfCalibration, {"method": None},
+        "'method' must be a name, such as 'moment', or its options, such as Moment(scale_std=0.2), got None",
+    ),
 }  # fmt: skip
 
 

@@ -58,7 +58,7 @@ def recorded(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> An
     return recorded_walk
 
 
-@pytest.mark.parametrize("joint", ["RHipRoll", "LAnklePitch"])
+@pytest.mark.parametrize("joint", ["RHipRoll", pytest.param("LAnklePitch", marks=pytest.mark.slow)])
 def test_a_joint_of_the_wrong_sign_is_named(recorded: Any, tmp_path: Path, joint: str) -> None:
     name = f"joint_{joint}_rad"
     motion = recorded.motion.assign(**{name: -recorded.motion[name]})

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from surefoot.controllers import CalibrationMotion
-from surefoot.experiments.motion import plan as module
-from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
+from surefoot.experiments import motion as module
+from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
 
 pytestmark = pytest.mark.slow
 

@@ -15,11 +15,9 @@ from typer.testing import CliRunner
 from surefoot.controllers import PolicyFileError, PolicyNetwork
 from surefoot.experiments.episodes import run_episode
 from surefoot.experiments.policy.card import write_card
-from surefoot.experiments.policy.export import export_zip, network_of
-from surefoot.experiments.policy.options import TRAINING_SEEDS, TrainOptions
-from surefoot.experiments.policy.tasks import TASKS, shipped_policy, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, TrainOptions, shipped_policy, task_named
 from surefoot.experiments.policy.train import Trainer, TrainingError, remove_training
-from surefoot.experiments.policy.view import PARTS, PolicyView, input_names, make_task
+from surefoot.experiments.policy.view import PARTS, PolicyView, export_zip, input_names, make_task, network_of
 from surefoot.experiments.walks.walkers import FEEDS
 
 pytest.importorskip("stable_baselines3")
@@ -283,11 +281,11 @@ def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same()
 
 
 def test_the_commands(trained, tmp_path):
-    from surefoot.experiments.cli import evaluate, train
+    from surefoot.experiments.cli import episodes, train
 
     app = typer.Typer()
     app.command()(train.train)
-    app.command()(evaluate.evaluate)
+    app.command()(episodes.evaluate)
     call = CliRunner().invoke
     answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
     assert answer.exit_code == 2

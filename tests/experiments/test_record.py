@@ -5,37 +5,31 @@ import dataclasses
 import numpy as np
 import pytest
 
-from surefoot.experiments.logs.format import Log
-from surefoot.experiments.walks.closed_loop import cells_of
+from surefoot.calibration.parameters import Parameters
+from surefoot.experiments.logs.format import Log, LogError
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
-from surefoot.experiments.walks.replay import replay_logs
-from surefoot.sensors.presets import HX711_LOAD_CELLS
-
-
-@pytest.fixture(scope="module")
-def walk() -> dict[str, Log]:
-    return record_walk(0.1, 3, 4.6)
+from surefoot.experiments.walks.replay import replay_logs, starting_map
 
 
 @pytest.mark.slow
-def test_the_same_seed_is_the_same_walk(walk: dict[str, Log]) -> None:
-    again = record_walk(0.1, 3, 4.6)
-    for name, log in walk.items():
+def test_the_same_seed_is_the_same_walk() -> None:
+    first, again = (record_walk(0.1, 3, 4.6) for _ in range(2))
+    for name, log in first.items():
         np.testing.assert_array_equal(again[name].raw, log.raw)
         np.testing.assert_array_equal(again[name].reference.com, log.reference.com)
 
 
-def test_a_method_cannot_see_the_truth(walk: dict[str, Log]) -> None:
-    log = walk["bad-start"]
+def test_a_method_cannot_see_the_truth(walks: dict[str, Log]) -> None:
+    log = walks["bad-start"]
     blind = dataclasses.replace(log, truth=None)
     seen, unseen = (replay_logs([one], "window")[0].force for one in (log, blind))
     np.testing.assert_array_equal(seen, unseen)
 
 
-def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
-    assert [c.name for c in CONDITIONS] == list(walk)
+def test_every_condition_starts_where_it_says(walks: dict[str, Log]) -> None:
+    assert [c.name for c in CONDITIONS] == list(walks)
     for condition in CONDITIONS:
-        log = walk[condition.name]
+        log = walks[condition.name]
         assert log.calibrated is not None
         assert log.truth is not None
         assert log.about["start"] == condition.start
@@ -46,11 +40,41 @@ def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
         assert np.sqrt(np.mean(error[standing] ** 2)) < 0.05
 
 
-def test_severity_scales_the_preset() -> None:
-    assert cells_of(1.0) == HX711_LOAD_CELLS
-    twice = cells_of(2.0)
-    assert twice.initial_scale_std == 2 * HX711_LOAD_CELLS.initial_scale_std
-    assert twice.offset_drift == 2 * HX711_LOAD_CELLS.offset_drift
-    assert twice.rate == HX711_LOAD_CELLS.rate
-    with pytest.raises(ValueError, match=r"LoadCells\.initial_scale_std must be finite and not negative"):
-        cells_of(-1.0)
+def test_none_is_the_starting_map(log: Log) -> None:
+    calibrated = Parameters(1.1 * log.nominal.scale, log.nominal.offset + 0.5)
+    log = dataclasses.replace(log, calibrated=calibrated)
+    for start, expected in (("nominal", log.nominal), ("calibrated", calibrated), ("bench", calibrated)):
+        replayed = replay_logs([log], "none", start)[0]
+        np.testing.assert_allclose(replayed.force, expected.force(log.raw), atol=1e-9)
+        np.testing.assert_allclose(replayed.scale, np.tile(expected.scale, (len(log), 1)), rtol=1e-12)
+        np.testing.assert_allclose(replayed.offset, np.tile(expected.offset, (len(log), 1)), rtol=1e-12)
+
+
+def test_the_map_that_is_handed_out_gives_the_forces(log: Log) -> None:
+    log = dataclasses.replace(log, nominal=Parameters(1.05 * log.nominal.scale, 1.05 * log.nominal.offset))
+    replayed = replay_logs([log], "window", standing_start=False)[0]
+    np.testing.assert_allclose(replayed.scale * log.raw + replayed.offset, replayed.force, atol=1e-8)
+    assert np.abs(replayed.scale[-1] / log.nominal.scale - 1).max() > 1e-4, "the window learnt nothing"
+
+
+def test_each_log_is_of_its_own_robot_and_map(log: Log) -> None:
+    nominal = Parameters(1.1 * log.nominal.scale, 1.1 * log.nominal.offset)
+    # Half of the counts under twice the map are the same forces.
+    halved = dataclasses.replace(
+        log, raw=0.5 * log.raw, nominal=Parameters(2.0 * log.nominal.scale, log.nominal.offset)
+    )
+    logs = [log, halved, dataclasses.replace(log, nominal=nominal), dataclasses.replace(log, mass=5.0)]
+    same, again, other, lighter = replay_logs(logs, "window", standing_start=False)
+    np.testing.assert_allclose(again.force, same.force, atol=1e-9)
+    np.testing.assert_allclose(again.scale, 2.0 * same.scale, rtol=1e-9)
+    for changed in (other, lighter):
+        assert np.abs(changed.force - same.force).max() > 0.1
+
+
+def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
+    with pytest.raises(LogError, match=r"has no 'calibrated' map; start from 'nominal', or add the map\."):
+        starting_map(log, "calibrated")
+    with pytest.raises(LogError, match=r"starts from 'nominal' or 'calibrated', not from 'factory'\."):
+        replay_logs([log], "none", "factory")
+    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', "):
+        replay_logs([log], "kalman")

@@ -5,9 +5,16 @@ import pandas as pd
 import pytest
 
 from surefoot.envs.exercise.held import HeldRobot
-from surefoot.experiments.robots import study
-from surefoot.experiments.robots.cases import METHODS, SENSORS, Motion, run_robot
-from surefoot.experiments.robots.study import RobotOptions, claims_of, compare_robots
+from surefoot.experiments.walks import robots as study
+from surefoot.experiments.walks.robots import (
+    METHODS,
+    SENSORS,
+    Motion,
+    RobotOptions,
+    claims_of,
+    compare_robots,
+    run_robot,
+)
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 FALLS = Motion("Walker2d-v5", "falling", 0.3)

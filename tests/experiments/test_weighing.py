@@ -8,7 +8,7 @@ import pytest
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.demo.tables import TABLE_2, TABLE_3
+from surefoot.experiments.weights.paper import TABLE_2, TABLE_3
 from surefoot.experiments.weights.weighing import WeighingSetup, run_weighing
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS

@@ -25,10 +25,11 @@ from surefoot.calibration import (
     Reference,
     online_method,
 )
-from surefoot.calibration.moment.config import MomentConfig
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import native_filter
-from surefoot.calibration.setup import method_name, setup_from_options
+from surefoot.calibration.online import MethodOptions, resolve_method
+from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import check_leaves
 from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
@@ -44,8 +45,8 @@ _HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_window"
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
     """Return how large the moment filter's arrays are, besides those of any method."""
-    own = MomentFilter(setup, MomentConfig(**options)).constants[0]._asdict()
-    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"]}
+    own, rows, *_ = (part._asdict() for part in MomentFilter(setup, Moment(**options)).constants)
+    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"], "TALKS": rows["talks"]}
 
 
 class _Steps(NamedTuple):
@@ -158,7 +159,7 @@ class SelfCalibrationModule(BatchModule):
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "moment",
+        method: str | MethodOptions = "moment",
         num_envs: int = 1,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
@@ -171,7 +172,8 @@ class SelfCalibrationModule(BatchModule):
         **options: Any,
     ) -> None:
         super().__init__(num_envs, device, dtype, dt, counter)
-        self.method, self.frozen = method_name(method), False
+        self.frozen = False
+        self.method, options = resolve_method(method, options)
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )

@@ -1,0 +1,449 @@
+r"""What an IMU shows of gravity: its bias and scale by gravity's length, and a clock that is late.
+
+.. math:: |g_i - b + K_i p| = \rho, \qquad K = [\dot\omega]_\times + [\omega]_\times [\omega]_\times,
+
+where :math:`K p` is what turning adds at the arm p from the point that the limb turns about; while nobody
+gave the motion, gravity's own turning shows it. A bias goes into the offset by the weight of what hangs
+there: it is taken off before all else. Noise along the length reads as a limb that bends: of a limb at rest
+it is taken off, but for what turning adds, which the sensor feels. All three are what is likeliest beside
+what is known of such sensors. What stays open, and what turning adds to a sweep that was taken for rest,
+moves the answer by a vector each; the squares of all are part of its covariance (:func:`errors_of_imu`).
+
+Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column
+:math:`A T \dot u` of readings more. Two looks find d: one at each set's own linear map, which large delays
+and fast motion show at once, and one beside all else that a fit explains. The second is needed where a
+sensor has hysteresis, since its readings lag as well: what a late IMU adds cancels part of a loop, and the
+rest looks like a narrow one. The two differ after each turn of the limb, where a delay acts at once and a
+loop grows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from surefoot.calibration.arrays import MAD_TO_STD
+from surefoot.calibration.imu.static import savitzky_golay
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.check import TOO_FAST
+from surefoot.calibration.in_situ.compress import means
+from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
+from surefoot.calibration.in_situ.data import InSituSet, shift
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.in_situ.linear import orthonormal
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    DIRECT,
+    INERTIA,
+    MASS,
+    MOMENT,
+    PAIRS,
+    STATIC,
+    compact_inertia,
+    inertial_parameters,
+    signals,
+    transform_basis,
+)
+from surefoot.calibration.in_situ.problem import Problem
+from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, projected, transforms
+from surefoot.calibration.reference import GRAVITY
+
+__all__ = [
+    "DelayLeft",
+    "Sphere",
+    "errors_of_imu",
+    "fit_sphere",
+    "guess_delay",
+    "level",
+    "likeliest_delay",
+    "shift",
+]
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+
+_BIAS = 0.15
+"""Deviation of a bias beforehand in m/s^2: sheets of MEMS sensors state 20 to 50 mg (BMI088, MPU-6050), and
+most were calibrated."""
+
+_LENGTH = 0.05
+"""Deviation of gravity's length beforehand: a scale to 0.5 % (MPU-6050: 3 %, BMI088: 0.5 %), places on
+Earth 0.02."""
+
+_ARM = 1.0
+"""Deviation in m of the arm from the point that a limb turns about: a leg's length."""
+
+_SAMPLES = 8000
+"""Samples of all sets that are looked at."""
+
+_BLOCK = 3.0
+"""Time in s beyond which errors of the length hang together no more."""
+
+_LEAST = 1e-4
+"""Deviation of the length in m/s^2 at least: data without noise have none."""
+
+_GATE = 3.0
+"""Deviations beyond which a sample pulls no harder."""
+
+_ROUNDS = 12
+
+_THIN = 0.1
+"""Time in s over which gravity is averaged before its turning is taken."""
+
+_SWEPT, _FEWEST = 2.0, 5
+"""Time in s, and rows at least, over which the turning of gravity is taken. By a noisy turning too little of
+the length is explained, and a bias takes the rest."""
+
+_STEP, _ALIKE = 0.3, 0.5
+"""Time in s between two looks at gravity, and the correlation of its changes from which on it turns
+steadily, rather than from one posture at rest to the next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """What an accelerometer's readings of gravity show of it.
+
+    Attributes:
+        bias: b in m/s^2, shape (3,).
+        covariance: Of the bias, shape (3, 3).
+        arm: p in m, shape (3,).
+        length: rho in m/s^2.
+        scale: By which readings are multiplied: one unless the length cannot be gravity's.
+        spread: All that the length leaves, rms in m/s^2.
+    """
+
+    bias: Vector
+    covariance: Matrix
+    arm: Vector
+    length: float
+    scale: float
+    spread: float
+
+    def findings(self, moving: bool) -> list[Finding]:
+        """Return what was corrected, if it is more than chance, and whether a limb at rest was not."""
+        words, found = [], []
+        if self.scale != 1.0:
+            words.append(f"its scale is off by {100.0 * (1.0 / self.scale - 1.0):+.1f} %")
+        std = np.sqrt(np.diag(self.covariance))
+        if np.any(np.abs(self.bias) > np.maximum(limits.ACCELEROMETER * std, _LENGTH)):
+            shown = ", ".join(f"{value:.2f}" for value in self.bias)
+            words.append(f"it has a bias of about ({shown}) m/s^2")
+        if words:
+            reason = f"The accelerometer was corrected by the length of gravity: {' and '.join(words)}."
+            found.append(Finding("accelerometer", reason, refuses=False))
+        limit = limits.SPEEDING * GRAVITY
+        if not moving and self.spread > limit:
+            reason = (
+                f"Gravity is {self.length:.2f} m/s^2 long and spreads by {self.spread:.2f}: {TOO_FAST}, or "
+                "the accelerometer is very noisy."
+            )
+            cure = "Give the gyroscope's readings as well, or move slowly."
+            found.append(Finding("speed", reason, cure, self.spread, limit))
+        return found
+
+
+def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
+    """Return the likeliest bias, scale and noise of the accelerometer by all sets together."""
+    gravity, turned, width = [], [], 1
+    for one in sets:
+        data, _ = _with_turning(one)
+        rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
+        rows = rows[:: max(len(rows) * len(sets) // _SAMPLES, 1)]
+        felt = _felt_by_turning(data, rows)
+        whole = np.isfinite(felt).all(axis=(1, 2))
+        gravity.append(data.gravity[rows[whole]])
+        turned.append(felt[whole])
+        width = max(width, _rows_within(data, rows[whole]))
+    g, K = np.concatenate(gravity), np.concatenate(turned)
+    root = np.concatenate([np.full(3, 1.0 / _BIAS), [1.0 / _LENGTH], np.full(3, 1.0 / _ARM)])
+    before = np.zeros(7)
+    before[3] = GRAVITY
+    x = before.copy()
+    x[3] = float(np.median(np.linalg.norm(g, axis=1)))
+    for _ in range(_ROUNDS):
+        v = g - x[:3] + K @ x[4:]
+        size = np.linalg.norm(v, axis=1)
+        off = size - x[3]
+        towards = v / np.maximum(size, np.finfo(float).tiny)[:, None]
+        noise = max(float(MAD_TO_STD * np.median(np.abs(off))), _LEAST)
+        weight = 1.0 / np.maximum(1.0, np.abs(off) / (_GATE * noise))
+        variance = max(float(np.average(off**2, weights=weight)), _LEAST**2) * _long_run(off, width)
+        slopes = np.column_stack([-towards, -np.ones(len(g)), np.einsum("na,nab->nb", towards, K)])
+        H = (slopes.T * weight) @ slopes / variance + np.diag(root**2)
+        x = x - np.linalg.solve(H, (slopes.T * weight) @ off / variance + root**2 * (x - before))
+    covariance = np.linalg.inv(H)
+    length, std = float(x[3]), float(np.sqrt(covariance[3, 3]))
+    earthly = abs(length / GRAVITY - 1.0) <= limits.EARTH + limits.ACCELEROMETER * std / GRAVITY
+    return Sphere(
+        bias=x[:3],
+        covariance=covariance[:3, :3],
+        arm=x[4:],
+        length=length,
+        scale=1.0 if earthly else GRAVITY / length,
+        spread=float(np.std(off)),
+    )
+
+
+def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
+    """Return sets with gravity less its bias, of its own length where the limb is at rest.
+
+    What turning adds is no noise: the sensor feels it as well.
+    """
+    found = []
+    for data in sets:
+        g = data.gravity - sphere.bias
+        if not data.moves:
+            moved, places = _with_turning(data)
+            felt = _felt_by_turning(moved, np.arange(len(places))) @ sphere.arm
+            added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
+            size = np.linalg.norm(g + added, axis=1, keepdims=True)
+            g = (g + added) * sphere.length / np.where(size > 0.0, size, np.nan) - added
+        found.append(replace(data, gravity=g * sphere.scale))
+    return tuple(found)
+
+
+def _rows_within(data: InSituSet, rows: NDArray[np.int_]) -> int:
+    """Return how many of some rows hang together at most."""
+    if data.time is None or len(rows) < 2:
+        return 1
+    return max(round(_BLOCK / float(np.median(np.diff(data.time[rows])))), 1)
+
+
+def _long_run(off: Vector, width: int) -> float:
+    """Return the variance of means of so many rows over that of independent ones, at least one."""
+    count = len(off) // width
+    if width < 2 or count < 8:
+        return 1.0
+    of_means = np.var(off[: count * width].reshape(count, width).mean(axis=1))
+    return max(1.0, width * float(of_means) / max(float(np.var(off)), np.finfo(float).tiny))
+
+
+def _with_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
+    """Return means of gravity over a fraction of a second with the motion it shows, and their places.
+
+    That is no turning about its own direction. A set whose motion was recorded is returned itself; one that
+    went from posture to posture, or that gaps or few samples hide, has no turning.
+    """
+    if data.moves or data.time is None or len(data.time) < 2:
+        return data, np.arange(float(len(data.raw)))
+    width = max(round(_THIN / float(np.median(np.diff(data.time)))), 1)
+    columns = np.column_stack([np.arange(len(data.time)), data.time, data.gravity])
+    columns = columns[: len(columns) // width * width].reshape(-1, width, 5).mean(axis=1)
+    g, raw = columns[:, 2:], np.zeros((len(columns), data.channels))
+    thin = replace(data, raw=raw, time=columns[:, 1], gravity=g, temperature=None)
+    dt = float(np.median(np.diff(columns[:, 1]))) if len(columns) > 1 else np.inf
+    window = max(_FEWEST, 2 * round(0.5 * _SWEPT / dt) + 1)
+    if len(columns) <= 2 * window or not np.isfinite(g).all() or not _steady(g, dt):
+        return thin, columns[:, 0]
+    change = savitzky_golay(g, window=window, derivative=1, dt=dt)
+    spin = -np.cross(g, change) / np.maximum(np.sum(g**2, axis=1, keepdims=True), np.finfo(float).tiny)
+    rate = savitzky_golay(spin, window=window, derivative=1, dt=dt)
+    return replace(thin, angular_velocity=spin, angular_acceleration=rate), columns[:, 0]
+
+
+def _steady(gravity: Matrix, dt: float) -> bool:
+    steps = np.diff(gravity[:: max(round(_STEP / dt), 1)], axis=0)
+    return bool(np.sum(steps[1:] * steps[:-1]) > _ALIKE * np.sum(steps**2))
+
+
+def _felt_by_turning(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from what a limb turns about."""
+    if data.angular_velocity is None or data.angular_acceleration is None:
+        return np.zeros((len(rows), 3, 3))
+    spin, rate = data.angular_velocity[rows], data.angular_acceleration[rows]
+    eye = np.eye(3)
+    turn = np.stack([np.cross(rate, axis) + np.cross(spin, np.cross(spin, axis)) for axis in eye], axis=2)
+    return np.asarray(turn)
+
+
+_REACH = 2.0
+"""Distance of the accelerometer over that of the limb's centre of mass, along any axis: its deviation."""
+
+_ROD = 1.0 / 3.0
+"""Inertia of the limb about its centre of mass over that of a point there about the sensor: its deviation is
+that of a rod that hangs from it. An added mass's is a compact body's: its shape and density are not known."""
+
+_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS])
+"""Products of inertia are at most half as large."""
+
+_COLUMNS = 1 + 3 + 6 + 1
+
+
+def errors_of_imu(
+    sets: Sequence[InSituSet], problem: Problem, solution: Solution, sphere: Sphere, delay_std: float
+) -> OpenErrors:
+    """Return what turning, a delay and the accelerometer's bias may have added.
+
+    The limb's inertia as a point comes first, then the accelerometer's place along each axis, then the
+    entries of the inertia of limb and added mass about their centres: zero for sets without times, for
+    postures that were held, and, but for the added mass's, for a limb whose motion was recorded. Then the
+    delay, and the bias along each axis.
+    """
+    limb = solution.limb[:STATIC]
+    com = limb[MOMENT] / limb[MASS]
+    reach = _REACH * float(np.linalg.norm(com))
+    bare = inertial_parameters(float(limb[MASS]), com, True)
+    basis, found = transform_basis(True), []
+    white = (problem.whitening @ solution.A).T
+    for data, part in zip(sets, problem.sets, strict=True):
+        moved, places = _with_turning(replace(data, gravity=data.gravity @ solution.rotation.T))
+        body = bare + inertial_parameters(data.added_mass, data.added_com, True)
+        of_offset = np.zeros((AXES, _COLUMNS))
+        if not moved.moves:
+            found.append(np.zeros((part.uu.shape[0], len(problem.whitening), _COLUMNS)))
+            continue
+        unknown = float(not data.moves)
+        felt = unknown * reach * _felt_by_turning(moved, np.arange(len(places)))
+        u = np.nan_to_num(signals(moved, moving=True))
+        u[:, DIRECT] = 0.0
+        inertia = unknown * limb[MASS] * com @ com * _ROD + compact_inertia(data.added_mass)
+        # One after the other: all of a long set at once take more memory than the set.
+        added = chain(
+            (u @ np.einsum("p,pws->ws", unknown * body, basis).T,),
+            (_weight_of(body, a) for a in np.moveaxis(felt, 2, 0)),
+            (size * (u @ entry.T) for size, entry in zip(inertia * _ROUND, basis[INERTIA], strict=True)),
+            (delay_std * _weight_of(body, np.gradient(moved.gravity, np.asarray(moved.time), axis=0)),),
+        )
+        rows = np.stack([np.interp(part.index, places, one) for wrench in added for one in wrench.T], axis=1)
+        rows *= part.source.weight[:, None]
+        of_offset = (part.end.weights @ rows).reshape(-1, AXES).T
+        seen = part.whiten @ (part.score.T @ part.colour.weigh(rows, part.spacing))
+        found.append(np.moveaxis(seen.reshape(len(seen), -1, AXES) @ white, 1, 2))
+    of_bias = _weight_of(body, np.asarray(np.linalg.cholesky(sphere.covariance).T * sphere.scale)).T
+    offset = solution.A @ np.concatenate([of_offset, of_bias], axis=1)
+    rows = np.concatenate(found).reshape(-1, _COLUMNS)
+    return OpenErrors(np.pad(rows, ((0, 0), (0, of_bias.shape[1]))), offset)
+
+
+def _weight_of(body: Vector, gravity: Matrix) -> Matrix:
+    """Return the wrench, shape (n, 6), of a body in gravity, (n, 3)."""
+    return np.concatenate([body[MASS] * gravity, np.cross(body[MOMENT], gravity)], axis=1)
+
+
+_ROWS = 1500
+"""Rows of a set in which a delay is looked for."""
+
+_DRIFT = 6
+"""Cosines over a set's time that an offset may follow meanwhile."""
+
+_STEPS, _SETTLED = 6, 1e-4
+"""Steps at most, and the last one in s."""
+
+_EXPLAINS = 0.5
+"""Share of the residual's square that a delay leaves at most: a turned IMU or hysteresis leave more."""
+
+
+def guess_delay(sets: Sequence[InSituSet], moving: bool) -> float:
+    """Return by how much gravity is late in s, by each set's own map; zero unless it explains much."""
+    if any(data.time is None or len(data.raw) < 8 * _DRIFT for data in sets):
+        return 0.0
+    delay, before, after = 0.0, np.inf, np.inf
+    for i in range(_STEPS):
+        left, along, square = np.array([_slope(shift(data, delay), moving) for data in sets]).sum(axis=0)
+        before, after = (left if i == 0 else before), left
+        step = float(along / max(square, np.finfo(float).tiny))
+        if not np.isfinite(step) or abs(delay + step) > limits.LATEST:
+            return 0.0
+        if abs(step) < (_SETTLED if delay else limits.LATE):
+            break
+        delay += step
+    return delay if delay >= limits.LATE and after <= _EXPLAINS * before else 0.0
+
+
+_LAW = 0.1
+"""Share of the delay that loops look like by which a law of hysteresis other than the fit's may feign one:
+thresholds of ratio 3 in the place of 2 feign a tenth."""
+
+
+class DelayLeft(NamedTuple):
+    """By how much gravity is still late beside all that a fit explains.
+
+    Attributes:
+        delay: In s; negative where it is early.
+        std: Its deviation.
+    """
+
+    delay: float
+    std: float
+
+    @property
+    def nats(self) -> float:
+        """What the delay explains."""
+        return 0.5 * (self.delay / self.std) ** 2
+
+
+def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Fitted]) -> DelayLeft:
+    """Return the delay beside the fit that would be the likeliest with it.
+
+    Delays and loops cancel each other, so that the fit without the delay is no guide.
+
+    Args:
+        sets: As they were fitted, each with times.
+        fits: Problems with loops of hysteresis by each law, and their solutions.
+    """
+    tried = [(criterion(*one), _delay_left(sets, *one)) for one in fits]
+    return min(tried, key=lambda one: one[0] - 2.0 * one[1].nats * (one[1].delay > 0.0))[1]
+
+
+def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> DelayLeft:
+    """Return the delay that a fit leaves, with all of its unknowns free to follow.
+
+    Args:
+        sets: As they were fitted, each with times.
+        problem: The problem.
+        solution: Its solution.
+    """
+    between, along, square, like, whole = [], 0.0, 1e-300, 0.0, 1e-300
+    predicted = solution.response @ transforms(problem, solution)
+    for data, part, B in zip(sets, problem.sets, predicted, strict=True):
+        source = part.source
+        at = np.interp(part.index, np.arange(len(data.raw)), np.asarray(data.time))
+        rate = np.gradient(source.signals[:, problem.motion], at, axis=0) @ B[:, problem.motion].T
+        loops = source.signals[:, problem.of_lags] @ B[:, problem.of_lags].T
+        columns = np.column_stack([rate, loops]) * source.weight[:, None]
+        columns = part.colour.weigh(np.column_stack([source.weight, columns]), part.spacing)
+        mean, columns = columns[:, 0], columns[:, 1:]
+        late, loops = np.hsplit(columns - np.outer(mean, mean @ columns) / (mean @ mean), 2)
+        seen = part.score.T @ late
+        between.append(part.whiten @ seen @ problem.whitening.T)
+        power = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        within, left, late, loops = (
+            dct(one, norm="ortho", axis=0) / power @ problem.whitening.T
+            for one in (late - part.score @ seen, part.residual, late, loops)
+        )
+        along, square = along + float(np.sum(within * left)), square + float(np.sum(within**2))
+        like, whole = like + float(np.sum(late * loops)), whole + float(np.sum(late**2))
+    # Sets that contradict each other say little of a clock.
+    believed = 1.0 / disagreement(problem, solution)[:, None]
+    free = projected(solution, np.stack(between).reshape(-1, 1))[: solution.residual.size]
+    free = free.reshape(solution.residual.shape) * believed
+    along -= float(np.sum(free * solution.residual * believed))
+    square += float(np.sum(free**2))
+    return DelayLeft(along / square, float(np.hypot(square**-0.5, _LAW * like / whole)))
+
+
+def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:
+    """Return the square that a set's linear fit leaves, and its products with B dg/dt and of that alone."""
+    assert data.time is not None
+    u = signals(data, moving)
+    whole = np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1)
+    width = max(int(np.sum(whole)) // _ROWS, 1)
+    rows = means(np.column_stack([data.time, u, data.raw])[whole], width)
+    time, u, raw = rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
+    share = (time - time[0]) / max(float(time[-1] - time[0]), np.finfo(float).tiny)
+    offset = np.cos(np.pi * share[:, None] * np.arange(_DRIFT))
+    left, back = orthonormal(np.concatenate([u, offset], axis=1), 1e-9)
+    residual = raw - left @ (left.T @ raw)
+    rate = np.gradient(u, time, axis=0) @ (back @ (left.T @ raw))[: u.shape[1]]
+    rate -= left @ (left.T @ rate)
+    noise = np.linalg.pinv(residual.T @ residual / len(raw), rcond=1e-9, hermitian=True)
+    return (
+        float(np.sum(residual**2 / np.maximum(np.var(raw, axis=0), np.finfo(float).tiny))),
+        float(np.sum((rate @ noise) * residual)),
+        float(np.sum((rate @ noise) * rate)),
+    )

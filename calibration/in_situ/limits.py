@@ -1,0 +1,100 @@
+"""Limits that findings are held against: each a number with its unit and where it comes from.
+
+What they decide is in the checks that use them; constants of algorithms stand beside these. ``accept`` of
+:func:`~surefoot.calibration.in_situ.calibrate_in_situ` passes any limit with a reason. "Sound" is the largest
+value of ten sound logs of ``benchmarks/in_situ_spoilt.py`` (five seeds, with a gyroscope and without), beside
+it are values of its spoilt logs; what nothing was measured for says "chosen".
+"""
+
+from typing import Self
+
+
+class Limit(float):
+    """A number with its unit and its evidence.
+
+    Attributes:
+        unit: Of the number.
+        source: Where it comes from.
+    """
+
+    unit: str
+    source: str
+
+    def __new__(cls, value: float, unit: str, source: str) -> Self:
+        """Return the number with what is said of it."""
+        limit = super().__new__(cls, value)
+        limit.unit, limit.source = unit, source
+        return limit
+
+
+# At the door: channels, masses, gravity.
+SAMPLES = Limit(4, "samples", "a mean and three slopes of gravity")
+SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs end in 0.03 and more")
+TIES = Limit(5, "samples", "equal readings at an end; chosen")
+TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
+HEAVIEST = Limit(100.0, "kg", "nobody hangs more on a limb; 0.1 kg in grams")
+FARTHEST = Limit(5.0, "m", "no limb is longer; 5 mm in mm")
+SHORTEST_GRAVITY = Limit(8.8, "m/s^2", "9.78 less a bias of 1")
+LONGEST_GRAVITY = Limit(10.8, "m/s^2", "9.83 and such a bias")
+SAME_UNIT = Limit(0.2, "share", "units are factors of 9.8 apart")
+SPEEDING = Limit(0.05, "share of gravity", "sound 0.0007; a leg at 38 degrees a second 0.0035")
+TILT = Limit(0.02, "share of gravity", "a turn of 2 degrees to either side")
+EARTH = Limit(0.006, "share of gravity", "9.780 m/s^2 at the equator to 9.832 at the poles")
+ACCELEROMETER = Limit(3.0, "deviations", "0.3 % of sound logs get a word")
+LATE = Limit(1e-3, "s", "half of a sample at 500 Hz")
+LATEST = Limit(1.0, "s", "chosen: what is later is no delay")
+
+# Within sets: samples left out, what no rigid limb explains, temperature.
+REJECTED = Limit(
+    0.05, "share of samples", "sound 0; a push of 3 s in a minute 0.05, a foot on the floor 0.13"
+)
+REJECTED_MOVING = Limit(0.1, "share of samples", "sound 0; a differentiated gyroscope's error has long tails")
+STRAY = Limit(0.002, "share of samples", "sound 0; a warning alone")
+FEW_REJECTED = Limit(0.01, "share of samples", "chosen: beyond it causes are judged by all samples")
+RESIDUAL = Limit(0.03, "share of a set's spread", "sound 0.0036; a leg at 76 degrees a second 0.037")
+NOISY = Limit(0.3, "share of a set's spread", "chosen: white noise counts where rows have no order")
+BENDING = Limit(0.003, "share of a set's spread", "sound 0.0015; a knee that gives by 0.005 rad/(N m) 0.004")
+BENDING_BESIDE = Limit(0.0105, "share of a set's spread", "hysteresis of sets too short to show it")
+BENDS_MOSTLY = Limit(0.7, "share of the residual", "sound 0.67; the knee 0.83 and more")
+BENDS_PARTLY = Limit(0.2, "share of the residual", "beside hysteresis that was fitted; chosen")
+WARMING = Limit(0.3, "K", "three times the 0.1 K to which thermistors read")
+NOT_GRAVITY = Limit(0.1, "share of a temperature's spread", "its coefficient is ten times less sure there")
+COEFFICIENTS = Limit(3.0, "deviations", "0.3 % of sensors whose coefficient is one")
+
+# Between sets.
+STRAINED = Limit(
+    3.0, "over the squares that noise explains", "sound 2.5; a mass off by 10 % 15, an IMU by 5 deg 4.6"
+)
+MASS = Limit(0.05, "share of the largest added mass, or its lever", "sound 0.0095; a mass off by 10 % 0.078")
+MASS_LOOKED = Limit(0.0075, "the same", "chosen: from where on a set by itself is looked at")
+CULPRIT = Limit(0.8, "share of what is left", "one wrong mass explains most of it; chosen")
+MASS_ALONE = Limit(0.015, "share of the largest added mass", "of one set that explains what is left; chosen")
+TURNED = Limit(0.025, "rad", "1.4 degrees; chosen")
+TURNED_SIGMAS = Limit(4.0, "deviations", "1 in 16,000 by chance")
+SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")
+STILL = Limit(0.02, "share of gravity", "a direction along which it did not turn, as at the door")
+
+# The answer.
+SCALE = Limit(
+    0.1, "share of the limb's mass", "scales of two sensors that had aged were off by 0.11 and 0.19"
+)
+AXIS = Limit(0.5, "share of an axis's load", "an axis known to half of its load was not seen")
+LONGEST_ARM = Limit(1.0, "m", "a humanoid's leg has its centre of mass within 0.5")
+LEAST_GAIN = Limit(0.4, "over the maker's", "sensors that had aged had 0.8 to 1.2; a pound is 0.45 kg")
+LARGEST_GAIN = Limit(2.5, "over the maker's", "the same")
+LIMB_SIGMAS = Limit(4.0, "deviations", "1 in 16,000 by chance")
+FACTORY_APART = Limit(
+    0.3, "logarithm of masses", "scales of two sensors that had aged were off by 0.11 and 0.19"
+)
+KNOWN = Limit(0.9, "share of the information", "the prior makes deviations smaller by 5 %")
+
+# A factory matrix against the readings.
+FACTORY_MISSES = Limit(0.1, "share of what hangs there", "sensors that had aged were off by as much")
+MISPRINT = Limit(0.7, "share of a row's largest entry", "a lost sign or digit; sensors age by less")
+READ_BETTER = Limit(
+    0.7, "share of what is missed", "chosen: another way to read a matrix that is worth a look"
+)
+CLEARER = Limit(10.0, "nats", "1 in 22,000")
+FACTORY_SCALE = Limit(0.6931471805599453, "logarithm", "a factor of two: sensors age by less")
+OTHER_UNIT = Limit(0.5, "share of that logarithm", "twice as near to another unit")
+AXES_APART = Limit(3.0, "factor between axes", "axes age by less, units change all alike")

@@ -1,0 +1,311 @@
+"""The least-squares problem of compressed sets, what is known beforehand, and where to search from.
+
+Rows of all sets have noise of variance one, so that what is known beforehand has its weight among them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.data import KnownLimb, Task
+from surefoot.calibration.in_situ.linear import of_unit_length
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    DIRECT,
+    ENOUGH_MASSES,
+    MASS,
+    MOMENT,
+    MOVING,
+    STATIC,
+    inertial_parameters,
+    transform_basis,
+)
+
+__all__ = ["Maker", "Problem", "hanging", "pooled_noise", "problem_of", "starts", "whitening"]
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+
+class Maker(NamedTuple):
+    """What is known of the response beforehand: A = A_0 (1 + D), and what redundant channels read beside it.
+
+    Attributes:
+        response: A_0 in counts per N and N m, shape (k, 6).
+        std: Deviations of the entries of D, shape (6, 6).
+        beyond: Deviation of what lies beside the space of A_0, as a share of its columns.
+    """
+
+    response: Matrix
+    std: Matrix
+    beyond: float
+
+    def errors(self, whitening: Matrix, inputs: int) -> Matrix:
+        """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
+        inverse = np.linalg.pinv(self.response) @ np.linalg.inv(whitening)
+        R = np.zeros((AXES, AXES, len(whitening), inputs))
+        for j in range(AXES):
+            R[:, j, :, j] = inverse
+        return R.reshape(AXES**2, -1)
+
+    def rows(self, whitening: Matrix, inputs: int) -> tuple[Matrix, Vector]:
+        """Return rows by (W A row by row), shape (m, k inputs), of deviation one, and their right side."""
+        channels = len(whitening)
+        beside = np.linalg.svd(self.response)[0][:, AXES:].T @ np.linalg.inv(whitening)
+        more = np.zeros((len(beside), AXES, channels, inputs))
+        for j in range(AXES):
+            more[:, j, :, j] = beside / (self.beyond * np.linalg.norm(self.response[:, j]))
+        rows = self.errors(whitening, inputs) / self.std.reshape(-1, 1)
+        rows = np.concatenate([rows, more.reshape(len(beside) * AXES, channels * inputs)])
+        right = np.zeros(len(rows))
+        right[: AXES**2] = np.eye(AXES).ravel() / self.std.ravel()
+        return rows, right
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A least-squares problem in readings whitened by the noise, z = W r.
+
+    Attributes:
+        sets: J of them, compressed.
+        added: Inertial parameters of what was added, shape (J, p).
+        whitening: W, shape (k, k): W Sigma W' = 1.
+        basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
+        moving: Whether the signals are those of a moving limb.
+        temperature: Whether the temperature is a signal that acts on the readings directly.
+        channel_lags: Number of such signals behind it, the lags of channels.
+        rotation: Whether the accelerometer's rotation is unknown.
+        maker: What is known of the response beforehand, or None.
+        limb: Expected inertial parameters, shape (p,); zero where nothing is known.
+        limb_root: Rows that weigh phi - limb, shape (q, p).
+        gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
+    """
+
+    sets: tuple[CompressedSet, ...]
+    added: Matrix
+    whitening: Matrix
+    basis: Matrix
+    moving: bool
+    temperature: bool
+    channel_lags: int
+    rotation: bool
+    maker: Maker | None
+    limb: Vector
+    limb_root: Matrix
+    gains: int = 0
+
+    @property
+    def parameters(self) -> int:
+        """Number p of inertial parameters."""
+        return len(self.limb)
+
+    @property
+    def of_loads(self) -> slice:
+        """Places of what makes a load act on itself in the parameters, behind the limb's; or empty."""
+        return slice(MOVING if self.moving else STATIC, self.parameters)
+
+    @property
+    def motion(self) -> slice:
+        """Places of the signals of gravity and motion."""
+        return slice(0, len(transform_basis(self.moving)[0, 0]))
+
+    @property
+    def of_lags(self) -> slice:
+        """Places of the loops of hysteresis in the signals; or empty."""
+        behind = self.basis.shape[2] if self.hysteresis else self.signals.shape[2]
+        return slice(behind - (AXES if self.hysteresis else self.channel_lags), behind)
+
+    @property
+    def loops(self) -> slice:
+        """Places of the shares of the axes' hysteresis in the parameters; or empty."""
+        return slice(self.of_loads.start + self.gains, self.parameters)
+
+    @property
+    def hysteresis(self) -> bool:
+        """Whether the axes' hysteresis is part of the problem."""
+        return bool(self.parameters > self.loops.start)
+
+    @property
+    def lags(self) -> bool:
+        """Whether loads or channels lag."""
+        return bool(self.hysteresis or self.channel_lags)
+
+    @property
+    def inputs(self) -> int:
+        """Columns of the response: six, and one more for each signal that acts on the readings directly."""
+        return AXES + self.temperature + self.channel_lags
+
+    @cached_property
+    def signals(self) -> NDArray[np.float64]:
+        """The sets' compressed signals in rows of variance one, shape (J, n, s)."""
+        return np.stack([part.whiten @ part.uu for part in self.sets])
+
+    @cached_property
+    def readings(self) -> Matrix:
+        """The sets' rows of readings, of variance one, shape (J n, k)."""
+        return np.asarray(np.concatenate([part.whiten @ part.ur for part in self.sets]) @ self.whitening.T)
+
+    @cached_property
+    def prior(self) -> tuple[Matrix, Vector]:
+        """Rows by (W A row by row) of what the maker says, shape (m, k inputs), and their right side."""
+        if self.maker is None:
+            return np.zeros((0, len(self.whitening) * self.inputs)), np.zeros(0)
+        return self.maker.rows(self.whitening, self.inputs)
+
+    def unwhitened(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the residual of the sets' rows, shape (J, n, k), in counts and by the sets' own rows."""
+        root = np.stack([part.unwhiten for part in self.sets])
+        return np.asarray(root @ residual @ np.linalg.inv(self.whitening).T)
+
+    @property
+    def outer(self) -> int:
+        """Number of outer unknowns: the parameters and, where it is unknown, the rotation vector."""
+        return self.parameters + 3 * self.rotation
+
+
+_FEW = 10.0
+"""Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
+
+_NOISE_FLOOR = 1e-10
+"""Noise counts as at least this share of a channel's spread: a simulation may have none."""
+
+
+def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
+    """Return the covariance of a sample's noise, shape (k, k); few samples bring it near to diagonal."""
+    scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
+    freedom = max(sum(part.freedom for part in sets), 1)
+    S = scatter / freedom
+    # It fades faster than the error of S: what is diagonal depends on how the channels mix.
+    share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
+    spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
+    diagonal = np.diag(np.diag(S))
+    return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
+
+
+def whitening(sets: Sequence[CompressedSet]) -> Matrix:
+    """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
+
+
+def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:
+    """Return the least-squares problem of compressed sets, without a maker's prior."""
+    limb, root = _limb_rows(task.limb, task.moving)
+    return Problem(
+        sets=parts,
+        added=np.array(
+            [inertial_parameters(one.added_mass, one.added_com, task.moving) for one in task.sets]
+        ),
+        whitening=whitening(parts),
+        basis=transform_basis(task.moving),
+        moving=task.moving,
+        temperature=temperature,
+        channel_lags=0,
+        rotation=task.options.estimate_rotation,
+        maker=None,
+        limb=limb,
+        limb_root=root,
+    )
+
+
+def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
+    """Return what is known of the limb's inertial parameters, (p,), and rows that weigh it, (q, p)."""
+    count = len(transform_basis(moving))
+    if known is None:
+        return np.zeros(count), np.zeros((0, count))
+    com = np.zeros(3) if known.com is None else known.com
+    expected = inertial_parameters(known.mass, com, moving)
+    rows = np.zeros((1 if known.com is None else STATIC, count))
+    rows[MASS, MASS] = 1.0 / known.mass_std
+    if known.com is not None:
+        # The first moment is com m: a mass that is off does not move the centre.
+        rows[MOMENT, MOMENT] = np.eye(3) / (known.mass * known.com_std)
+        rows[MOMENT, MASS] = -com / (known.mass * known.com_std)
+    return expected, rows
+
+
+_ROUNDING = 1e-10
+"""Singular values at or below this share of the largest are rounding in the paper's method."""
+
+
+_MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0, 10.0)
+"""Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
+
+
+def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> list[Vector]:
+    """Return outer unknowns to start from, shape (p,), or (p + 3,) where the rotation is unknown.
+
+    A factory matrix, shape (6, k), and what is known of the limb, shape (p,), give starts of their own.
+    """
+    found = [known] if known is not None else []
+    if factory is not None and not problem.rotation:
+        found.append(_by_matrix(problem, factory, np.eye(3)))
+    largest = float(np.max(problem.added[:, MASS]))
+    if largest > 0.0:
+        # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
+        # such a mass can end in a wrong place.
+        enough = len(problem.sets) >= ENOUGH_MASSES
+        first = _by_paper(problem) if enough else _padded(problem, [largest, 0.0, 0.0, 0.0])
+        found.append(first)
+        multiples = _TURNED_MULTIPLES if problem.rotation else _MULTIPLES
+        found += [np.concatenate([[multiple * largest], first[MASS + 1 :]]) for multiple in multiples]
+    found = [start for start in found if np.all(np.isfinite(start))]
+    found = found or [_padded(problem, [1.0, 0.0, 0.0, 0.0])]
+    if not problem.rotation:
+        return found
+    # The identity and the turns by right angles: the true one is near one of them.
+    turns = [turn.as_rotvec() for turn in Rotation.create_group("O")]
+    turned = [np.concatenate([start, turn]) for start in found for turn in turns]
+    if factory is not None:
+        matrices = [Rotation.from_rotvec(turn).as_matrix() for turn in turns]
+        by_matrix = [_by_matrix(problem, factory, matrix) for matrix in matrices]
+        turned = [np.concatenate(pair) for pair in zip(by_matrix, turns, strict=True)] + turned
+    return turned
+
+
+def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None) -> Vector:
+    """Return (m, m c) of all that hangs on the sensor in a set, shape (4,), by a known matrix C.
+
+    ``beside`` is the response to the signals beside gravity, shape (k, s - 3), if it is known.
+    """
+    response: Matrix = part.response[:, DIRECT]
+    turned = part.turned
+    if beside is not None:
+        turned = part.uu[:, DIRECT]
+        left = part.ur - part.uu[:, DIRECT.stop :] @ beside.T
+        response = np.asarray(np.linalg.lstsq(turned, left, rcond=None)[0].T)
+    # By as much as gravity turned: the response to where it did not is noise.
+    measured = matrix @ response @ turned.T
+    basis = transform_basis(moving=False) @ rotation @ turned.T
+    return np.asarray(np.linalg.lstsq(basis.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
+
+
+def _by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> Vector:
+    seen = [hanging(matrix, part, rotation) for part in problem.sets]
+    return _padded(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
+
+
+def _by_paper(problem: Problem) -> Vector:
+    """In-situ paper, Eqs. 18-24, on compressed rows, in which the noise is averaged: C r - T_b u = T_a u."""
+    basis = problem.basis
+    count = basis.shape[2]
+    readings = [problem.whitening @ part.ur.T for part in problem.sets]
+    left = np.linalg.svd(np.concatenate(readings, axis=1))[0][:, :AXES]
+    rows, right = [], []
+    for part, reading, added in zip(problem.sets, readings, problem.added, strict=True):
+        moved = basis @ part.uu[:, :count].T
+        matrix = np.kron(np.eye(AXES), (left.T @ reading).T)
+        rows.append(np.hstack([matrix, -moved.reshape(len(basis), -1).T]))
+        right.append(np.einsum("p,pws->ws", added, moved).ravel())
+    unit, size = of_unit_length(np.concatenate(rows))
+    solution = np.linalg.lstsq(unit, np.concatenate(right), rcond=_ROUNDING)[0] / size
+    return np.asarray(solution[-len(basis) :])
+
+
+def _padded(problem: Problem, static: Sequence[float] | Vector) -> Vector:
+    return np.concatenate([np.asarray(static), np.zeros(problem.parameters - STATIC)])

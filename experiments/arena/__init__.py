@@ -1,1 +1,0 @@
-"""All calibrators on the same walks, in many scenarios."""

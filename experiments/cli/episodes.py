@@ -1,0 +1,204 @@
+"""``surefoot evaluate``, ``sweep`` and ``replay``: controllers on true, drifting and calibrated feet."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from surefoot.experiments.cli.console import (
+    CONTROLLERS,
+    Feeds,
+    Jobs,
+    Json,
+    Names,
+    Numbers,
+    fail,
+    one_line_errors,
+    show,
+)
+
+
+def evaluate(
+    ctx: typer.Context,
+    controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
+    task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
+    feed: Feeds = None,
+    severity: Annotated[
+        Numbers, Option(help="How bad the sensors are; again for more. 1 by default.")
+    ] = None,
+    seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
+    first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
+    uses_cop: Annotated[bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP.")] = False,
+    out: Annotated[Path | None, Option(help="Folder for the results; an interrupted one goes on.")] = None,
+    page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
+    jobs: Jobs = 1,
+    as_json: Json = False,
+) -> None:
+    """Score controllers on true, drifting and calibrated feet, on the same episodes."""
+    from surefoot.experiments.episodes.episode import COP_INPUTS
+    from surefoot.experiments.episodes.plan import evaluation_plan
+    from surefoot.experiments.episodes.run import in_order, run_plan
+
+    if page_of:
+        if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
+            what = given_too[0].replace("_", "-")
+            what = what if what == "controllers" else f"--{what}"
+            fail(f"--page-of runs nothing, and {what} says what to run: give one of the two.")
+        _page_of(page_of, out, as_json)
+        return
+    given: dict[str, Any] = {
+        "controllers": tuple(controllers or ()),
+        "feeds": tuple(feed or ()),
+        "severities": tuple(severity or ()),
+        "cop_inputs": COP_INPUTS if uses_cop else (),
+    }
+    chosen = {name: value for name, value in given.items() if value}
+    with one_line_errors(out, "give another folder with --out, or make room."):
+        plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
+        results = run_plan(plan, out, jobs=jobs, retry_failed=True)
+        _report(in_order(results.rows, chosen.get("controllers", ())), out, as_json)
+
+
+def _was_given(ctx: typer.Context, name: str) -> bool:
+    """Return whether the command names something that is to be run."""
+    source = ctx.get_parameter_source(name)
+    return name not in ("page_of", "out", "as_json") and source is not None and source.name != "DEFAULT"
+
+
+def _page_of(named: list[str], out: Path | None, as_json: bool) -> None:
+    import pandas as pd
+
+    from surefoot.experiments.episodes.run import read_episodes
+
+    if out is None:
+        fail("--page-of needs a folder for the page; give one with --out.")
+    with one_line_errors(out):
+        # A path that holds a '=' is a path if it is there.
+        parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
+        frames = [read_episodes(Path(path), controller) for controller, _, path in parts]
+        _report(pd.concat(frames, ignore_index=True), out, as_json)
+
+
+def _report(frame: Any, out: Path | None, as_json: bool) -> None:
+    """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
+    from surefoot.experiments.episodes.page import check_episodes, write_evaluation
+    from surefoot.experiments.episodes.tables import score_table
+    from surefoot.experiments.policy.card import own_scores, write_card
+    from surefoot.experiments.policy.train import POLICY
+    from surefoot.experiments.study.progress import working
+
+    frame, failed = check_episodes(frame)
+    files: dict[str, Path] = {}
+    if out is not None:
+        with working("drawing the page"):
+            files["page"] = write_evaluation(frame, failed, out).page
+        if (out / POLICY).is_file() and own_scores(out) is not None:
+            files["card"] = write_card(out)
+    show([score_table(frame)], files, as_json=as_json)
+
+
+def sweep(
+    plan: Annotated[Path | None, Argument(help="TOML that says what to sweep; options go before it.")] = None,
+    controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
+    feed: Feeds = None,
+    scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
+    severity: Annotated[Numbers, Option(help="Factor of the cells' errors; again for more.")] = None,
+    seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
+    first_seed: Annotated[int, Option(help="The first of the seeds.", min=0)] = 0,
+    duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
+    out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
+    jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
+    backend: Annotated[str, Option(help="local, dask or ray; or here, in this very process.")] = "local",
+    address: Annotated[str | None, Option(help="Of a running scheduler of dask or head of ray.")] = None,
+    retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
+    any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
+    films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
+    scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
+    from surefoot.experiments.episodes.page import write_sweep
+    from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
+    from surefoot.experiments.episodes.run import run_plan
+    from surefoot.experiments.study.progress import working
+
+    if scenarios:
+        show([_scenario_table()], {}, as_json=as_json)
+        return
+    given: dict[str, Any] = {
+        "controllers": tuple(controller or ()),
+        "feeds": tuple(feed or ()),
+        "scenarios": tuple(scenario or ()),
+        "severities": tuple(severity or ()),
+        "seeds": tuple(range(first_seed, first_seed + seeds)) if seeds else (),
+        "duration": duration,
+    }
+    changes = {name: value for name, value in given.items() if value not in ((), None)}
+    if first_seed and not seeds:
+        fail("--first-seed needs --seeds, how many.")
+    with one_line_errors(out, "what is finished is kept."):
+        chosen = EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes)
+        where: Any = {"backend": backend, "jobs": jobs, "address": address}
+        results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
+        with working("drawing and filming" if films else "drawing the report"):
+            report = write_sweep(results, films)
+    kept = len(results.rows) - results.computed
+    episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
+    said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."
+    show(report.tables, {"report": report.page}, said=said, episodes=episodes, as_json=as_json)
+
+
+def replay(
+    results: Annotated[Path, Argument(help="Folder of a sweep or an evaluation, or its episodes.parquet.")],
+    case: Annotated[int, Option(help="Number of the episode.", min=0)],
+    video: Annotated[Path | None, Option(help="Film it into this .mp4 as well.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Run one episode again, and say whether it comes out the same to the last digit."""
+    from surefoot.experiments.episodes.episode import OUTCOME
+    from surefoot.experiments.episodes.page import film_episode
+    from surefoot.experiments.episodes.run import replay_episode
+    from surefoot.experiments.study.progress import working
+    from surefoot.experiments.study.tables import Verdict, laid_out
+
+    if video is not None and video.suffix != ".mp4":
+        fail(f"'{video}' must end in .mp4.")
+    with one_line_errors(), working(f"running case {case} again") as then:
+        replayed = replay_episode(results, case)
+        then("filming it")
+        files = {} if video is None else {"film": film_episode(video, replayed.episode)}
+    columns: dict[str, Any] = {
+        "outcome": lambda name: name,
+        "now": lambda name: _exact(replayed.now[name]),
+        "then": lambda name: _exact(replayed.then[name]),
+        "same": lambda name: Verdict.of(name not in replayed.different),
+    }
+    names = [name for name in (*OUTCOME, "error") if replayed.now[name] != "" or name in replayed.different]
+    said = "Different." if replayed.different else "Identical."
+    if replayed.other_versions:
+        said = f"Versions: {', '.join(replayed.other_versions)}\n{said}"
+    facts: Any = {"identical": not replayed.different, "versions": replayed.other_versions}
+    table = laid_out("replay", "The episode, to the last digit", columns, names)
+    show([table], files, said=said, as_json=as_json, **facts)
+    if replayed.different:
+        raise typer.Exit(1)
+
+
+def _exact(value: Any) -> Any:
+    from surefoot.experiments.study.tables import Valued
+
+    return Valued.of(str(value), value)
+
+
+def _scenario_table() -> Any:
+    from surefoot.experiments.episodes.plan import SCENARIOS, scenario_named
+    from surefoot.experiments.study.tables import Table
+
+    rows = []
+    for name in SCENARIOS:
+        try:
+            rows.append((name, scenario_named(name).title))
+        except ValueError:
+            continue
+    return Table("scenarios", "Scenarios of a sweep", ("scenario", "what it is"), tuple(rows))

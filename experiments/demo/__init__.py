@@ -1,1 +1,0 @@
-"""What ``surefoot demo`` makes."""

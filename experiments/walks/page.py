@@ -1,0 +1,279 @@
+"""The page of a study of walks: scenarios one by one, or the CoP paper's conditions with the loop closed."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from surefoot.calibration import METHODS
+from surefoot.experiments.episodes.figures import survival_curves
+from surefoot.experiments.study.page import (
+    Report,
+    ReportFigure,
+    Section,
+    Words,
+    failure_section,
+    publish,
+    repeat_section,
+)
+from surefoot.experiments.study.progress import working
+from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
+from surefoot.experiments.walks import figures, findings, tables
+from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
+from surefoot.experiments.walks.record import CONDITIONS, Condition
+from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.scenarios import PAPER_SCENARIOS, Scenario, log_paths
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.weights.paper import paper_table_2, weights_section
+from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.files import atomic_path
+
+_caption = Words("walks", "captions")
+_say_paper = Words("walks", "paper")
+
+PAPER, BAD = CONDITIONS
+PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
+YARDSTICKS = (
+    (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
+    (PAPER, "truth", f"{PAPER.title}, against the truth"),
+    (BAD, "truth", f"{BAD.title}, against the truth"),
+)
+
+
+def report_walks(options: WalkStudyOptions) -> Report:
+    """Run a study of walks, and write its page; refused is what :func:`run_walk_study` refuses."""
+    results = run_walk_study(options, bounds=not options.loops)
+    with working("drawing the report"):
+        return write_walks_page(results)
+
+
+def write_walks_page(results: WalkStudyResults) -> Report:
+    """Draw the figures, save the tables as CSV, and write ``report.html``; return it with what sums it up."""
+    options, of_paper = results.options, bool(results.options.loops)
+    say = _say_paper if of_paper else Words("walks", "scenarios")
+    if of_paper:
+        title, sections, claims = "Walking on bad feet, and on calibrated ones", *_paper_sections(results)
+    else:
+        title, sections = "Calibrators on the same walks", _scenario_sections(results)
+        claims = findings.claims_of(results.scores, results.timing)
+    sections += failure_section(results.failures)
+    sections.append(repeat_section(say("repeat"), _commands(results), results.seconds))
+    if claims:
+        targets = (claim_table(claims, "Set out to reach"),)
+        sections.append(Section("targets", "What was set out to reach", tables=targets))
+    _save_summary(results)
+    amount = say(
+        "amount",
+        walks=plural(options.seeds, "walk"),
+        seeds=plural(options.seeds, "seed"),
+        speeds=", ".join(f"{speed:g}" for speed in results.speeds),
+        duration=options.duration,
+        stand=STAND_TIME,
+        settle=options.settle,
+    )
+    lead = _lead(results) if len(results.loop) else None
+    report = publish(options.out, title, (say("introduction"), amount), sections, lead=lead)
+    if of_paper:
+        return report
+    first = ("targets", "summary", "faults")
+    found = {section.anchor: section.tables for section in sections if section.anchor in first}
+    return report._replace(tables=tuple(table for name in first for table in found.get(name, ())))
+
+
+def _figure(path: Path | None, name: str, caption: str = "", **values: Any) -> tuple[ReportFigure, ...]:
+    """Return a figure with its caption, which its name tells by default; nothing where none was drawn."""
+    return () if path is None else (ReportFigure(path, name, _caption(caption or name, **values)),)
+
+
+def _scenario_sections(results: WalkStudyResults) -> list[Section]:
+    scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
+    timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
+    shown = (
+        *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
+        *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
+    )
+    summary = (tables.overview_table(scores, scenarios), timing, alarms)
+    sections = [
+        Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
+        *(_scenario_section(results, scenario, drawn) for scenario in scenarios),
+    ]
+    faults = tables.fault_table(scores, scenarios)
+    if faults is not None:
+        shown = _figure(figures.detection(drawn / "detection.svg", scores, scenarios), "Detection")
+        sections.append(Section("faults", "Faults side by side", tables=(faults,), figures=shown))
+    return sections
+
+
+def _scenario_section(results: WalkStudyResults, scenario: Scenario, folder: Path) -> Section:
+    curves = results.errors[results.errors["scenario"] == scenario.name]
+    path = None
+    if curves["cop"].notna().any():
+        path = figures.error_curves(folder / f"curves_{scenario.name}.svg", {scenario.title: curves})
+    return Section(
+        scenario.name,
+        sentence(scenario.title),
+        (scenario.answers,),
+        findings.scenario_findings(results.scores, scenario, results.left_out.get(scenario.name, 0)),
+        (tables.scenario_table(results.scores, scenario),),
+        figures=_figure(path, "Error over time"),
+    )
+
+
+def _save_summary(results: WalkStudyResults) -> None:
+    """Write means over runs, for machines."""
+    numbers = results.scores.select_dtypes(["number", "bool"]).columns.difference(["seed"])
+    groups = results.scores.groupby(["scenario", "method"], sort=False)
+    runs = groups.size().rename("runs")
+    with atomic_path(results.options.out / "tables" / "summary.csv") as part:
+        pd.concat([runs, groups[list(numbers)].mean()], axis=1).to_csv(part)
+
+
+def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Claim]]:
+    """Return the sections about the CoP paper's study, and its claims."""
+    folder = results.options.out / "figures"
+    weighing, coefficient = run_weighing(), paper_table_2()[1]
+    slowest = results.timing.set_index("method")["slowest_us"]
+    claims = findings.weight_claims(coefficient, weighing.calibrated.cop, weighing.calibrated.vgrf)
+    claims += findings.walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
+    claims += findings.loop_claims(results.loop) if len(results.loop) else []
+    sections = [
+        _walking_section(results, folder),
+        *((_loop_section(results, folder),) if len(results.loop) else ()),
+        weights_section(weighing, folder),
+        *((_sensitivity_section(results, folder),) if len(results.sensitivity) else ()),
+    ]
+    return sections, claims
+
+
+def _lead(results: WalkStudyResults) -> Section:
+    """First section of the page: the worst feet that were walked on."""
+    film, loop = results.film, results.loop
+    loop = loop[loop["severity"] == loop["severity"].max()]
+    # In the middle of the paper's speeds, if it was walked.
+    speed = results.speeds[len(results.speeds) // 2]
+    drawn = results.options.out / "figures" / "lead.svg"
+    curves = figures.error_curves(drawn, dict([_errors(results, BAD, speed)]))
+    paragraphs = [findings.lead_finding(loop)]
+    video: dict[str, Any] = {}
+    if film.path is None or film.still is None or results.filmed is None:
+        paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
+    else:
+        severity, at, seed = results.filmed
+        caption = _caption("film", severity=severity, speed=at, seed=seed)
+        video = {"video": film.path.name, "poster": film.still.name, "video_caption": caption}
+    own = results.yardsticks[results.yardsticks["speed"] == speed]
+    return Section(
+        "lead",
+        "What was done",
+        tuple(paragraphs),
+        tables=(tables.lead_table(own, loop[loop["speed"] == speed], BAD.name, f"In short: {speed:g} m/s"),),
+        figures=_figure(curves, "How far off the CoP is", "errors_over_time"),
+        **video,
+    )
+
+
+def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tuple[str, Frame]:
+    """Return a title, and the errors over time of one condition and speed, while it walks."""
+    errors = results.errors
+    shown = errors["scenario"] == PAPER_SCENARIOS[condition.name, speed].name
+    shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
+    return f"{condition.title}, {speed:g} m/s", errors[shown]
+
+
+def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
+    scores, conditions = results.yardsticks, [(PAPER.name, "the paper's"), (BAD.name, BAD.title)]
+    said = [*findings.baseline_findings(scores, PAPER.name), *findings.reference_findings(scores)]
+    for scenario in results.scenarios:
+        own = findings.scenario_findings(results.scores, scenario, results.left_out.get(scenario.name, 0))
+        said += [f"{sentence(scenario.title)}: {text}" for text in own]
+    shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
+    rows = {
+        f"{title}, {speed:g} m/s": part[part["speed"] == speed]
+        for title, part in _by_yardstick(shown, YARDSTICKS).items()
+        for speed in results.speeds
+    }
+    drawn = list(_figure(figures.paper_overview(folder / "overview.svg", rows), "All speeds", "overview"))
+    for speed in results.speeds:
+        drawn += _speed_figures(results.traces, speed, folder)
+    panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
+    curves = figures.error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
+    drawn += _figure(curves, "Errors over time", "errors_over_time")
+    texts = (
+        _say_paper("conditions", paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
+        _say_paper("yardsticks"),
+        _say_paper("definitions"),
+    )
+    laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
+    title = "Calibrating while walking"
+    return Section("walking", title, texts, tuple(said), laid_out, figures=tuple(drawn))
+
+
+def _by_yardstick(scores: Frame, chosen: Sequence[tuple[Condition, str, str]]) -> dict[str, Frame]:
+    """Return the scores of some of :data:`YARDSTICKS`, by their titles."""
+    return {
+        title: scores[(scores["condition"] == condition.name) & (scores["against"] == against)]
+        for condition, against, title in chosen
+    }
+
+
+def _speed_figures(traces: Frame, speed: float, folder: Path) -> tuple[ReportFigure, ...]:
+    here = traces[traces["speed"] == speed]
+    shown = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
+    first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
+    cop = figures.cop_over_time(folder / f"cop_{_tag(speed)}.svg", shown)
+    vgrf = figures.vgrf_over_time(folder / f"vgrf_{_tag(speed)}.svg", shown)
+    return _figure(cop, first, "cop", speed=speed) + _figure(vgrf, second, "vgrf", speed=speed)
+
+
+def _tag(speed: float) -> str:
+    return f"{speed:g}".replace(".", "_")
+
+
+def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
+    horizon = results.options.loop_duration
+    drawn: tuple[ReportFigure, ...] = ()
+    for speed, runs in results.loop.groupby("speed", sort=False):
+        path = survival_curves(
+            folder / f"closed_loop_{_tag(speed)}.svg", runs.assign(controller="stabiliser")
+        )
+        drawn += _figure(path, f"Who falls when, {speed:g} m/s", "closed_loop")
+    said = tuple(findings.loop_findings(results.loop, horizon))
+    shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": drawn}
+    return Section("closed-loop", "Closing the loop", (_say_paper("loop", stand=STAND_TIME),), said, **shown)
+
+
+def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
+    parts = _by_yardstick(results.sensitivity, (YARDSTICKS[0], YARDSTICKS[2]))
+    curves = figures.sensitivity_curves(folder / "sensitivity.svg", parts)
+    return Section(
+        "sensitivity",
+        "How much hangs on the window's weights",
+        (_say_paper("sensitivity"),),
+        tuple(
+            f"{title.capitalize()}: {said}"
+            for title, part in parts.items()
+            for said in findings.sensitivity_findings(part)
+        ),
+        tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
+        figures=_figure(curves, "Sensitivity", "weights"),
+    )
+
+
+def _commands(results: WalkStudyResults) -> tuple[str, ...]:
+    """Return the commands that repeat parts of a study."""
+    options = results.options
+    if not options.loops:
+        quick = " --quick" if options.quick else ""
+        first = f"surefoot compare walking --scenario {results.scenarios[0].name} --seeds {options.seeds}"
+        return (f"{first}{quick} --out {options.out}",)
+    speed, seed = results.speeds[-1], options.seeds - 1
+    scenario = PAPER_SCENARIOS[BAD.name, speed]
+    log = log_paths(scenario.walk, seed, options.duration, options.logs)[scenario.condition]
+    severity = max(options.loops)
+    return (
+        f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
+        f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
+        f"--duration {options.loop_duration:g} --video walk.mp4",
+        f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
+    )

@@ -1,0 +1,221 @@
+"""Replay the streams of a scenario, and keep what the scores need and nothing else.
+
+A covariance is held against the truth as it appears, once a second, and forgotten.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import Estimate, FootCalibrator, Parameters, Reference
+from surefoot.calibration.cop import cop_of_feet, sole_wrenches
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
+from surefoot.experiments.walks.replay import age_of, starting_map, steps_of
+from surefoot.experiments.walks.scenarios import Scenario, log_paths
+from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import Fault, LoadCells, apply_faults
+
+FALLING = 1.0  # the last s before a robot lay on the ground, in which it no longer walks
+LEAST_JUDGED = 4.0  # shortest part of a walk in s that is worth a score
+FAULT_DELAY = 4.0  # s after settling until which a fault may come; at most a third of what is left
+
+_NOISE_STREAM = 0xFA18
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """A log of N samples and how to judge what a method makes of it."""
+
+    log: Log  # with truth
+    seed: int
+    judged: NDArray[np.bool_]  # samples whose errors count, shape (N,)
+    began: float  # to walk, or anything moved, in s
+    faults: tuple[Fault, ...] = ()  # of its channels
+    fell: bool = False  # the log then ends before it
+    cop: Floats | None = None  # to score against in m, (N, 2), where known better than from the true forces
+
+    @property
+    def truth(self) -> LogTruth:
+        """What the simulator knew."""
+        assert self.log.truth is not None
+        return self.log.truth
+
+    @property
+    def start(self) -> Floats:
+        """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
+        return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
+
+
+def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stream], int]:
+    """Return the recorded walks of a scenario with its faults, and how many fell too early for a score."""
+    streams, left_out = [], 0
+    for seed in scenario.seeds(options.seeds):
+        paths = log_paths(scenario.walk, seed, options.duration, options.logs)
+        log = read_log(paths[scenario.condition])
+        fell = bool(log.about["fell"])
+        if fell:
+            log = cut_fall(log)
+        end = float(log.time[-1]) if len(log) else 0.0
+        if end < options.settle + LEAST_JUDGED:
+            left_out += 1
+            continue
+        earliest = options.settle + min(FAULT_DELAY, (options.duration - options.settle) / 3.0)
+        faults = scenario.faults_of(seed, earliest)
+        if faults:
+            rng = np.random.default_rng([_NOISE_STREAM, seed])
+            log = replace(log, raw=apply_faults(log.raw, log.time, faults, _cells_of(scenario), rng))
+        streams.append(Stream(log, seed, log.time >= options.settle, STAND_TIME, faults, fell))
+    return streams, left_out
+
+
+def cut_fall(log: Log) -> Log:
+    """Cut off the end of a walk, in which the robot fell."""
+    kept = log.time <= log.time[-1] - FALLING
+    truth = log.truth
+    if truth is not None:
+        truth = LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__})
+    reference = type(log.reference)(*(part[kept] for part in log.reference))
+    return replace(log, time=log.time[kept], raw=log.raw[kept], reference=reference, truth=truth)
+
+
+def _cells_of(scenario: Scenario) -> LoadCells:
+    cells = {one.name: one.cells for one in scenario.walk.conditions}[scenario.condition]
+    if cells is None:
+        raise ValueError(f"Faults befall load cells, and scenario '{scenario.name}' has none.")
+    return cells
+
+
+SNAPSHOT = 1.0  # time between looks at a covariance in s
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Squared errors of one run by the covariance claimed, over their number: 1 is right, NaN is no claim."""
+
+    time: Floats  # of M looks in s, shape (M,)
+    nees: Floats  # of (a, b), shape (M,)
+    nees_cop: Floats  # of the centre of pressure
+    nees_force: Floats  # of single channels, without what they have to do with each other
+    nis: float  # sum of the normalised squared innovations after the settling time
+    nis_rows: float  # number of rows in that sum
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """What a method made of one stream of N samples and K channels."""
+
+    force: Floats  # in N, shape (N, K)
+    scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
+    offset: Floats  # b in N, shape (N, K)
+    flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
+    consistency: Consistency
+
+
+def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:
+    """Run a method, or the true map, over streams of any lengths and robots; each option is the method's."""
+    if method == TRUE_MAP:
+        return [_true_map(stream) for stream in streams]
+    return [_play(stream, method, options) for stream in streams]
+
+
+def _true_map(stream: Stream) -> Played:
+    log, truth = stream.log, stream.truth
+    start = starting_map(log)
+    undone = Parameters(truth.scale, truth.offset).relative_to(start)
+    nothing = np.full(0, np.nan)
+    return Played(
+        force=_undo_errors(stream),
+        scale=undone.scale,
+        offset=undone.offset,
+        flags=np.zeros(log.raw.shape, dtype=np.int64),
+        consistency=Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0),
+    )
+
+
+def _undo_errors(stream: Stream) -> Floats:
+    """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
+    log, truth = stream.log, stream.truth
+    own: Floats = truth.scale * held(log.raw) + truth.offset
+    if "truth_cross_talk" not in log.about:
+        return own
+    # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond it.
+    talk, preload = np.array(log.about["truth_cross_talk"]), np.array(log.about["truth_preload"])
+    mixed = np.eye(len(talk)) + (truth.scale / log.nominal.scale)[..., None] * talk
+    undone: Floats = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload
+    return undone
+
+
+def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
+    log, K = stream.log, stream.log.layout.channels
+    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    calibrator = FootCalibrator(log.layout, method, mass=log.mass, **known, **options)
+    force, scale, offset = np.empty((3, len(log), K))
+    flags = np.empty((len(log), K), dtype=np.int64)
+    watch = _Watch(stream)
+    # Readings are handed over as forces by the starting map, which scale and offset are then relative to.
+    reading = starting_map(log).force(log.raw)
+    for k, step in enumerate(steps_of(log).tolist()):
+        now = Reference(*(part[k] for part in log.reference))
+        estimate = calibrator.update(reading[k], now, step)
+        force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
+        flags[k] = estimate.flags
+        watch.look(k, estimate, now)
+    return Played(force, scale, offset, flags, watch.seen())
+
+
+class _Watch:
+    """Compares what is claimed of a stream with the truth, as it goes."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._every = max(round(SNAPSHOT / stream.log.dt), 1)
+        self._time: list[float] = []
+        self._seen: list[tuple[float, float, float]] = []
+        self._nis = self._rows = 0.0
+        truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
+        self._map = np.hstack([truth.scale, truth.offset])
+
+    def look(self, k: int, estimate: Estimate, reference: Reference) -> None:
+        """Take in sample ``k``."""
+        stream, nis, rows = self._stream, estimate.nis, estimate.nis_rows
+        if nis is not None and rows is not None and stream.judged[k] and rows > 0 and np.isfinite(nis):
+            self._nis += float(nis)
+            self._rows += float(rows)
+        if (k + 1) % self._every:
+            return
+        # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
+        nees = force = cop = float("nan")
+        if not stream.faults:
+            error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
+            nees = _normalise(error, estimate.covariance)
+        true_force = stream.truth.force[k]
+        if estimate.force_std is not None:
+            force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
+        if estimate.cop_covariance is not None and estimate.cop_valid:
+            # The true forces are placed under the soles that the estimate is placed under.
+            wrench = sole_wrenches(true_force, stream.log.layout)
+            true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
+            cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
+        self._time.append(float(stream.log.time[k]))
+        self._seen.append((nees, cop, force))
+
+    def seen(self) -> Consistency:
+        """Consistency of the samples so far."""
+        nees, cop, force = np.array(self._seen).reshape(-1, 3).T
+        return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)
+
+
+def _normalise(error: Floats, covariance: Any) -> float:
+    """Return squared errors by their covariance over their number; infinite where it is not one."""
+    if covariance is None:
+        return float("nan")
+    values, vectors = np.linalg.eigh(covariance) if np.isfinite(covariance).all() else (np.zeros(1), None)
+    if vectors is None or values[0] <= 0.0:
+        return float("inf")
+    return float(np.mean((vectors.T @ error) ** 2 / values))

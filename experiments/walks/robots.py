@@ -1,0 +1,265 @@
+"""Robots that others made: what calibration is worth on each, standing, moving and falling.
+
+Errors are root mean squares over a run from the first second on, its falls included: of the centre of
+pressure of each foot in its sole's frame, where the foot truly bears a tenth of the robot's weight, and of
+the vertical force of both feet. Where an estimate has no centre of pressure the last one is held.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+
+from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, Reference
+from surefoot.calibration.native import ReferenceRecord
+from surefoot.envs import InstrumentedEnv, RobotDrawing, load_robot_spec
+from surefoot.envs.exercise.held import HeldRobot
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.study.figures import look_of
+from surefoot.experiments.study.page import (
+    Report,
+    Section,
+    Words,
+    failure_section,
+    publish,
+    repeat_section,
+    save_frames,
+)
+from surefoot.experiments.study.runner import runner
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.store import Case, Store
+from surefoot.experiments.study.tables import (
+    Cell,
+    Claim,
+    Frame,
+    Table,
+    at_most,
+    claim_table,
+    decimal,
+    laid_out,
+    plural,
+    with_interval,
+)
+from surefoot.experiments.walks.score import held, rms
+from surefoot.robot.sensing.instruments import layout_options
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+TOGETHER = (("none", "tare", "window"), ("moment",))  # methods that are given the same references
+METHODS = tuple(name for names in TOGETHER for name in names)
+SENSORS: Mapping[str, Any] = MappingProxyType({"load cells": None, "ankle sensors": "icub-force-torque"})
+BEGIN = 1.0  # s from which on errors count
+BEARS = 0.1  # share of the weight from which on a foot's centre of pressure counts
+_STREAM = 0x20B07  # of actions
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A robot and what it does: random actions of up to an amplitude, in the units of its actions."""
+
+    robot: str  # of Gymnasium, or of the package of robots
+    name: str
+    amplitude: float = 0.0
+
+    @property
+    def packaged(self) -> bool:
+        """Whether it needs the package of robots."""
+        return not self.robot.endswith("-v5")
+
+    def env(self) -> gym.Env[Any, Any]:
+        """Make it, with soles under feet without area."""
+        if not self.packaged:
+            env = gym.make(self.robot)
+            return InstrumentedEnv(env, soles=True, spec=_stand_up(env) if "Standup" in self.robot else None)
+        if self.name == "exercise":
+            return gym.make("surefoot/Exercise-v0", robot=self.robot, duration=None)
+        bare = HeldRobot(self.robot)
+        return InstrumentedEnv(bare, spec=bare.description)
+
+
+_ACTIONS = {"standing": 0.0, "small actions": 0.02, "exercise": 0.0, "falling": 0.3}
+MOTIONS = (
+    *(
+        Motion(robot, name, amplitude)
+        for robot in ("g1", "h1", "t1", "op3", "apollo", "berkeley")
+        for name, amplitude in _ACTIONS.items()
+        if name != "exercise" or robot in ("g1", "t1", "op3")
+    ),
+    Motion("Humanoid-v5", "falling"),
+    Motion("Humanoid-v5", "falling, small actions", 0.12),
+    Motion("Walker2d-v5", "falling"),
+    Motion("Walker2d-v5", "falling, small actions", 0.3),
+    Motion("HumanoidStandup-v5", "lying, small actions", 0.12),
+)
+"""Robots that are not ours; servos hold those of the package, of which three can exercise."""
+
+
+class _Together:
+    """Some methods in the place of a wrapper's calibrator, which are given the same references."""
+
+    def __init__(self, one: FootCalibrator, drawing: RobotDrawing, names: Sequence[str]) -> None:
+        self.setup = one.setup
+        of_setup = "mass", "initial", "dt", "lag", "age"
+        given: dict[str, Any] = {name: getattr(one.setup, name) for name in of_setup}
+        layout = one.setup.layout
+        self.methods = [
+            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing)}) for name in names
+        ]
+
+    def native(self) -> None:
+        """Nothing, as no filter of the library's alone makes the estimates."""
+
+    def is_in(self, state: Any) -> bool:
+        """No: no state of the library's alone is what it goes on with."""
+        return False
+
+    def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
+        self.estimates = [method.update(raw, reference) for method in self.methods]
+        return self.estimates[0]
+
+    def retract(self) -> None:
+        for method in self.methods:
+            method.retract()
+
+
+def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[str, list[dict[str, Any]]]:
+    """Run for a duration in s: ``scores`` has a row a method: ``cop`` in m, ``vgrf`` in N, ``falls``.
+
+    The robot does the same whatever its feet are calibrated by: each group of methods has a run of its own.
+    """
+    return {"scores": [row for names in TOGETHER for row in _run(motion, sensors, seed, duration, names)]}
+
+
+def _run(
+    motion: Motion, sensors: str, seed: int, duration: float, names: Sequence[str]
+) -> list[dict[str, Any]]:
+    env = FootSensors(motion.env(), SENSORS[sensors])
+    calibrated: Any = SelfCalibration(env, names[0])
+    calibrated.reset(seed=seed)
+    together = calibrated.robot.calibrator = _Together(calibrated.calibrator, env.source.drawing, names)
+    together.update(env.raw, calibrated.reference)
+    setup = together.setup
+    rng = np.random.default_rng([_STREAM, seed])
+    cop: list[list[Floats]] = []
+    vgrf: list[list[Floats]] = []
+    falls, ended = 0, False
+    for _ in range(round(duration / setup.dt)):
+        truth = env.source.truth
+        cop.append([truth.cop_sole[-1], *(one.cop_foot for one in together.estimates)])
+        vgrf.append([truth.vgrf(), *(one.vgrf for one in together.estimates)])
+        if ended:
+            calibrated.reset()
+            ended = False
+            continue
+        action = motion.amplitude * rng.uniform(-1.0, 1.0, env.action_space.shape)
+        _, _, fell, truncated, _ = calibrated.step(action.astype(np.float32))
+        ended = fell or truncated
+        falls += bool(fell)
+    time = setup.dt * np.arange(len(cop))
+    loads, places = np.array(vgrf)[time >= BEGIN], held(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
+    places = places.reshape((*loads.shape, 2))
+    borne = loads[:, 0] > BEARS * setup.mass * GRAVITY
+    off = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
+    total = (loads[:, 1:] - loads[:, :1]).sum(axis=-1)
+    about = {**asdict(motion), "sensors": sensors, "seed": seed, "falls": falls}
+    errors = zip(names, off.swapaxes(0, 1), total.T, strict=True)
+    return [{**about, "method": m, "cop": rms(o[borne]), "vgrf": rms(t)} for m, o, t in errors]
+
+
+def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
+    """Return the robot of HumanoidStandup-v5, which lies, with a keyframe in which its soles are measured."""
+    bare: Any = env.unwrapped
+    spec = mujoco.MjSpec.from_file(bare.fullpath)
+    pose = bare.model.qpos0.copy()
+    pose[2:7] = 1.2, np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0
+    spec.add_key(name="standing", qpos=pose)
+    return spec
+
+
+_say = Words("walks", "robots")
+_KEYS = ["robot", "name"]
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """How much the study does."""
+
+    out: Path = Path("out/compare-robots")
+    seeds: int = 5  # of each robot, motion and kind of sensor
+    jobs: int = 2
+    duration: float = 20.0  # of a run in s
+    motions: tuple[Motion, ...] = MOTIONS
+
+    def quickly(self) -> "RobotOptions":
+        """Return the same with two seeds and short runs, to see whether all works."""
+        return replace(self, seeds=min(self.seeds, 2), duration=3.0)
+
+
+def compare_robots(options: RobotOptions) -> Report:
+    """Run the study and write its page; without the package of robots it has the others, and says so."""
+    motions, without = options.motions, ""
+    try:
+        load_robot_spec("g1")
+    except ModuleNotFoundError as error:
+        motions, without = tuple(motion for motion in motions if not motion.packaged), str(error)
+    chosen = product(motions, SENSORS, range(options.seeds))
+    cases = [
+        Case(f"{m.robot}, {m.name}, {on}, seed {seed}", run_robot, (m, on, seed, options.duration))
+        for m, on, seed in chosen
+    ]
+    seconds: dict[str, float] = {}
+    store = Store(options.out / "results")
+    with store.opened(), runner(options.jobs, seconds) as run:
+        run.run("robots", cases, store)
+    scores, failures = store.rows("scores", cases), store.failures(cases)
+    claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None
+    tables = tuple(robot_table(scores, sensors) for sensors in SENSORS if len(scores))
+    summary = (*tables, *(() if claims is None else (claims,)))
+    left_out = (f"Robots of the package are left out: {without}",) if without else ()
+    amount = f"{plural(options.seeds, 'seed')} of each, runs of {options.duration:g} s."
+    command = f"surefoot compare robots --seeds {options.seeds} --out {options.out}"
+    sections = (
+        Section("robots", "Robots, motions and sensors", findings=left_out, tables=summary),
+        *failure_section(failures),
+        repeat_section(_say("repeat"), (command,), seconds),
+    )
+    save_frames(options.out / "tables", {"scores": scores}, (".csv",))
+    title = "Calibrators on robots that others made"
+    return publish(options.out, title, (_say("introduction"), amount, *left_out), sections)
+
+
+def claims_of(scores: Frame) -> list[Claim]:
+    """Return for each method the claim that its errors exceed those of raw readings nowhere."""
+    runs, claims = scores.set_index([*_KEYS, "sensors", "seed", "method"]), []
+    for column, what in (("cop", "CoP"), ("vgrf", "vGRF")):
+        errors = runs[column].unstack()
+        for method in METHODS[1:]:
+            off = (errors[method] - errors["none"]).groupby(level=[0, 1, 2])
+            found = [mean_interval(part) for _, part in off]
+            worse = sum(one.apart and one.mean > 0.0 for one in found)
+            said = f"{worse} of {len(found)} ({sum(one.mean > 0.0 for one in found)} in the mean)"
+            name = f"{look_of(method).label}: {what} worse than raw by more than the interval"
+            claims.append(at_most(name, worse, 0.0, said))
+    return claims
+
+
+def robot_table(scores: Frame, sensors: str) -> Table:
+    """Return the table of one kind of sensors, named after it, a row a robot and motion."""
+
+    def error(column: str, method: str, factor: float) -> Cell:
+        return lambda runs: with_interval(runs[runs["method"] == method][column], factor)
+
+    columns: dict[str, Cell] = {
+        "robot": lambda runs: str(runs["robot"].iloc[0]),
+        "motion": lambda runs: str(runs["name"].iloc[0]),
+        "falls a run": lambda runs: decimal(runs["falls"].mean(), ".0f"),
+        **{f"CoP (mm): {look_of(method).label}": error("cop", method, 1e3) for method in METHODS},
+        **{f"vGRF (N): {look_of(m).label}": error("vgrf", m, 1.0) for m in ("none", "moment")},
+    }
+    parts = [part for _, part in scores[scores["sensors"] == sensors].groupby(_KEYS, sort=False)]
+    return laid_out(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)

@@ -1,0 +1,334 @@
+"""A study of walks: the same recorded streams, several methods, many seeds; and walks on the feet themselves.
+
+What is finished is kept in the folder, so that a run that was interrupted goes on where it was.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, posterior_bound
+from surefoot.calibration.moment.config import Moment
+from surefoot.experiments.episodes.episode import TABLE
+from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.episodes.run import case_of
+from surefoot.experiments.logs.format import Log, read_log
+from surefoot.experiments.study.page import save_facts, save_frames
+from surefoot.experiments.study.runner import Runner, machine, runner
+from surefoot.experiments.study.sources import own_code
+from surefoot.experiments.study.store import Case, Store
+from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
+from surefoot.experiments.walks.play import play, streams_of
+from surefoot.experiments.walks.replay import age_of, starting_map
+from surefoot.experiments.walks.run_score import (
+    OTHER_WAYS,
+    other_way,
+    run_errors,
+    running_rmse,
+    score_run,
+    trace_of,
+    yardsticks_of,
+)
+from surefoot.experiments.walks.scenarios import Scenario, log_paths, record_missing, scenarios_named
+from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.walkers import STAND_TIME
+
+WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
+LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
+FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
+SLICE = 2.0  # time in s between points of the errors that are drawn over time
+TIMED = 1600  # samples of one walk on which an update is timed: 20 s
+PHASES = 4  # the window solves at every fourth sample: one of four samples is the slow one
+
+Tables = dict[str, list[dict[str, Any]]]
+
+
+@dataclass(eq=False)
+class WalkStudyResults:
+    """What a study of walks found."""
+
+    options: WalkStudyOptions
+    scenarios: tuple[Scenario, ...]
+    scores: Frame = field(default_factory=pd.DataFrame)  # a row a run, see ``walks.run_score``
+    errors: Frame = field(default_factory=pd.DataFrame)  # running, of the CoP: time (s), cop (m)
+    yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
+    traces: Frame = field(default_factory=pd.DataFrame)  # ends of walks
+    sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
+    loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
+    timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
+    film: Film = field(default_factory=lambda: Film(None, None, "not asked for"))
+    filmed: tuple[float, float, int] | None = None  # severity, speed in m/s, seed
+    left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
+    failures: dict[str, str] = field(default_factory=dict)  # raised, by case
+    seconds: dict[str, float] = field(default_factory=dict)  # of each stage
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """Speeds of the walks that are scored as the CoP paper scores, in m/s."""
+        return tuple(dict.fromkeys(scenario.walk.speed for scenario in self.scenarios if scenario.paper))
+
+
+def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkStudyResults:
+    """Walk, record, replay, score, time, close the loop, film, and save; bounds on errors if asked for.
+
+    Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
+    used.
+    """
+    prepare_rendering()
+    chosen = scenarios_named(options.scenarios, quick=options.quick)
+    results = WalkStudyResults(options, chosen)
+    scored = [score_case(s, m, options) for s in chosen for m in options.rows]
+    scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
+    limits = [bound_case(s, options) for s in chosen] if bounds else []
+    scaled, loops = _scaled_cases(options, chosen), _loop_cases(options, results.speeds)
+    stages = {
+        "replay and score": scored,
+        "compute the bounds": limits,
+        "scale the window's weights": [case for cases in scaled.values() for case in cases],
+        "close the loop": [case for cases in loops.values() for case in cases],
+    }
+    store = Store(options.out / "results")
+    with store.opened(), runner(options.jobs, results.seconds) as run:
+        walks = {(s.walk.name, seed): (s.walk, seed) for s in chosen for seed in s.seeds(options.seeds)}
+        recordings = [(*walk, options.duration, options.logs) for walk in walks.values()]
+        run.do("walk and record", [(record_missing, recording) for recording in recordings])
+        for what, cases in stages.items():
+            if cases:
+                run.run(what, cases, store)
+        if loops:
+            rows = [
+                store.rows(TABLE, cases).assign(severity=severity, speed=speed)
+                for (severity, speed), cases in loops.items()
+            ]
+            results.loop = pd.concat(rows, ignore_index=True)[list(LOOP_COLUMNS)]
+        results.timing = pd.DataFrame(run.do("time an update", _timings(results)))
+        if options.film_duration > 0.0 and len(results.loop):
+            _film(run, results)
+    results.failures = store.failures([case for cases in stages.values() for case in cases])
+    _collect(results, store, scored, scaled)
+    bounded = store.rows("bounds", limits)
+    if len(bounded):
+        results.scores = results.scores.merge(bounded, on=["scenario", "seed"], how="left")
+    else:
+        results.scores = results.scores.assign(bound_cop=np.nan, bound_vgrf=np.nan, bound_cell=np.nan)
+    _save(results)
+    return results
+
+
+def _scaled_cases(
+    options: WalkStudyOptions, chosen: tuple[Scenario, ...]
+) -> dict[tuple[str, float], list[Case]]:
+    """List the cases of the window with one of its weights scaled, by weight and factor."""
+    fewer = replace(options, seeds=min(options.seeds, options.sensitivity_seeds))
+    return {
+        (weight, factor): [score_case(s, "window", fewer, {changed: factor}) for s in chosen if s.paper]
+        for weight, changed in WEIGHTS.items()
+        for factor in options.factors
+        if factor != 1.0
+    }
+
+
+def _loop_cases(
+    options: WalkStudyOptions, speeds: tuple[float, ...]
+) -> dict[tuple[float, float], list[Case]]:
+    """List the closed loops of the stabiliser, by severity and speed in m/s: episodes of a sweep."""
+    seeds, duration = tuple(range(options.seeds)), options.loop_duration
+    plans = {
+        (severity, speed): EpisodePlan(
+            ("stabiliser",), feeds, (f"speed-{speed:g}",), (severity,), seeds, duration=duration
+        )
+        for severity, feeds in options.loops.items()
+        for speed in speeds
+    }
+    return {key: [case_of(episode) for episode in plan.episodes] for key, plan in plans.items()}
+
+
+def _save(results: WalkStudyResults) -> None:
+    options = results.options
+    names = ("scores", "errors", "timing", "yardsticks", "sensitivity", "loop")
+    save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
+    save_facts(
+        options.out / "results.json",
+        options,
+        scenarios={s.name: {"title": s.title, "answers": s.answers} for s in results.scenarios},
+        left_out=results.left_out,
+        film=results.film.problem or "walk.mp4",
+        machine=machine(),
+        seconds=results.seconds,
+    )
+
+
+def _timings(results: WalkStudyResults) -> list[Any]:
+    """List the methods with the first walk of the first scenario."""
+    options, first = results.options, results.scenarios[0]
+    path = log_paths(first.walk, 0, options.duration, options.logs)[first.condition]
+    return [(time_method, (path, m, first.options_of(m))) for m in options.rows if m != TRUE_MAP]
+
+
+def _film(run: Runner, results: WalkStudyResults) -> None:
+    options, severity = results.options, max(results.options.loops)
+    speed, seed = telling_walk(results.loop[results.loop["severity"] == severity])
+    results.filmed = (severity, speed, seed)
+    filmed = partial(shoot, speed=speed, seed=seed, duration=options.film_duration, severity=severity)
+    try:
+        results.film = join_reels(options.out, *run.do("film", [(filmed, (f,)) for f in ("none", "moment")]))
+    except OSError as error:
+        results.film = Film(None, None, str(error))
+
+
+def telling_walk(loop: Frame) -> tuple[float, int]:
+    """Return speed and seed of the walk to film: raw it falls, best after some steps, calibrated not."""
+    fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
+    if {"none", "moment"} <= set(fell.columns):
+        telling = fell[fell["none"] & ~fell["moment"]]
+        if len(telling):
+            time = loop[loop["feed"] == "none"].set_index(["speed", "seed"])["time"].loc[telling.index]
+            speed, seed = (time - FALL_TO_SHOW).abs().idxmin()
+            return float(speed), int(seed)
+    return float(loop["speed"].iloc[0]), int(loop["seed"].iloc[0])
+
+
+def _collect(
+    results: WalkStudyResults, store: Store, scored: list[Case], scaled: dict[tuple[str, float], list[Case]]
+) -> None:
+    for name in ("scores", "errors", "yardsticks", "traces"):
+        setattr(results, name, store.rows(name, scored))
+    if not len(results.scores):
+        for name, error in store.failures(scored).items():
+            raise ValueError(f"No case could be scored. The first, '{name}': {error.splitlines()[-1]}")
+        raise ValueError(
+            "No walk lasted long enough to be scored: all ended in a fall; take other scenarios."
+        )
+    left_out = store.rows("left_out", scored)
+    results.left_out = left_out.groupby("scenario", sort=False)["count"].first().astype(int).to_dict()
+    if scaled and len(plain := results.yardsticks):
+        frames = [
+            store.rows("yardsticks", cases).assign(weight=weight, factor=factor)
+            for (weight, factor), cases in scaled.items()
+        ]
+        # Weights as they are were replayed already.
+        plain = plain[(plain["method"] == "window") & (plain["seed"] < results.options.sensitivity_seeds)]
+        as_they_are = [plain.assign(weight=weight, factor=1.0) for weight in WEIGHTS]
+        results.sensitivity = pd.concat([*frames, *as_they_are], ignore_index=True)
+
+
+def score_case(
+    scenario: Scenario, method: str, options: WalkStudyOptions, changes: Mapping[str, Any] | None = None
+) -> Case:
+    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario, with changed options.
+
+    Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
+    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
+    """
+    changed = dict(changes or {})
+    name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
+    arguments = (scenario, method, options, changed)
+    depends = (method, changed, _depends(scenario, options), *own_code(method))
+    return Case(name, _score, arguments, depends)
+
+
+def bound_case(scenario: Scenario, options: WalkStudyOptions) -> Case:
+    """Return the case of a scenario's bound: ``bounds``, a row a run (``bound_cop`` in m, others in N)."""
+    return Case(f"{scenario.name} bound", _bound, (scenario, options), _depends(scenario, options))
+
+
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
+    """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
+
+    NaN for what is no walk of the NAO.
+    """
+    walks = log.truth is not None and bool(log.about.get("speed_m_s"))
+    if not walks or not judged.any() or not np.isfinite(log.raw).all():
+        return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
+    assert log.truth is not None
+    model = {field.name for field in fields(Moment)}
+    setup = OnlineSetup(
+        layout=log.layout,
+        mass=log.mass,
+        initial=starting_map(log),
+        dt=log.dt,
+        lag=log.lag,
+        **{name: value for name, value in options.items() if name not in model},
+    )
+    config = Moment(**{name: value for name, value in options.items() if name in model})
+    truth = Parameters(log.truth.scale, log.truth.offset)
+    bound = posterior_bound(setup, log.raw, log.reference, truth, config)
+    return {
+        "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
+        "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
+        "cell": float(np.sqrt(np.mean(bound.force[judged] ** 2))),
+    }
+
+
+def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
+    log = read_log(path)
+    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    calibrator = FootCalibrator(log.layout, method, initial=starting_map(log), **known, **options)
+    taken = []
+    for k in range(min(TIMED, len(log))):
+        reference = Reference(*(part[k] for part in log.reference))
+        began = time.perf_counter()
+        calibrator.update(log.raw[k], reference)
+        taken.append(time.perf_counter() - began)
+    # The first half warms up, and holds what only a standing start does.
+    steady = 1e6 * np.array(taken[len(taken) // 2 :])
+    phases = steady[: len(steady) // PHASES * PHASES].reshape(-1, PHASES)
+    return {
+        "method": method,
+        "median_us": float(np.median(steady)),
+        "mean_us": float(steady.mean()),
+        "slowest_us": float(np.median(phases, axis=0).max()),
+    }
+
+
+def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
+    """Options and logs that decide a scenario's results; a log's name is a hash of all that made it."""
+    logs = [
+        str(log_paths(scenario.walk, seed, options.duration, Path())[scenario.condition])
+        for seed in scenario.seeds(options.seeds)
+    ]
+    return scenario, options.duration, options.settle, logs
+
+
+def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: dict[str, Any]) -> Tables:
+    streams, left_out = streams_of(scenario, options)
+    row = {"scenario": scenario.name, "method": method}
+    found: Tables = {"scores": [], "errors": [], "left_out": [{**row, "count": left_out}]}
+    if method in OTHER_WAYS:
+        rows = [one for stream in streams for one in other_way(stream, method, options.settle)]
+        return {**found, "yardsticks": rows}
+    played_by_method = play(streams, method, **scenario.options_of(method), **changes)
+    for stream, played in zip(streams, played_by_method, strict=True):
+        found["scores"].append({**row, **score_run(stream, played)})
+        running = running_rmse(stream.log.time, run_errors(stream, played.force)[0])
+        every = max(round(SLICE / stream.log.dt), 1)
+        found["errors"] += [
+            {**row, "seed": stream.seed, "time": float(moment), "cop": float(value)}
+            for moment, value in zip(stream.log.time[::every], running[::every], strict=True)
+        ]
+        if scenario.paper:
+            rows = yardsticks_of(stream, method, played.force, options.settle)
+            found.setdefault("yardsticks", []).extend(rows)
+            if stream.seed == 0:
+                found["traces"] = trace_of(stream, method, played.force)
+    return found
+
+
+def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
+    rows = []
+    for stream in streams_of(scenario, options)[0]:
+        # A bound knows of no fault: what it says of a channel that fails would mean nothing.
+        if not stream.faults:
+            limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
+            named = {f"bound_{part}": value for part, value in limit.items()}
+            rows.append({"scenario": scenario.name, "seed": stream.seed, **named})
+    return {"bounds": rows}

@@ -1,0 +1,316 @@
+"""Scenarios of the study of walks: what is walked, what is wrong, and which question that answers.
+
+The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
+square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
+late.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from surefoot.experiments.logs.format import write_log
+from surefoot.experiments.study.sources import code_of
+from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
+
+INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
+"""The bad start: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute."""
+
+CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal")
+"""The same cells behind converters that run at 78 to 94 Hz, each on its own, as HX711 chips do."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk to record."""
+
+    name: str  # for files
+    speed: float = 0.04  # in m/s
+    duration: float | None = None  # in s with standing; ``None`` for the study's
+    env: Mapping[str, Any] = field(default_factory=dict)  # options of NaoWalkEnv
+    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
+    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
+    clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
+    conditions: tuple[Condition, ...] = (INSTANT,)
+
+    def lasting(self, duration: float) -> float:
+        """Return how long it takes in s, where the study's walks take ``duration``."""
+        return duration if self.duration is None else self.duration
+
+
+def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
+    made_of = (walk, seed, walk.lasting(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
+    key = sha256(repr(made_of).encode()).hexdigest()[:12]
+    return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
+
+
+def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Record a walk unless its logs are there, and return them as :func:`log_paths` does."""
+    paths = log_paths(walk, seed, duration, folder)
+    if not all(path.is_file() for path in paths.values()):
+        logs = record_walk(
+            walk.speed,
+            seed,
+            walk.lasting(duration),
+            walk.conditions,
+            sensors=walk.sensors,
+            beliefs=walk.beliefs,
+            clock_error=walk.clock_error * (-1.0) ** seed,
+            **walk.env,
+        )
+        for name, log in logs.items():
+            write_log(log, paths[name])
+    return paths
+
+
+PLAIN = "speed-0.04"  # the scenario without anything special, which others are held against
+SPEEDS = (0.02, 0.04, 0.1)  # speeds of the CoP paper in m/s
+
+_FAULT_STREAM = 0xFA17
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One line of the table."""
+
+    name: str  # for files and the command
+    title: str
+    answers: str  # the question, and where it is asked
+    walk: Walk
+    condition: str = INSTANT.name  # name of the cells that read it
+    faults: tuple[Fault, ...] = ()  # of one channel; channel and start are drawn
+    options: Mapping[str, Any] = field(default_factory=dict)  # that every method is given
+    method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of single methods
+    most_seeds: int | None = None  # for long ones
+    long: bool = False  # no part of a quick run
+    paper: bool = False  # scored as the CoP paper scores, too
+
+    def seeds(self, seeds: int) -> range:
+        """Number its walks, where ``seeds`` are asked for."""
+        return range(seeds if self.most_seeds is None else min(seeds, self.most_seeds))
+
+    def options_of(self, method: str) -> dict[str, Any]:
+        """Return the options that a method is given."""
+        return {**self.options, **self.method_options.get(method, {})}
+
+    def faults_of(self, seed: int, earliest: float) -> tuple[Fault, ...]:
+        """Draw which cell a fault befalls, and when: within one stride from a time in s on."""
+        rng = np.random.default_rng([_FAULT_STREAM, seed])
+        channel, start = int(rng.integers(8)), earliest + rng.uniform(0.0, 1.6)
+        # The other one of a swap is a cell of the same foot: plugs of one foot are within reach.
+        other = 4 * (channel // 4) + (channel + int(rng.integers(1, 4))) % 4
+        return tuple(
+            replace(fault, channel=channel, start=start, other=other if fault.kind == "swapped" else None)
+            for fault in self.faults
+        )
+
+
+def _fault(kind: str, title: str, **options: float) -> Scenario:
+    # Only a swap needs another channel; both are drawn later.
+    other = 1 if kind.startswith("swapped") else None
+    fault = Fault(kind.partition("-")[0], 0, other=other, **options)
+    return Scenario(
+        f"fault-{kind}",
+        title,
+        f"A cell fails while the robot walks: is it found within 1 s, is it the right one, and what is the "
+        f"centre of pressure worth afterwards ({fault.kind}; none of the papers asks)?",
+        _PLAIN_WALK,
+        faults=(fault,),
+    )
+
+
+def _speed(speed: float) -> Walk:
+    return Walk(f"speed{speed:g}", speed, conditions=(INSTANT, CHIPS))
+
+
+_PLAIN_WALK = _speed(0.04)
+_WARM = Condition(
+    "warming",
+    "warming up by 20 K in ten minutes",
+    LoadCells(rate=None, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0),
+    "nominal",
+)
+_ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque(averaged=False))
+_BOTH = Condition(
+    "both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque(averaged=False)
+)
+_WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}  # of some 5 N, a tenth of the weight
+
+_FOOT_LENGTH = {"foot_length": 0.17}
+_ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))
+_BOUNDARIES = "CoP paper, section 5.1"
+
+_TABLE = (
+    *(
+        Scenario(
+            f"speed-{speed:g}",
+            f"{speed:g} m/s",
+            "The paper's three speeds from the bad start (CoP paper, Tables 4-6).",
+            _speed(speed),
+        )
+        for speed in SPEEDS
+    ),
+    *(
+        Scenario(
+            f"chips-{speed:g}",
+            f"{speed:g} m/s, cells on their own clocks",
+            "The same walks read through converters that run unsynchronised: what is left of it with a "
+            "reading that is up to 13 ms old, which even the true map cannot undo?",
+            _speed(speed),
+            CHIPS.name,
+        )
+        for speed in SPEEDS
+    ),
+    Scenario(
+        "start-stop-turn",
+        "start, stop and turn",
+        "Gait transitions, which the paper leaves to future work (sections 4.3 and 5).",
+        Walk("route", duration=STAND_TIME + 30.0, env={"route": (*_ROUTE, *_ROUTE[:2])}),
+    ),
+    Scenario(
+        "pushes",
+        "pushes",
+        "External disturbances, which the paper leaves to future work (sections 4.3 and 5).",
+        Walk("pushes", env={"push_impulse": (0.1, 0.3)}),
+    ),
+    Scenario(
+        "soft-ground",
+        "soft ground",
+        f"Compliant ground breaks the assumption of rigid contact ({_BOUNDARIES}).",
+        Walk("soft", env={"ground_time_constant": 0.06}),
+    ),
+    Scenario(
+        "slippery-ground",
+        "slippery ground",
+        f"Slip breaks the assumption of static friction ({_BOUNDARIES}).",
+        Walk("slippery", env={"friction": (0.04, 0.06)}),
+    ),
+    Scenario(
+        "rolling-feet",
+        "rolling from heel to toe",
+        f"Rolling contact amplifies errors near contact transitions ({_BOUNDARIES}).",
+        Walk("rolling", env={"foot_roll": 0.05}),
+    ),
+    Scenario(
+        "imu-bias",
+        "IMU bias and tilt",
+        f"A biased IMU, whose tilt is then wrong as well ({_BOUNDARIES}): four times the bias, ten times "
+        "its wander.",
+        Walk(
+            "imu",
+            sensors={
+                "imu": Imu(accelerometer_bias_std=0.2, gyroscope_bias_std=4e-3, accelerometer_walk=2e-3)
+            },
+        ),
+    ),
+    Scenario(
+        "delay-jitter",
+        "delay off by 10 ms, and jitter",
+        f"Telemetry 10 ms later or earlier than assumed, with 8 ms of jitter ({_BOUNDARIES}).",
+        Walk("delay", sensors={"link": Link(jitter=0.008)}, clock_error=0.010),
+    ),
+    Scenario(
+        "mass-error",
+        "mass off by 2 %",
+        "The reference's own errors: an assumed mass that is 2 % off.",
+        Walk("mass", beliefs={"errors": {"mass": 0.02}}),
+    ),
+    Scenario(
+        "payload",
+        "a payload of 0.3 kg picked up",
+        "The reference's own errors: the robot picks up 6 % of its mass and does not know.",
+        Walk("payload", env={"payload": (0.3, STAND_TIME + 12.0)}),
+    ),
+    Scenario(
+        "com-error",
+        "centre of mass off by 10 mm",
+        "The reference's own errors: an assumed centre of mass that is 10 mm off.",
+        Walk("com", beliefs={"errors": {"com": 0.010}}),
+    ),
+    *(
+        _fault(kind, title, **options)
+        for kind, title, options in (
+            ("dead", "a cell goes dead", {}),
+            ("stuck", "a cell is stuck", {}),
+            ("saturated", "a cell saturates at 8 N", {"level": 8.0}),
+            ("saturated-rail", "a cell goes to its rail", {}),
+            ("spiking", "a cell spikes five times a second", {"rate": 5.0}),
+            ("dropped", "a cell's readings no longer arrive", {}),
+            ("swapped", "two cells are swapped", {}),
+            ("flipped", "a cell's sign flips", {}),
+        )
+    ),
+    Scenario(
+        "ankle-ft",
+        "six-axis sensors in the ankles",
+        "Ankle force-torque sensors in place of the cells: scales off by 8 %, cross-talk of 1 %, offsets off "
+        "by 5 N and 0.1 N m.",
+        Walk("ankle", conditions=(_ANKLE, _BOTH)),
+        _ANKLE.name,
+        options=_FOOT_LENGTH,
+        method_options=_WIDE_OFFSETS,
+    ),
+    Scenario(
+        "cells-and-ankle-ft",
+        "cells and six-axis sensors",
+        "Both instruments on every foot, which may calibrate each other; errors are those of their mean.",
+        Walk("ankle", conditions=(_ANKLE, _BOTH)),
+        _BOTH.name,
+        options=_FOOT_LENGTH,
+        method_options=_WIDE_OFFSETS,
+    ),
+    Scenario(
+        "temperature-ramp",
+        "ten minutes, warming by 20 K",
+        "Offsets and scales that follow the temperature besides drifting.",
+        Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
+        _WARM.name,
+        most_seeds=5,
+        long=True,
+    ),
+    Scenario(
+        "half-an-hour",
+        "half an hour",
+        "Long-term stability over extended walking (CoP paper, section 4.3).",
+        Walk("half-hour", duration=STAND_TIME + 1800.0),
+        most_seeds=10,
+        long=True,
+    ),
+)
+
+PAPER_SCENARIOS = {
+    (condition.name, speed): Scenario(
+        f"{condition.name}-{speed:g}",
+        f"{speed:g} m/s, {condition.title}",
+        "The CoP paper's Tables 4 to 6: against its own baseline, and against the truth.",
+        Walk(f"both-{speed:g}", speed, conditions=CONDITIONS),
+        condition.name,
+        paper=True,
+    )
+    for speed in SPEEDS
+    for condition in CONDITIONS
+}
+"""Scenarios that are scored as the CoP paper scores as well, by condition and speed in m/s."""
+
+SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
+"""The scenarios of the comparison by name, in the order of the page."""
+
+
+def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
+    """Return scenarios by names, or raise ValueError with what there is; all for none, quick without long."""
+    known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(known)}.")
+    if names:
+        return tuple(known[name] for name in dict.fromkeys(names))
+    return tuple(scenario for scenario in SCENARIOS.values() if not (quick and scenario.long))

@@ -1,0 +1,289 @@
+"""Tables of a study of walks: a scenario each, one over all; faults, alarms, time; the CoP paper's 4 to 6."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import stats
+
+from surefoot.experiments.study.figures import by_way, in_order, look_of, short_label
+from surefoot.experiments.study.page import Words
+from surefoot.experiments.study.statistics import mean_interval, survival
+from surefoot.experiments.study.tables import (
+    Cell,
+    Frame,
+    Table,
+    Valued,
+    Verdict,
+    count_of,
+    decimal,
+    laid_out,
+    mean_of,
+    number,
+    plural,
+    sentence,
+    share,
+    with_interval,
+)
+from surefoot.experiments.walks.options import TRUE_MAP
+from surefoot.experiments.walks.scenarios import Scenario
+from surefoot.experiments.weights.paper import MethodErrors
+
+METRICS = (
+    ("cop", 1e3, "CoP rmse (mm)", 2.0),
+    ("cop_foot", 1e3, "foot's CoP rmse (mm)", 2.0),
+    ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
+    ("cell", 1.0, "single cell rmse (N)", 0.4),
+)
+"""Errors with the factor to their unit, what to call them, and what was set out to be reached."""
+
+
+WALKING_TABLES = {
+    0.02: {"window": MethodErrors(0.0059, 0.4339), "quasi-static": MethodErrors(0.0108, 1.2949)},
+    0.04: {"window": MethodErrors(0.0108, 0.5324), "quasi-static": MethodErrors(0.0166, 1.8646)},
+    0.1: {"window": MethodErrors(0.0134, 1.0387), "quasi-static": MethodErrors(0.0199, 2.5220)},
+}
+"""The CoP paper's Tables 4 to 6 by walking speed in m/s, against its own offline-calibrated baseline."""
+
+PAPER_TABLE_NUMBER = {0.02: "4", 0.04: "5", 0.1: "6"}
+
+PAPER_METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
+
+
+def consistent(runs: Frame) -> tuple[float, float]:
+    """Return the 95 % interval of the mean NEES of an estimator that is as sure as it should be."""
+    degrees = float((runs["nees_end"].notna() * runs["parameters"]).sum())
+    low, high = stats.chi2.ppf([0.025, 0.975], degrees) / degrees
+    return float(low), float(high)
+
+
+def seconds_text(value: float) -> str:
+    """Return a time in s, or that it never came."""
+    return "never" if value == float("inf") else number(value)
+
+
+def _method(runs: Frame) -> str:
+    return str(runs["method"].iloc[0])
+
+
+def _of_methods(cell: Cell) -> Cell:
+    """Leave a cell out where it would be about the true map, which is no method."""
+    return lambda runs: "–" if _method(runs) == TRUE_MAP else cell(runs)
+
+
+def _nees(runs: Frame) -> str:
+    if not runs["nees_end"].notna().any():
+        return "–"
+    (low, high), mean = consistent(runs), float(runs["nees_end"].mean())
+    text = f"{number(mean)} [{number(low)}, {number(high)}]"
+    return Valued.of(text, {"value": mean, "from": low, "to": high})
+
+
+def _nis(runs: Frame) -> str:
+    rows = float(runs["nis_rows"].sum())
+    return number(float((runs["nis"] * runs["nis_rows"]).sum() / rows)) if rows else "–"
+
+
+def _found_after(runs: Frame) -> str:
+    known = runs["found"][np.isfinite(runs["found"])]
+    return number(float(known.median())) if len(known) else "–"
+
+
+_SCORES: Mapping[str, Cell] = {
+    "method": lambda runs: look_of(_method(runs)).label,
+    "CoP (mm)": mean_of("cop", 1e3),
+    "foot's CoP (mm)": mean_of("cop_foot", 1e3),
+    "vGRF (N)": mean_of("vgrf"),
+    "cell (N)": mean_of("cell"),
+    "scale (%)": mean_of("scale", 1e2),
+    "offset (N)": mean_of("offset"),
+    "converged (s)": _of_methods(lambda runs: seconds_text(float(runs["converged"].median()))),
+    "spread (mm)": mean_of("spread", 1e3),
+    "NEES": _nees,
+    "NEES, CoP": lambda runs: number(float(runs["nees_cop"].mean())),
+    "NIS": _nis,
+    "ends worse": _of_methods(count_of("worse")),
+    "feet end worse": _of_methods(count_of("worse_foot")),
+    "bound on CoP (mm)": mean_of("bound_cop", 1e3),
+}
+
+_FAULTS: Mapping[str, Cell] = {
+    "found within 1 s": lambda runs: share(int((runs["found"] <= 1.0).sum()), len(runs)),
+    "found after (s), median": _found_after,
+    "right cell": count_of("isolated"),
+    "right name": count_of("named"),
+}
+
+
+def scenario_table(scores: Frame, scenario: Scenario) -> Table:
+    """Return all scores of a scenario, from one row a run."""
+    title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
+    parts = by_way(scores[scores["scenario"] == scenario.name])
+    return laid_out(
+        f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("walks", "scenarios")("scores")
+    )
+
+
+def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
+    """Return the CoP errors of all scenarios and methods."""
+
+    def error_of(method: str) -> Cell:
+        return lambda item: with_interval(item[1][item[1]["method"] == method]["cop"], 1e3)
+
+    columns: dict[str, Cell] = {
+        "scenario": lambda item: item[0].title,
+        "runs": lambda item: decimal(item[1]["seed"].nunique(), "d"),
+        **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
+    }
+    parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
+    return laid_out("overview", "CoP rmse in mm, all scenarios", columns, [p for p in parts if len(p[1])])
+
+
+def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
+    """Faults found and missed, or ``None`` where there were none."""
+    titles = {scenario.name: scenario.title for scenario in scenarios if scenario.faults}
+    parts = [
+        runs for name in titles for runs in by_way(scores[scores["scenario"] == name]).values() if len(runs)
+    ]
+    columns: dict[str, Cell] = {
+        "fault, method": lambda runs: f"{titles[runs['scenario'].iloc[0]]}, {short_label(_method(runs))}",
+        **{name: _of_methods(cell) for name, cell in _FAULTS.items()},
+        "CoP afterwards (mm)": mean_of("after", 1e3),
+    }
+    title = "Cells that fail while the robot walks"
+    note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
+    return laid_out("faults", title, columns, parts, note) if parts else None
+
+
+def alarm_table(scores: Frame) -> Table:
+    """Return how often a healthy cell was accused."""
+
+    def exact(runs: Frame) -> str:
+        # Interval of a Poisson rate (Garwood, 1936).
+        alarms, hours = float(runs["alarms"].sum()), float(runs["hours"].sum())
+        low = stats.chi2.ppf(0.025, 2 * alarms) / 2 if alarms else 0.0
+        ends = float(low / hours), float(stats.chi2.ppf(0.975, 2 * alarms + 2) / 2 / hours)
+        return Valued.of(" to ".join(map(number, ends)), dict(zip(("from", "to"), ends, strict=True)))
+
+    columns: dict[str, Cell] = {
+        "method": _SCORES["method"],
+        "hours without a fault": lambda runs: decimal(runs["hours"].sum(), ".2f"),
+        "alarms": lambda runs: decimal(runs["alarms"].sum(), ".0f"),
+        "per hour": lambda runs: number(float(runs["alarms"].sum() / runs["hours"].sum())),
+        "95 % interval": exact,
+    }
+    parts = by_way(scores[scores["method"] != TRUE_MAP]).values()
+    return laid_out("alarms", "False alarms in all walks", columns, parts)
+
+
+def timing_table(timing: Frame) -> Table:
+    """Return the time of one robot's update."""
+    columns: dict[str, Cell] = {
+        "method": lambda row: look_of(row.method).label,
+        "median (µs)": lambda row: number(row.median_us),
+        "mean (µs)": lambda row: number(row.mean_us),
+    }
+    return laid_out("timing", "Time of one update", columns, timing.itertuples())
+
+
+def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
+    """Errors of each way to read the feet, and who falls by it."""
+    own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
+    raw = int(loop[loop["feed"] == "none"]["fell"].sum())
+
+    def error(metric: str, factor: float) -> Cell:
+        def cell(way: tuple[str, Frame]) -> str:
+            errors = own[own["method"] == way[0]][metric]
+            return with_interval(errors, factor) if len(errors) else decimal(0)
+
+        return cell
+
+    def fall(way: tuple[str, Frame]) -> str:
+        falls, said = int(way[1]["fell"].sum()), count_of("fell")(way[1])
+        return said if falls == raw else Verdict.of(falls < raw, said)
+
+    columns: dict[str, Cell] = {
+        "what reads the feet": lambda way: look_of(way[0]).label,
+        "CoP off by (mm)": error("cop", 1e3),
+        "vertical force off by (N)": error("vgrf", 1.0),
+        "walks that fall": fall,
+    }
+    note = (
+        "Errors while walking at the bad start, rms from the settling time on. Falls: the controller is fed "
+        f"the CoP of cells that are {loop['severity'].iloc[0]:g} times as bad; green, fewer than on raw "
+        "readings."
+    )
+    return laid_out("lead", title, columns, by_way(loop, "feed").items(), note)
+
+
+def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, str]]) -> Table:
+    """Return one speed as the paper's Tables 4 to 6 and the truth; the first condition is the paper's."""
+    rows = []
+    here = scores[scores["speed"] == speed]
+    for condition, title in conditions:
+        published = WALKING_TABLES.get(speed, {}) if condition == conditions[0][0] else {}
+        for method, runs in by_way(here[here["condition"] == condition]).items():
+            baseline, truth = (runs[runs["against"] == against] for against in ("baseline", "truth"))
+            cells = [title, look_of(method).label]
+            for metric, _, _, factor in PAPER_METRICS:
+                same = len(baseline) and float(baseline[metric].max()) < 1e-9
+                cells.append("0 *" if same else with_interval(baseline[metric], factor))
+                paper = published.get(method)
+                cells.append("" if paper is None else number(factor * getattr(paper, metric)))
+            cells += [with_interval(truth[metric], factor) for metric, _, _, factor in PAPER_METRICS]
+            rows.append((*cells, with_interval(truth["cell"])))
+    columns = ["condition", "method"]
+    for _, what, unit, _ in PAPER_METRICS:
+        columns += [f"{what} against baseline ({unit})", "paper"]
+    columns += [f"{what} against truth ({unit})" for _, what, unit, _ in PAPER_METRICS]
+    name = PAPER_TABLE_NUMBER.get(speed)
+    note = (
+        f"rmse, mean ± 95 % interval over {plural(here['seed'].nunique(), 'seed')}. "
+        "* By construction: these readings are the baseline."
+    )
+    return Table(
+        f"walking_{speed:g}".replace(".", "_"),
+        f"Table {name}: {speed:g} m/s" if name else f"{speed:g} m/s",
+        (*columns, "single cell against truth (N)"),
+        tuple(rows),
+        note,
+    )
+
+
+def loop_table(runs: Frame, horizon: float) -> Table:
+    """Return the closed loop: who fell, and when; one row a walk comes in, which lasts so many s at most."""
+
+    def halved(part: Frame) -> str:
+        curve = survival(part["time"], part["fell"])
+        times = curve.time[curve.share <= 0.5]
+        return number(float(times[0])) if len(times) else f"> {horizon:g}"
+
+    columns: dict[str, Cell] = {
+        "severity": lambda part: decimal(part["severity"].iloc[0]),
+        "speed (m/s)": lambda part: decimal(part["speed"].iloc[0]),
+        "CoP fed back": lambda part: look_of(part["feed"].iloc[0]).label,
+        "falls": count_of("fell"),
+        "half have fallen after (s)": halved,
+        f"time on its feet (s), of {horizon:g}": mean_of("time"),
+        "error of the CoP fed back (mm)": mean_of("cop_error", 1e3),
+        "true CoP from its plan (mm)": mean_of("tracking", 1e3),
+    }
+    note = "Paired: the same seeds, pushes, ground and sensors under every feedback. Errors up to the fall."
+    groups = runs.groupby(["severity", "speed"], sort=False)
+    parts = [part for _, walks in groups for part in by_way(walks, "feed").values()]
+    return laid_out("closed_loop", "The walker on different feet", columns, parts, note)
+
+
+def sensitivity_table(runs: Frame, title: str) -> Table:
+    """Return how far the window's errors move with each of its weights."""
+    factors = sorted(runs["factor"].unique())
+    rows: list[tuple[str, ...]] = []
+    for weight in dict.fromkeys(runs["weight"]):
+        for speed, part in runs[runs["weight"] == weight].groupby("speed"):
+            for metric, what, unit, factor in PAPER_METRICS:
+                means = [factor * mean_interval(part[part["factor"] == f][metric]).mean for f in factors]
+                base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
+                change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"
+                rows.append((weight, decimal(speed), f"{what} ({unit})", *map(number, means), change))
+    columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
+    name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
+    return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))

@@ -1,0 +1,186 @@
+"""Known weights: Tables 2 and 3 of the CoP paper (PMC12899417), its Figures 7 and 8, and ours."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.layout import nao_shoe_layout
+from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.weights.channels import fit_channels
+from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
+from surefoot.experiments.study.page import ReportFigure, Section, Words
+from surefoot.experiments.study.tables import Table, decimal, laid_out, number
+from surefoot.experiments.weights.weighing import WeighingReport
+
+
+class WeightTable(NamedTuple):
+    """Codes of eight cells under known loads and the lines through them, as in Table 2."""
+
+    channel_names: tuple[str, ...]
+    load: np.ndarray  # in kg, shape (n,)
+    code: np.ndarray  # of the converters, shape (8, n)
+    scale: np.ndarray  # in kg per count, shape (8,)
+    offset: np.ndarray  # in kg, shape (8,)
+
+
+class MethodErrors(NamedTuple):
+    """Root-mean-square errors of the centre of pressure in m and of the vertical force in N."""
+
+    cop: float
+    vgrf: float
+
+
+TABLE_2 = WeightTable(
+    channel_names=nao_shoe_layout().channel_names,
+    load=np.array([0.0, 0.01, 0.05, 0.2]),
+    code=np.array(
+        [
+            [8347750, 8344582, 8326926, 8264253],
+            [8347750, 8344582, 8301298, 8264254],
+            [8322914, 8317325, 8301301, 8264263],
+            [8322914, 8317325, 8301299, 8264278],
+            [8322914, 8317426, 8301297, 8264254],
+            [8322914, 8317356, 8301289, 8264261],
+            [8322914, 8317320, 8301299, 8264262],
+            [8321583, 8317321, 8301297, 8264267],
+        ],
+        dtype=np.float64,
+    ),
+    scale=np.array(
+        [-2.38250654, -2.20853048, -3.47692594, -3.47779548, -3.4736872, -3.47589563, -3.47698378, -3.5299719]
+    )
+    * 1e-6,
+    offset=np.array(
+        [19.8895457, 18.4277626, 28.9285295, 28.9357592, 28.9017197, 28.9199912, 28.9290027, 29.3677097]
+    ),
+)
+"""The paper's weighing. Six of the eight cells share one code for no load; two rows share three codes."""
+
+TABLE_3 = {"initial": MethodErrors(0.1839, 5.298), "calibrated": MethodErrors(0.0005, 0.08)}
+"""Before and after the paper's manual calibration from weights."""
+
+_say = Words("walks", "paper")
+_BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
+
+
+def paper_table_2() -> tuple[Table, float]:
+    """Fit the paper's counts: a table beside its coefficients, and the largest relative difference."""
+    fit = fit_channels(TABLE_2.code.T, TABLE_2.load, TABLE_2.channel_names).value
+    difference = np.maximum(np.abs(fit.scale / TABLE_2.scale - 1), np.abs(fit.offset / TABLE_2.offset - 1))
+    columns: dict[str, Callable[[int], str]] = {
+        "cell": lambda i: _cell(TABLE_2.channel_names[i]),
+        **{_load(load): _code(TABLE_2.code[:, j]) for j, load in enumerate(TABLE_2.load)},
+        "c, ours": lambda i: decimal(1e6 * fit.scale[i], ".8f"),
+        "c, paper": lambda i: decimal(1e6 * TABLE_2.scale[i], ".8f"),
+        "d, ours": lambda i: decimal(fit.offset[i], ".7f"),
+        "d, paper": lambda i: decimal(TABLE_2.offset[i], ".7f"),
+        "largest difference": lambda i: decimal(difference[i], ".1e"),
+    }
+    note = "Counts as printed in the paper; c in 1e-6 kg per count, d in kg by regression of load on count."
+    title = "Table 2: the paper's counts, fitted again"
+    cells = range(len(TABLE_2.channel_names))
+    return laid_out("table2_paper", title, columns, cells, note), float(difference.max())
+
+
+def table_2(report: WeighingReport) -> Table:
+    """Return the simulated weighing as the paper's Table 2: codes under known loads, and lines."""
+    load = report.channel_load
+    shown = dict.fromkeys(int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0))
+    value = report.channels.value
+    columns: dict[str, Callable[[int], str]] = {
+        "cell": lambda i: _cell(report.channel_names[i]),
+        **{_load(load[j]): _code(report.channel_code[j]) for j in shown},
+        "c": lambda i: decimal(1e6 * value.scale[i] / GRAVITY, ".5f"),
+        "d": lambda i: decimal(value.offset[i] / GRAVITY, ".5f"),
+    }
+    note = (
+        f"Mean codes of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
+        "c in 1e-6 kg per count, d in kg."
+    )
+    cells = range(len(report.channel_names))
+    return laid_out("table2_simulated", "The same of simulated cells", columns, cells, note)
+
+
+def table_3(report: WeighingReport) -> Table:
+    """Return the errors on held-out holes as the paper's Table 3."""
+    both = (report.initial, report.calibrated, TABLE_3["initial"], TABLE_3["calibrated"])
+    rows = (
+        ("CoP (mm)", *(number(1e3 * errors.cop) for errors in both)),
+        ("vGRF (N)", *(number(errors.vgrf) for errors in both)),
+    )
+    columns = ("rmse", "initial, ours", "calibrated, ours", "initial, paper", "calibrated, paper")
+    calibrated = report.calibrated
+    note = (
+        f"{calibrated.placements} placements with a centre of pressure and {calibrated.weighings} weighings "
+        "at holes that the fit never saw; the paper does not say how many of its were held out."
+    )
+    return Table("table3", "Table 3: before and after calibration from weights", columns, rows, note)
+
+
+def weights_section(report: WeighingReport, folder: Path) -> Section:
+    """Return the section about known weights, and draw its figures into a folder."""
+    tables = (paper_table_2()[0], table_2(report), table_3(report))
+    shown = (
+        ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", _say("figure_7")),
+        ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", _say("figure_8")),
+    )
+    return Section("weights", "Known weights", (_say("weights"),), tables=tables, figures=shown)
+
+
+def cop_figure(path: Path, report: WeighingReport) -> Path:
+    """Draw measured centres of pressure of the left foot against the plate's holes (the paper's Figure 7)."""
+    left = report.held_out[0]
+    pressed = np.isfinite(left.cop_initial).all(axis=1)
+    holes = left.hole[pressed]
+    with figure_at(path, 9.0, 4.4) as figure:
+        panels = grid_of(figure, 1, 2, sharex=True, sharey=True)[0]
+        for axes, places, name, title in (
+            (panels[0], left.cop_initial[pressed], "none", _BEFORE),
+            (panels[1], left.cop_calibrated[pressed], "baseline", _AFTER),
+        ):
+            ring = {"s": 46, "facecolors": "none", "edgecolors": "#9a9a9a"}
+            axes.scatter(*(1e3 * holes.T), label="holes (truth)", **ring)
+            axes.scatter(*(1e3 * places.T), s=7, color=look_of(name).colour, label="measured", zorder=3)
+            off = 1e3 * np.linalg.norm(places - holes, axis=1)
+            axes.set_title(f"{title}: {np.sqrt(np.mean(off**2)):.3g} mm rmse")
+            axes.set_aspect("equal")
+            axes.set_xlabel("x in the sole frame (mm)")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+        panels[0].set_ylabel("y in the sole frame (mm)")
+    return path
+
+
+def vgrf_figure(path: Path, report: WeighingReport) -> Path:
+    """Draw the vertical force of held-out placements on both feet (the paper's Figure 8)."""
+    load = np.concatenate([foot.load for foot in report.held_out])
+    initial = np.concatenate([foot.vgrf_initial for foot in report.held_out])
+    calibrated = np.concatenate([foot.vgrf_calibrated for foot in report.held_out])
+    order, index = np.argsort(load, kind="stable"), np.arange(len(load))
+    with figure_at(path, 9.0, 4.2) as figure:
+        top, bottom = grid_of(figure, 2, 1, sharex=True, height_ratios=[2, 1])[:, 0]
+        for forces, name, label in ((initial, "none", _BEFORE), (calibrated, "baseline", _AFTER)):
+            style = {"color": look_of(name).colour, "linestyle": "none", "marker": ".", "markersize": 4}
+            top.plot(index, forces[order], label=label, **style)
+            bottom.plot(index, np.maximum(np.abs(forces - load)[order], 1e-5), **style)
+        top.step(index, load[order], where="mid", color="black", linestyle=":", linewidth=1.4, label="weight")
+        top.set_ylabel("vertical force (N)")
+        top.legend(loc="upper left")
+        logarithmic(bottom)
+        bottom.set_ylabel("|error| (N)")
+        bottom.set_xlabel("held-out placement, sorted by weight")
+    return path
+
+
+def _cell(name: str) -> str:
+    return name.replace("/", " foot, ").replace("-", " ")
+
+
+def _load(load: float) -> str:
+    return "no load" if load == 0 else f"{load:g} kg"
+
+
+def _code(codes: NDArray[np.float64]) -> Callable[[int], str]:
+    return lambda i: decimal(codes[i], ",.0f")

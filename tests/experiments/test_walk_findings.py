@@ -1,0 +1,252 @@
+"""Sentences and tables say what the numbers say."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.experiments.study.tables import Verdict, number, with_interval
+from surefoot.experiments.walks import findings, tables
+from surefoot.experiments.walks.findings import (
+    claims_of,
+    loop_claims,
+    scenario_findings,
+    summary_findings,
+    walking_claims,
+    weight_claims,
+)
+from surefoot.experiments.walks.scenarios import SCENARIOS
+from surefoot.experiments.walks.tables import alarm_table, scenario_table
+from surefoot.experiments.weights.paper import paper_table_2
+
+SEEDS = range(5)
+
+
+def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.DataFrame:
+    """Raw feet 10 mm off, the window as told, and quasi-static 12 mm; all with a little spread over seeds."""
+    level = {"none": 10.0, "window": window, "quasi-static": 12.0}
+    return pd.DataFrame(
+        {
+            "condition": "paper",
+            "speed": 0.04,
+            "seed": seed,
+            "method": method,
+            "against": against,
+            "cop": 1e-3 * (value + spread * seed),
+            "vgrf": value / 10,
+            "cell": 0.5,
+        }
+        for method, value in level.items()
+        for seed in SEEDS
+    )
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.02, 1), (0.004, 0)])
+def test_a_reference_worse_than_the_readings_is_named_as_the_reason(off: float, said: int) -> None:
+    table = scores(15.0)
+    reference = table[table["method"] == "none"].assign(method="reference", cop=off)
+    found = tuple(findings.reference_findings(pd.concat([table, reference])))
+    assert len(found) == said
+    assert all("itself 20.0 ± 0.0 mm off, further than the readings" in text for text in found)
+
+
+def test_the_papers_figures_are_compared_with() -> None:
+    (said,) = findings.baseline_findings(scores(5.0, "baseline"), "paper")
+    assert "the window is 5.20 ± 0.20 mm from the baseline from weights" in said
+    assert "(under the paper's 10.8 mm)" in said
+    assert "the quasi-static method lies 7.00 ± 0.00 mm further off in CoP" in said
+
+
+def test_targets_are_reached_or_not() -> None:
+    loop = pd.DataFrame(
+        {"severity": 2.0, "speed": 0.04, "seed": seed, "feed": feed, "fell": feed == "none", "time": 9.0}
+        for feed in ("true", "none", "window")
+        for seed in SEEDS
+    )
+    claims = weight_claims(4e-9, 6e-4, 0.01)
+    claims += [*walking_claims(scores(5.0, "baseline"), "paper", 0.5), *loop_claims(loop)]
+    met = {claim.what: claim.met for claim in claims}
+    assert met["Table 2 coefficients, relative"]
+    assert not met["known weights, held-out CoP (mm)"]
+    assert met["window at 0.04 m/s, CoP against baseline (mm)"]
+    assert met["severity 2, drifting raw CoP fed back: share that falls"]
+    assert met["severity 2, window-calibrated CoP fed back: share that falls"]
+
+
+def test_a_lead_that_the_interval_does_not_tell_from_nothing_is_not_reached() -> None:
+    for lead, expected in (([4.0, 4.1, 4.2], True), ([-3.0, 1.0, 5.0], False)):
+        methods = {"window": [2.0] * 3, "quasi-static": [2.0 + gap for gap in lead]}
+        table = pd.DataFrame(
+            {
+                "condition": "paper",
+                "against": "baseline",
+                "speed": 0.04,
+                "seed": seed,
+                "method": method,
+                "cop": 1e-3 * values[seed],
+                "vgrf": values[seed],
+            }
+            for method, values in methods.items()
+            for seed in range(3)
+        )
+        met = {claim.what: claim.met for claim in walking_claims(table, "paper", 0.5)}
+        assert met["window at 0.04 m/s, CoP less than quasi-static by (mm)"] == expected
+
+
+def test_falls_are_paired_by_seed() -> None:
+    fell = {"none": [1, 1, 1, 0], "window": [0, 0, 0, 1]}
+    runs = pd.DataFrame(
+        {
+            "severity": 2.0,
+            "speed": 0.1,
+            "seed": seed,
+            "feed": feed,
+            "fell": bool(values[seed]),
+            "cop_error": 0.03 if values[seed] else 0.01,
+        }
+        for feed, values in fell.items()
+        for seed in range(4)
+    )
+    said = tuple(findings.loop_findings(runs, 20.0))
+    assert said[0] == "Severity 2, drifting raw CoP: 3 of 4 walks end in a fall within 20 s."
+    assert "of those that fall on drifting raw CoP it saves 3, of those that do not it loses 1" in said[1]
+    assert "sign test p = 0.62" in said[1]
+    assert "fell was 30.0 ± 0.0 mm off up to the fall, that of walkers that did not 10.0 mm" in said[2]
+
+
+def test_the_baseline_scores_nothing_by_construction() -> None:
+    table = scores(5.0, "baseline")
+    table.loc[table["method"] == "none", ["cop", "vgrf"]] = 0.0
+    laid_out = tables.walking_table(table, 0.04, [("paper", "the paper's conditions")])
+    row = next(row for row in laid_out.rows if row[1] == "raw (none)")
+    assert row[2] == "0 *"
+    window = next(row for row in laid_out.rows if row[1].startswith("window"))
+    assert window[2:4] == ("5.20 ± 0.20", "10.8")
+
+
+def test_what_comes_first_is_counted() -> None:
+    runs = pd.DataFrame(
+        {"severity": 3.0, "speed": 0.04, "seed": seed, "feed": feed, "fell": feed == "none" and seed > 0}
+        for feed in ("true", "none", "window", "moment")
+        for seed in range(3)
+    )
+    said = findings.lead_finding(runs)
+    assert "fed the raw CoP the robot falls in 2 of 3 walks, fed the true CoP in 0 and" in said
+    yardsticks = scores(5.0).assign(condition="bad-start")
+    rows = {row[0]: row for row in tables.lead_table(yardsticks, runs, "bad-start", "In short").rows}
+    assert rows["window (CoP paper)"][1:] == ("5.20 ± 0.20", "0.500 ± 0.000", "0 of 3")
+    assert rows["window (CoP paper)"][3].good
+    assert not isinstance(rows["raw (none)"][3], Verdict)
+
+
+def test_the_papers_table_2_comes_out() -> None:
+    _, difference = paper_table_2()
+    assert difference < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (1e-12, "0"),
+        (0.000123, "0.000123"),
+        (1234.5, "1234"),
+        (9.999, "10.00"),
+        (float("nan"), "–"),
+    ],
+)
+def test_numbers_have_three_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_one_seed_has_no_interval() -> None:
+    assert with_interval([2.0]) == "2.00"
+    assert with_interval([float("nan")]) == "–"
+
+
+PLAIN, SOFT = SCENARIOS["speed-0.04"], SCENARIOS["soft-ground"]
+
+
+def scores_of(scenario: str, cop: dict[str, list[float]], **changes: object) -> pd.DataFrame:
+    """One row a run, in which only the CoP errors (mm) tell methods apart."""
+    rows = [
+        {"scenario": scenario, "method": method, "seed": seed, "cop": 1e-3 * value, "end": 1e-3 * value}
+        for method, values in cop.items()
+        for seed, value in enumerate(values)
+    ]
+    common = {
+        "fell": False, "cop_foot": 2e-3,
+        "vgrf": 0.3, "cell": 0.35, "finite": True, "scale": 0.01, "offset": 0.1,
+        "worse": False, "worse_foot": False,
+        "worse_vgrf": False, "worse_cell": False, "converged": 4.0, "spread": 1e-4,
+        "nees_end": np.nan, "nees_cop": np.nan, "nis": np.nan, "nis_rows": 0.0, "parameters": 16.0,
+        "alarms": 0.0, "hours": 0.5, "found": np.nan, "isolated": np.nan, "named": np.nan, "after": np.nan,
+        "bound_cop": np.nan, "bound_vgrf": np.nan, "bound_cell": np.nan,
+    }  # fmt: skip
+    return pd.DataFrame(rows).assign(**(common | changes))
+
+
+def test_the_best_is_named_and_the_lead_measured() -> None:
+    scores = scores_of(PLAIN.name, {"none": [10, 11, 12], "window": [4, 5, 6], "tare": [7, 8, 9.3]})
+    said = scenario_findings(scores, PLAIN)
+    assert said[0].startswith("Nearest to the truth is window with 5.00 ± 2.48 mm of CoP error; tare is 3.10")
+    assert "no clear difference" not in said[0]
+    assert any("window: CoP 5.00 ± 2.48 mm, 2.20 times smaller than by the starting map" in s for s in said)
+    assert "none of 3 runs ends with a worse CoP" in said[1]
+
+
+def test_a_lead_within_its_interval_is_not_called_one() -> None:
+    scores = scores_of(PLAIN.name, {"none": [5, 9, 7], "window": [4, 9, 7.5]})
+    said = scenario_findings(scores, PLAIN)
+    assert "which is no clear difference" in said[0]
+    assert "no clear difference to the readings as they are" in said[1]
+
+
+def test_harm_is_said() -> None:
+    scores = scores_of(PLAIN.name, {"none": [5, 5.1, 5.2], "window": [20, 21, 22]})
+    scores.loc[scores["method"] == "window", "worse"] = [True, True, False]
+    said = scenario_findings(scores, PLAIN)
+    assert "LARGER than by the starting map" in said[1]
+    assert "2 of 3 runs end with a worse CoP" in said[1]
+    scores.loc[2, "worse_foot"] = scores.loc[3, "worse_foot"] = True
+    assert "(1 with worse feet, 0 with worse cells)" in scenario_findings(scores, PLAIN)[1]
+    assert "2 of 3 runs end with a worse CoP" in summary_findings(scores)[1]
+
+
+def test_a_scenario_is_held_against_plain_walking_and_falls_are_counted() -> None:
+    plain = scores_of(PLAIN.name, {"none": [10, 10], "window": [4, 4]})
+    soft = scores_of(SOFT.name, {"none": [10, 10], "window": [6, 6]}, fell=[True, False] * 2)
+    said = scenario_findings(pd.concat([plain, soft]), SOFT, left_out=3)
+    assert "CoP error over that of plain walking at 0.04 m/s: window 1.50." in said
+    assert said[-1] == "4 of 5 walks ended in a fall (scored up to 1 s before it: 1; left out: 3)."
+    assert "3 of 3 ended in a fall" in scenario_findings(plain, SOFT, left_out=3)[0]
+
+
+@pytest.mark.parametrize(("nees", "inside"), [(1.0, True), (1.8, False), (0.4, False)])
+def test_targets_are_judged(nees: float, inside: bool) -> None:
+    scores = scores_of(PLAIN.name, {"moment": [1.9, 1.8], "window": [9, 8]}, nees_end=nees)
+    timing = pd.DataFrame(
+        {"method": ["moment", "window"], "median_us": [90.0, 70.0], "mean_us": [95.0, 200.0]}
+    )
+    met = {claim.what: claim.met for claim in claims_of(scores, timing)}
+    assert met["speed 0.04 m/s, CoP rmse (mm)"]
+    assert met["speed 0.04 m/s, window's CoP error over its"]
+    assert met["one update of one robot, median (µs)"]
+    assert not met["window's time per sample over its"]
+    assert met["NEES"] == inside
+    assert claims_of(scores[scores["method"] == "window"], timing) == []
+
+
+def test_alarm_rates_have_an_exact_interval() -> None:
+    scores = scores_of(PLAIN.name, {"tare": [1, 1], "floor": [1, 1]}, alarms=1.0)
+    ((name, hours, alarms, rate, interval),) = alarm_table(scores).rows
+    # Two events: Garwood's interval of a Poisson mean is 0.242 to 7.22.
+    assert (name, hours, alarms, rate, interval) == ("swing tare", "1.00", "2", "2.00", "0.242 to 7.22")
+
+
+def test_tables_say_what_is_missing_with_a_dash() -> None:
+    scores = scores_of(PLAIN.name, {"floor": [0.01, 0.01], "none": [9, 8]}, converged=[0, 0, np.inf, np.inf])
+    table = scenario_table(scores, PLAIN)
+    floor, none = (dict(zip(table.columns, row, strict=True)) for row in table.rows)
+    assert floor["ends worse"] == floor["converged (s)"] == "–"
+    assert none["converged (s)"] == "never"
+    assert none["NEES"] == none["NIS"] == none["bound on CoP (mm)"] == "–"
