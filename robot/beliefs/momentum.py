@@ -37,14 +37,14 @@ class MomentumRows(NamedTuple):
         axes: The soles' axes x, y and z.
         velocity: Of the centre of mass in m/s.
         momentum: Angular momentum about it in kg m^2/s.
-        count: Number of the vectors.
+        width: Number of the vectors.
     """
 
     soles: slice
     axes: slice
     velocity: int
     momentum: int
-    count: int
+    width: int
 
     @classmethod
     def of(cls, feet: int) -> "MomentumRows":
@@ -66,7 +66,7 @@ class MomentumBeliefs(Believed):
         believed: What the last :meth:`sample` found.
         corners: The same.
         rows: What a row holds.
-        ring: A row for each of the last packets by number, shape (HISTORY, rows.count, 3).
+        ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
         strapdown: Velocity and attitude.
         run: Rows in a row.
         number: Of the last packet.
@@ -75,7 +75,7 @@ class MomentumBeliefs(Believed):
     def __init__(self, beliefs: Beliefs, corners: Floats, radius: Floats | float = 0.0) -> None:
         self.beliefs, self.corners, self._radius = beliefs, corners, radius
         self.rows = MomentumRows.of(beliefs.feet)
-        self.ring = np.zeros((HISTORY, self.rows.count, 3))
+        self.ring = np.zeros((HISTORY, self.rows.width, 3))
         self.strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
         self.run, self.number = 0, 0
         self.believed = unknown(beliefs.feet)

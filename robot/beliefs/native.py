@@ -66,7 +66,7 @@ class NativeBeliefs:
         }  # fmt: skip
         joints = beliefs.layout.joint_position.stop
         shapes = {
-            "ring": (HISTORY, beliefs.rows.count, 3),
+            "ring": (HISTORY, beliefs.rows.width, 3),
             "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
             "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
             "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
@@ -80,7 +80,7 @@ class NativeBeliefs:
                 "momentum_beliefs",
             )
             shapes |= {
-                "moved": (HISTORY, momentum.rows.count, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
+                "moved": (HISTORY, momentum.rows.width, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
                 "velocity_spin_bias": (3,), "vertical_bias": (), "velocities": (),
             }  # fmt: skip
         found, state = library.filled("timing", timing), library.record(record, shapes)

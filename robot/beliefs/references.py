@@ -66,7 +66,7 @@ class Rows(NamedTuple):
         momentum_rate: In N m, likewise.
         accelerometer: What was measured, in the IMU's own axes, in m/s^2.
         gyroscope: Likewise, in rad/s.
-        count: Number of the vectors.
+        width: Number of the vectors.
     """
 
     soles: slice
@@ -77,7 +77,7 @@ class Rows(NamedTuple):
     momentum_rate: int
     accelerometer: int
     gyroscope: int
-    count: int
+    width: int
 
     @classmethod
     def of(cls, feet: int) -> "Rows":
@@ -176,7 +176,7 @@ class Beliefs(Believed):
         self.period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
         self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
         self.feet, self.rows, self._touching = model.feet, Rows.of(model.feet), touching
-        self._ring = np.zeros((HISTORY, self.rows.count, 3))
+        self._ring = np.zeros((HISTORY, self.rows.width, 3))
         self._local = np.zeros((self.rows.force + 1, 3))
         self._odometry: Odometry | RollingOdometry = (
             Odometry(self.period, model.gravity)
