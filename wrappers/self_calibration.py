@@ -42,8 +42,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     F is the number of feet. The first four are shown by default, but ``"cop_foot"`` only of feet that have an
     area and measure where forces act on it; the two before the flags are those of method ``"moment"``. A
     robot of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above
-    5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
-    wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
+    5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against
+    is made of the robot's beliefs (telemetry and a nominal model with wrong masses, see
+    :mod:`surefoot.robot.beliefs`), never of truth.
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
