@@ -21,12 +21,19 @@ from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
 from surefoot.robot.beliefs.lag import check_lag, joined_packets, usual_lag, waiting_samples
-from surefoot.robot.beliefs.momentum import MomentumBeliefs, sole_corners
+from surefoot.robot.beliefs.momentum import MomentumBeliefs, Touching
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import DEFAULT, DETERMINED, FootView, check_certainty, check_parts
+from surefoot.robot.foot_view import (
+    DETERMINED,
+    FootView,
+    check_certainty,
+    check_parts,
+    default_parts,
+    flaw_of,
+)
 from surefoot.robot.native import NOTHING, NativeSample, Sample
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
@@ -71,7 +78,7 @@ class CalibrationSetup:
         equipment: What each is equipped with.
         method: As of :class:`~surefoot.wrappers.SelfCalibration`, like all that follow.
         initial: The map to start from.
-        show: What is observed.
+        show: What is observed; ``None`` for forces and the centres of pressure that there are.
         lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robots are about themselves.
@@ -83,11 +90,12 @@ class CalibrationSetup:
         layout: The feet and their channels.
         ages: How old readings of each channel are on average when they are taken, in s, shape (K,).
         errors: How wrong the robots are about themselves.
-        corners: Points of the soles that may touch, of a method that learns from momentum; or ``None``.
+        touching: What of the feet may touch the ground.
+        by_momentum: Whether the method learns from momentum.
 
     Raises:
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of: one free body, hinge joints, two feet.
+            that a nominal model can be made of: one free body, hinge joints, feet.
     """
 
     def __init__(
@@ -98,7 +106,7 @@ class CalibrationSetup:
         /,
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
+        show: Sequence[str] | None = None,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -110,12 +118,8 @@ class CalibrationSetup:
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)
         check_stream(owner, stream)
+        show = default_parts(flaw_of(instruments.layout, drawing.flaw)) if show is None else show
         check_parts(show)
-        if len(drawing.feet) != 2:
-            raise ValueError(
-                f"{owner} needs a robot on two feet, got the feet {drawing.feet}: name two, or use "
-                f"{owner.replace('SelfCalibration', 'FootSensors')} alone."
-            )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.ages = instruments.ages
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
@@ -126,12 +130,12 @@ class CalibrationSetup:
         if equipment.seldom and self.method == "moment":
             usual["ripple"] = ALIASED
         self.options = usual | layout_options(self.layout, drawing) | options
-        self.corners = sole_corners(drawing) if method_entry(self.method).momentum else None
+        self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
         self.spaces = self.view().spaces
-        check_certainty(show, self.method)
+        check_certainty(self.show, self.method)
 
     def model(self) -> NominalModel:
         """Make a robot's model of itself, as drawn."""
@@ -146,7 +150,8 @@ class CalibrationSetup:
 
     def view(self) -> FootView:
         """Make what shows the feet of one robot."""
-        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, self.drawing.gravity)
+        drawing, rolls = self.drawing, self.touching.rolls
+        return FootView(self.show, self.layout, self.mass, drawing.flaw, drawing.gravity, rolls)
 
 
 class RobotCalibration:
@@ -220,9 +225,13 @@ class RobotCalibration:
                 lag=self.late,
                 dt=telemetry.dt,
                 joined=joined_packets(telemetry),
+                touching=setup.touching.round,
             )
-            corners = setup.corners
-            self.beliefs = native_beliefs(beliefs if corners is None else MomentumBeliefs(beliefs, corners))
+            if setup.by_momentum:
+                places = setup.touching.places
+                self.beliefs = native_beliefs(MomentumBeliefs(beliefs, places[..., :3], places[..., 3]))
+            else:
+                self.beliefs = native_beliefs(beliefs)
         self._view.begin_episode()
         return fresh
 
@@ -282,7 +291,7 @@ class RobotCalibration:
         return shown, told
 
     def soles(self) -> NDArray[np.float64]:
-        """Return where the soles are now in the level frame, shape (2, 4)."""
+        """Return where the soles are now in the level frame, shape (F, 4)."""
         return self.beliefs.soles(self._sensors.time)
 
     def retract(self) -> None:

@@ -15,7 +15,7 @@ from surefoot.envs.observation import COP_BOUND, FORCE_BOUND
 Floats = NDArray[np.float64]
 
 DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
-"""What is shown unless something else is asked for."""
+"""What is shown unless something else is asked for, of feet that have centres of pressure of their own."""
 
 CERTAINTY: Final = ("foot_force_std", "cop_std")
 """Parts that only a method with a covariance has."""
@@ -38,6 +38,32 @@ def check_parts(parts: Sequence[str]) -> None:
             f"'show' must name parts of {PARTS}, each once, got {parts!r}; leave the wrapper out to show "
             "nothing calibrated."
         )
+
+
+def check_places(parts: Sequence[str], flaw: str) -> None:
+    """Raise ValueError if centres of pressure of feet are to be shown that have none, for a reason."""
+    if flaw and "cop_foot" in parts:
+        raise ValueError(
+            f"'cop_foot' cannot be shown. {flaw} Show 'cop', that of all feet together, and 'vgrf' instead."
+        )
+
+
+def flaw_of(layout: FeetLayout, flaw: str) -> str:
+    """Return why feet have no centres of pressure of their own, or nothing.
+
+    Args:
+        layout: The feet and their channels.
+        flaw: What the robot's drawing says of their areas.
+    """
+    blind = [foot.name for foot in layout.feet if np.linalg.matrix_rank(foot.wrench_map[2:5]) < 3]
+    if blind and not flaw:
+        return f"The channels of {blind} do not measure where on the foot forces act."
+    return flaw
+
+
+def default_parts(flaw: str) -> tuple[str, ...]:
+    """Return what is shown by default of feet, which may have no centres of pressure of their own."""
+    return tuple(part for part in DEFAULT if not (flaw and part == "cop_foot"))
 
 
 def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
@@ -66,19 +92,20 @@ class FootView:
         parts: Names among :data:`PARTS`.
         layout: The feet and their channels.
         mass: Mass that the robot believes it has in kg, for the bounds.
-        flaw: Why the feet have no centres of pressure, or empty.
+        flaw: Why the feet have no centres of pressure of their own, or empty.
         gravity: Acceleration of free fall in m/s^2.
+        rolls: Whether feet are round: forces act at their lowest points, wherever these are on the feet.
 
     Attributes:
         spaces: The space of each part that is calibrated.
         every: The space of each part.
-        flawed: Whether the feet have no centres of pressure.
-        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
+        flawed: Whether the feet have no centres of pressure of their own.
+        held: The last ones that were defined, of each foot and of all, and its deviation in m, (2 F + 4,).
         force_bound: Largest force that is shown in N.
         weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 
     Raises:
-        ValueError: If a part does not exist, or is named twice.
+        ValueError: If a part does not exist, is named twice, or there is none of such feet.
     """
 
     def __init__(
@@ -88,11 +115,15 @@ class FootView:
         mass: float,
         flaw: str = "",
         gravity: float = GRAVITY,
+        rolls: bool = False,
     ) -> None:
         check_parts(parts)
+        flaw = flaw_of(layout, flaw)
+        check_places(parts, flaw)
         self.parts = tuple(part for part in parts if part != RAW)
-        self.flawed = bool(flaw)
+        self.flawed, self._rolls = bool(flaw), rolls
         channels, feet = layout.channels, len(layout.feet)
+        self._common = 2 * feet
         force = max(FORCE_BOUND, 5.0 * mass * gravity)
         self.force_bound, self.weight = force, mass * gravity
         box = spaces.Box
@@ -112,56 +143,59 @@ class FootView:
         }
         self.spaces = {part: self.every[part] for part in self.parts}
         # In one array, for the library.
-        self.held: Floats = np.zeros(8)
+        self.held: Floats = np.zeros(2 * feet + 4)
         self.begin_episode()
 
     def begin_episode(self) -> None:
         """Start with centres of pressure at the origin."""
-        self.held[:6], self.held[6:] = 0.0, COP_BOUND
+        self.held[:-2], self.held[-2:] = 0.0, COP_BOUND
 
     def show(self, estimate: Estimate, soles: Floats) -> dict[str, NDArray[Any]]:
         """Show one sample.
 
         Args:
             estimate: The calibrator's.
-            soles: Where the soles are now (:meth:`~surefoot.robot.Beliefs.soles`), shape (2, 4).
+            soles: Where the soles are now (:meth:`~surefoot.robot.Beliefs.soles`), shape (F, 4).
 
         Returns:
             Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.
         """
-        both, feet = np.asarray(estimate.cop_valid)[..., None], np.asarray(estimate.cop_foot_valid)
-        valid = np.concatenate([both, feet], axis=-1) & (not self.flawed)
+        total, feet = np.asarray(estimate.cop_valid)[..., None], np.asarray(estimate.cop_foot_valid)
+        valid = np.concatenate([total, feet & (not self.flawed)], axis=-1)
         self._hold(estimate, soles, valid)
         return {part: self._part(part, estimate, valid) for part in self.parts}
 
     def _hold(self, estimate: Estimate, soles: Floats, valid: NDArray[np.bool_]) -> None:
         """Take in the centres of pressure that are valid."""
-        held, (fz, tx, ty) = self.held, np.moveaxis(estimate.wrench[..., 2:5], -1, 0)
+        held, at, (fz, tx, ty) = self.held, self._common, np.moveaxis(estimate.wrench[..., 2:5], -1, 0)
+        if self._rolls:
+            fz, tx, ty = estimate.vgrf, np.zeros_like(tx), np.zeros_like(ty)
         x, y, u, v = np.moveaxis(soles, -1, 0)
         load = np.where(valid[..., 0], fz.sum(axis=-1), 1.0)
         moments = (x * fz - u * ty - v * tx).sum(axis=-1), (y * fz - v * ty + u * tx).sum(axis=-1)
         found = np.concatenate(
-            [estimate.cop_foot.reshape(*held.shape[:-1], 4), np.stack(moments, axis=-1) / load[..., None]],
+            [estimate.cop_foot.reshape(*held.shape[:-1], at), np.stack(moments, axis=-1) / load[..., None]],
             axis=-1,
         )
-        defined = np.repeat(valid, 2, axis=-1)[..., _OF_PLACES]
-        held[..., :6] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[..., :6])
+        # Of the feet, and then of all.
+        defined = np.roll(np.repeat(valid, 2, axis=-1), -2, axis=-1)
+        held[..., :-2] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[..., :-2])
         if "cop_std" in self.parts and estimate.cop_covariance is not None:
             variance = np.diagonal(estimate.cop_covariance, axis1=-2, axis2=-1)
             std = np.minimum(np.sqrt(np.maximum(variance, 0.0)), COP_BOUND)
-            held[..., 6:] = np.where(valid[..., :1], std, held[..., 6:])
+            held[..., -2:] = np.where(valid[..., :1], std, held[..., -2:])
 
     def _part(self, part: str, estimate: Estimate, valid: NDArray[np.bool_]) -> NDArray[Any]:
-        held = self.held
+        held, at = self.held, self._common
         match part:
             case "cop_foot":
-                return held[..., :4].astype(np.float32).reshape(*held.shape[:-1], 2, 2)
+                return held[..., :at].astype(np.float32).reshape(*held.shape[:-1], -1, 2)
             case "cop":
-                return held[..., 4:6].astype(np.float32)
+                return held[..., at : at + 2].astype(np.float32)
             case "cop_valid":
                 return valid.astype(np.float32)
             case "cop_std":
-                return held[..., 6:].astype(np.float32)
+                return held[..., -2:].astype(np.float32)
             case "foot_flags":
                 return np.array(estimate.flags, dtype=np.int32)
             case "contact_probability" | "undetermined":
@@ -176,7 +210,3 @@ class FootView:
             np.float32
         )
         return limited
-
-
-_OF_PLACES = (2, 3, 4, 5, 0, 1)
-"""Which of three flags, each twice (both feet, left, right), each of the places that are held goes by."""

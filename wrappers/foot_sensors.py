@@ -52,7 +52,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
-        config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` or a
+        config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` of four
+            channels a foot, or of one for feet that touch at a point, or a
             :class:`~surefoot.sensors.ForceTorque`, or a mapping of the fields of either. ``None`` for the
             cells of ``"hx711-load-cells"``, or larger ones of their kind for a robot that is too heavy for
             these (:func:`~surefoot.sensors.sized`).

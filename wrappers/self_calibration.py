@@ -11,7 +11,7 @@ from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import DEFAULT, RAW, seen_below
+from surefoot.robot.foot_view import RAW, seen_below
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
@@ -26,29 +26,30 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
     | ``"foot_force"`` (K) | calibrated channels, as ``"foot_raw"`` | -1000 | 1000 | N (N m) |
-    | ``"cop_foot"`` (2, 2) | centre of pressure of each foot (left, right), sole frame | -1 | 1 | m |
-    | ``"cop"`` (2) | centre of pressure of both feet, level frame | -1 | 1 | m |
-    | ``"cop_valid"`` (3) | whether the total, left and right one are defined | 0 | 1 | 1 |
+    | ``"cop_foot"`` (F, 2) | centre of pressure of each foot, the left one first, sole frame | -1 | 1 | m |
+    | ``"cop"`` (2) | centre of pressure of all feet together, level frame | -1 | 1 | m |
+    | ``"cop_valid"`` (1 + F) | whether the total one and those of the feet are defined | 0 | 1 | 1 |
     | ``"foot_load"`` (K) | ``"foot_force"`` by the robot's weight | -1000 / weight | 1000 / weight | 1 (m) |
     | ``"foot_raw"`` (K) | readings as they come, see :class:`FootSensors` | 0 | 2^24 - 1 | count |
-    | ``"wrench"`` (2, 6) | wrench of the ground on each sole, sole frame | -1000 | 1000 | N, N m |
-    | ``"vgrf"`` (2) | vertical force on each foot, level frame | -1000 | 1000 | N |
+    | ``"wrench"`` (F, 6) | wrench of the ground on each sole, sole frame | -1000 | 1000 | N, N m |
+    | ``"vgrf"`` (F) | vertical force on each foot, level frame | -1000 | 1000 | N |
     | ``"foot_force_std"`` (K) | standard deviation of ``"foot_force"`` | 0 | 1000 | N (N m) |
     | ``"cop_std"`` (2) | standard deviation of ``"cop"`` | 0 | 1 | m |
-    | ``"contact_probability"`` (2) | probability that a foot bears load | 0 | 1 | 1 |
+    | ``"contact_probability"`` (F) | probability that a foot bears load | 0 | 1 | 1 |
     | ``"undetermined"`` (K) | share of a scale's variance that is open | 0 | 1 | 1 |
     | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
-    The first four are shown by default; the two before the flags are those of method ``"moment"``. A robot
-    of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above 5 N;
-    below, the last one is held and flagged, as all are for feet without area. The reference that the
-    calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
-    wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
+    F is the number of feet. The first four are shown by default, but ``"cop_foot"`` only of feet that have an
+    area and measure where forces act on it; the two before the flags are those of method ``"moment"``. A
+    robot of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above
+    5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against
+    is made of the robot's beliefs (telemetry and a nominal model with wrong masses, see
+    :mod:`surefoot.robot.beliefs`), never of truth.
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
-    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, of method ``"moment"`` ``"contact_probability"`` (2) and
+    ``None``), ``"flags"`` (K), ``"vgrf"`` (F) N, of method ``"moment"`` ``"contact_probability"`` (F) and
     ``"undetermined"`` (K), ``"reference"`` (a mapping of the fields of
     :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
     how many samples the reference is late.
@@ -63,8 +64,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, what a
             calibration from known weights would have found just before the episode; or
             :class:`~surefoot.calibration.Parameters` (also as a mapping).
-        show: What is observed. For a policy that scales nothing itself, ``("foot_load", "cop_foot", "cop",
-            "cop_valid")``: none of it exceeds the order of one.
+        show: What is observed; ``None`` for the first four. For a policy that scales nothing itself,
+            ``("foot_load", "cop_foot", "cop", "cop_valid")``: none of it exceeds the order of one.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robot is about itself, also as a mapping of some of the fields.
@@ -80,7 +81,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             observation is no ``Dict`` any more.
         RuntimeError: At a step, if a wrapper between both repeats steps or resets by itself.
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of: one free body, hinge joints, two feet.
+            that a nominal model can be made of: one free body, hinge joints, feet.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
+        show: Sequence[str] | None = None,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -113,7 +114,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self,
             method=setup.method,
             initial=setup.start.recorded(),
-            show=list(show),
+            show=list(setup.show),
             lag=lag,
             fresh=fresh,
             errors=setup.errors,
@@ -130,8 +131,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             )
         sensors.listen()
         self.robot, self.layout = RobotCalibration(setup, sensors.robot), setup.layout
-        self._shows_raw = RAW in show
-        self.observation_space = spaces.Dict(seen_below(space.spaces, show) | setup.spaces)
+        self._shows_raw = RAW in setup.show
+        self.observation_space = spaces.Dict(seen_below(space.spaces, setup.show) | setup.spaces)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -11,7 +11,7 @@
 
 #include "surefoot_beliefs.h"
 
-/* Bounds in N and in m, the robot's weight in N, and whether its feet have no centres of pressure. */
+/* Bounds in N and in m, the robot's weight in N, and whether its feet have no centres of pressure of their own. */
 typedef struct {
     sf_real force_bound, cop_bound, weight;
     int flawed;
@@ -35,7 +35,7 @@ SF_API sf_real sf_bounded(sf_real value, sf_real bound) { return sf_clip(value, 
 SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const sf_estimate *e,
                          const sf_real soles[8], sf_shown *out) {
     sf_real load = 0, x = 0, y = 0;
-    out->cop_valid[0] = e->cop_valid && !v->flawed;
+    out->cop_valid[0] = e->cop_valid;
     for (int foot = 0; foot < 2; foot++) {
         const sf_real *sole = soles + 4 * foot, *wrench = e->wrench + 6 * foot;
         sf_real fz = wrench[SF_FZ], tx = wrench[SF_MX], ty = wrench[SF_MY];

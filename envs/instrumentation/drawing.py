@@ -60,6 +60,8 @@ class RobotDrawing:
         flaw: Why there are no cells, or empty.
         below_cells: What the load cells carry besides the ground's force; None without cells.
         below_ankle: What hangs below the sensors at the ankles.
+        touching: What of each foot may touch: centres in the sole's frame and radii in m, 0 of a point, shape
+            (F, n, 4). Of a foot with an area these are its cells' places.
     """
 
     xml: str
@@ -73,6 +75,7 @@ class RobotDrawing:
     flaw: str
     below_cells: BelowSensor | None
     below_ankle: BelowSensor
+    touching: NDArray[np.float64]
 
     @functools.cached_property
     def weight(self) -> float:
@@ -111,6 +114,7 @@ def draw_nao() -> RobotDrawing:
         flaw="",
         below_cells=below_cells(model),
         below_ankle=below_ankle(model),
+        touching=np.pad(cell_positions(model), ((0, 0), (0, 0), (0, 1))),
     )
 
 
@@ -161,7 +165,18 @@ def draw_robot(
         flaw=layout.flaw,
         below_cells=plates if has_cells else None,
         below_ankle=BelowSensor(np.array(arms), np.array(rotations), np.array(masses), np.array(coms)),
+        touching=_touching(layout),
     )
+
+
+def _touching(layout: MeasuredRobot) -> NDArray[np.float64]:
+    """Return what of each foot may touch, (F, n, 4); feet of fewer points have their last one again."""
+    parts = [
+        foot.round if cells is None else np.pad(cells, ((0, 0), (0, 2)))
+        for foot, cells in zip(layout.feet, layout.cells, strict=True)
+    ]
+    most = max(map(len, parts))
+    return np.array([np.pad(part, ((0, most - len(part)), (0, 0)), mode="edge") for part in parts])
 
 
 def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> str:

@@ -258,13 +258,12 @@ def _doubt(
     if len(pair) == 1:
         foot = _names(model, pair)[0]
         return (
-            f"only '{foot}' is at the ground. InstrumentedEnv(env, feet=({foot!r},)) tells what that feels; "
-            "calibrators are for robots on two feet."
+            f"only '{foot}' is at the ground. InstrumentedEnv(env, feet=({foot!r},)) tells what that feels."
         )
     if len(pair) != 2:
         return (
-            f"{len(pair)} of them are equally low, and calibrators are for robots on two feet. If two of "
-            "them are feet, name these: feet=(left, right)."
+            f"{len(pair)} of them are equally low, and no more than two feet are guessed. Name the robot's "
+            "feet: feet=(first, second, ...)."
         )
     names = " and ".join(f"'{name}'" for name in _names(model, pair))
     roots = {int(model.body_rootid[body]) for body in pair}

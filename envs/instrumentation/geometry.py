@@ -11,7 +11,7 @@ point where it meets the floor says nothing about a sole, and four cells under i
 such a foot has a flaw instead of a polygon.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Final
 
@@ -55,6 +55,8 @@ class FootGeometry:
         polygon: Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2);
             n = 0 for a foot with a flaw.
         flaw: Why the foot has no polygon, or empty.
+        round: Of a foot with a flaw, centres in the sole's frame and radii in m of what may touch: spheres,
+            ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others.
     """
 
     body: str
@@ -63,6 +65,7 @@ class FootGeometry:
     R_foot_sole: NDArray[np.float64]
     polygon: NDArray[np.float64]
     flaw: str = ""
+    round: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
 
     def layout(self, margin: float) -> NDArray[np.float64]:
         """Place four cells in the corners of the largest rectangle inside the polygon, drawn in by a margin.
@@ -143,6 +146,7 @@ def measure_foot(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> FootG
         R_foot_sole=R_world_foot.T @ R_world_sole,
         polygon=np.zeros((0, 2)) if flaw else low[ConvexHull(low).vertices],
         flaw=flaw,
+        round=_round_parts(model, data, geoms, origin, R_world_sole) if flaw else np.zeros((0, 4)),
     )
 
 
@@ -233,6 +237,25 @@ def _bearing_points(
         )
     points: NDArray[np.float64] = data.geom_xpos[geom] + local @ R.T - drop
     return points
+
+
+def _round_parts(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    geoms: NDArray[np.intp],
+    origin: NDArray[np.float64],
+    R_world_sole: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return centres and radii of what may touch, of spheres and capsules if any, shape (m, 4)."""
+    round_kinds = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
+    radius = np.where(np.isin(model.geom_type[geoms], round_kinds), model.geom_size[geoms, 0], 0.0)
+    parts = []
+    for geom, r in zip(geoms.tolist(), radius.tolist(), strict=True):
+        up = R_world_sole[:, 2]
+        if r or not radius.any():
+            centre = (_bearing_points(model, data, geom, up) + r * up - origin) @ R_world_sole
+            parts.append(np.column_stack([centre, np.full(len(centre), r)]))
+    return np.concatenate(parts)
 
 
 def _sole_normal(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64] | None:

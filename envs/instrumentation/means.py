@@ -41,13 +41,13 @@ class FootPlaces(NamedTuple):
     flat: tuple[bool, ...]
 
     def level(self, row: Any, m: Numbers = ONE) -> tuple[Number, Number, Number]:
-        """Return where the level frame of two soles is (x, y) in m, and its heading in rad."""
-        (left, right), (i, j) = self.position_sole, self.axes_sole
-        return (
-            0.5 * (row[left] + row[right]),
-            0.5 * (row[left + 1] + row[right + 1]),
-            m.atan2(row[i + 1] + row[j + 1], row[i] + row[j]),
-        )
+        """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
+        x = y = along = across = 0.0
+        for at, axes in zip(self.position_sole, self.axes_sole, strict=True):
+            x, y = x + row[at], y + row[at + 1]
+            along, across = along + row[axes], across + row[axes + 1]
+        share = 1.0 / len(self.position_sole)
+        return share * x, share * y, m.atan2(across, along)
 
 
 @cache
@@ -96,7 +96,7 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
 
     Returns:
         Arrays of their own: ``force_cell`` (..., 4 F) N where all feet have an area; ``vgrf`` (..., F) N;
-        ``cop_world`` (..., 2) m, ``cop_foot`` (..., F, 2) m in the soles' frames and, of two feet, ``cop``
+        ``cop_world`` (..., 2) m, ``cop_foot`` (..., F, 2) m in the soles' frames and ``cop``
         (..., 2) m in the level frame midway between them; ``cop_valid`` (..., 1 + F), which of these there
         are, the common one first (the others are 0); ``com`` (..., 3) m; ``wrench_sole`` and
         ``wrench_ankle`` (..., F, 6) N and N m.
@@ -116,10 +116,8 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
     for part in vgrf:
         load = load + part
     (x, y), *cop_foot, valid = centres(wrench, (load, moment_x, moment_y), places.flat, m)
-    level = [0.0, 0.0]
-    if feet == 2:
-        middle_x, middle_y, heading = places.level(own, m)
-        level = [m.where(valid[0], p, 0.0) for p in turned(x - middle_x, y - middle_y, heading, m)]
+    middle_x, middle_y, heading = places.level(own, m)
+    level = [m.where(valid[0], p, 0.0) for p in turned(x - middle_x, y - middle_y, heading, m)]
     # One array is faster than many.
     numbers = m.array([*vgrf, x, y, *level, *chain.from_iterable(cop_foot), *chain.from_iterable(wrench)])
     split = 3 * feet + 4
@@ -127,14 +125,13 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
     truth = {
         "vgrf": numbers[..., :feet],
         "cop_world": numbers[..., feet : feet + 2],
+        "cop": numbers[..., feet + 2 : feet + 4],
         "cop_foot": numbers[..., feet + 4 : split].reshape(*row.shape[:-1], feet, 2),
         "cop_valid": m.array(valid),
         "com": row[..., places.com : places.com + 3],
         "wrench_sole": wrench_sole,
         "wrench_ankle": -row.take(of_ankles, axis=-1),
     }
-    if feet == 2:
-        truth["cop"] = numbers[..., feet + 2 : feet + 4]
     if places.force_cell is not None:
         truth["force_cell"] = places.force_cell(row, wrench_sole.reshape(*row.shape[:-1], -1))
     return truth

@@ -44,7 +44,7 @@ class LogModel:
         self._right_first = right_first
         self.joint_names = nominal.joint_names
         self.mass = nominal.mass
-        self.gravity = nominal.gravity
+        self.gravity, self.feet = nominal.gravity, nominal.feet
         self.R_torso_imu = R_torso_imu
 
     def evaluate(

@@ -24,7 +24,7 @@ from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
-from surefoot.robot.foot_view import DEFAULT, FootView
+from surefoot.robot.foot_view import FootView, default_parts
 from surefoot.robot.sensing.instruments import layout_options, usual_cells
 from surefoot.robot.sensing.live_errors import LiveErrors
 from surefoot.robot.sensing.raw_view import TRUE_KEYS
@@ -75,7 +75,7 @@ class _Line:
             age=setup.age,
             **layout_options(env.layout, drawing),
         )
-        self.view = FootView(DEFAULT, env.layout, setup.mass, drawing.flaw)
+        self.view = FootView(default_parts(drawing.flaw), env.layout, setup.mass, drawing.flaw)
         self.momentum = method_entry(method).momentum
         self.estimate: Estimate
         self.seen: Mapping[str, Any] = {}

@@ -62,11 +62,12 @@ class Plan:
 
     Args:
         lag: How many samples ago.
+        feet: Number of the feet, F.
     """
 
-    def __init__(self, lag: int) -> None:
+    def __init__(self, lag: int, feet: int = 2) -> None:
         self._needed, kept = planned_window(lag)
-        self._runs = deque([[0, 0, 0, 0]], maxlen=kept)
+        self._runs = deque([[0] * (2 * feet)], maxlen=kept)
 
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
@@ -74,16 +75,15 @@ class Plan:
         """Take in what is planned now, and return what surely held then.
 
         Args:
-            stance: Feet planned to stand, shape (2,).
-            swing: Feet planned to swing, shape (2,).
+            stance: Feet planned to stand, shape (F,).
+            swing: Feet planned to swing, shape (F,).
 
         Returns:
-            Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (2,) each.
+            Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (F,) each.
         """
         planned = [*stance.tolist(), *swing.tolist()]
         self._runs.append([run + 1 if held else 0 for run, held in zip(self._runs[-1], planned, strict=True)])
-        sure = [run >= self._needed for run in self._runs[0]]
-        return np.array(sure[:2]), np.array(sure[2:])
+        return _halves([run >= self._needed for run in self._runs[0]])
 
 
 class Kinematics:
@@ -91,11 +91,17 @@ class Kinematics:
 
     Args:
         gravity: Acceleration of free fall in m/s^2.
+        feet: Number of the feet, F.
+        touching: Of round feet, what may touch: centres in the sole frames and radii in m, shape (F, n, 4).
     """
 
-    def __init__(self, gravity: float = GRAVITY) -> None:
-        self._free_fall = FREE_FALL * gravity
-        self._runs = [0, 0, 0, 0]
+    def __init__(
+        self, gravity: float = GRAVITY, feet: int = 2, touching: NDArray[np.float64] | None = None
+    ) -> None:
+        self._free_fall, self._touching = FREE_FALL * gravity, touching
+        # A soft round foot that bears load is pressed flat by no more than its radius.
+        self._lifted = LIFTED if touching is None else np.maximum(LIFTED, touching[..., 3].max(axis=1))
+        self._runs = [0] * (2 * feet)
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return what its feet surely did then.
@@ -104,24 +110,28 @@ class Kinematics:
             reference: The beliefs, of samples that follow each other.
 
         Returns:
-            Feet that surely stood and feet that surely swung then, shape (2,) each: what a foot does has to
+            Feet that surely stood and feet that surely swung then, shape (F,) each: what a foot does has to
             have been the same for :data:`CONTACT_MARGIN` samples.
         """
-        left, right = reference.position_sole[:, 2].tolist()
-        # The cosine of a slope.
-        slope_left, slope_right = reference.R_level_sole[:, 2, 2].tolist()
+        height, flat = reference.position_sole[:, 2], reference.R_level_sole[:, 2, 2] > COS_FLAT
+        if self._touching is not None:
+            # A round foot may stand on any side.
+            place, radius = self._touching[..., :3], self._touching[..., 3]
+            arm = np.einsum("fi,fni->fn", reference.R_level_sole[:, 2], place) - radius
+            height, flat = height + arm.min(axis=1), np.ones_like(flat)
         fx, fy, fz = reference.accelerometer.tolist()
-        low = min(left, right)
         # NaN, where nothing is known yet, compares as false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
-        seen = [
-            carried and height - low < DOWN and slope > COS_FLAT
-            for height, slope in ((left, slope_left), (right, slope_right))
-        ]
-        seen += [carried and height - low > LIFTED for height in (left, right)]
+        above = height - height.min()
+        seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > self._lifted)).tolist()]
         self._runs = [run + 1 if now else 0 for run, now in zip(self._runs, seen, strict=True)]
-        sure = [run > CONTACT_MARGIN for run in self._runs]
-        return np.array(sure[:2]), np.array(sure[2:])
+        return _halves([run > CONTACT_MARGIN for run in self._runs])
+
+
+def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Part what is sure of F feet that stand, and of as many that swing."""
+    feet = len(sure) // 2
+    return np.array(sure[:feet]), np.array(sure[feet:])
 
 
 class Upright:

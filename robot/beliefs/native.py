@@ -10,11 +10,13 @@ from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, required
 from surefoot.robot.beliefs.contacts import planned_window
 from surefoot.robot.beliefs.lag import HISTORY
-from surefoot.robot.beliefs.momentum import ROWS as MOVED
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
-from surefoot.robot.beliefs.references import ROWS, Beliefs, nothing
+from surefoot.robot.beliefs.references import Beliefs, nothing
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
+
+FEET = 2
+"""Feet of the robots that the library believes something of; others' beliefs are in Python."""
 
 AT_ONCE = 8
 """Packets that are handed over together."""
@@ -64,7 +66,8 @@ class NativeBeliefs:
         }  # fmt: skip
         joints = beliefs.layout.joint_position.stop
         shapes = {
-            "ring": (HISTORY, ROWS, 3), "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
+            "ring": (HISTORY, beliefs.rows.width, 3),
+            "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
             "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
             "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
             "parts": (), "sum": (6,),
@@ -77,7 +80,7 @@ class NativeBeliefs:
                 "momentum_beliefs",
             )
             shapes |= {
-                "moved": (HISTORY, MOVED, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
+                "moved": (HISTORY, momentum.rows.width, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
                 "velocity_spin_bias": (3,), "vertical_bias": (), "velocities": (),
             }  # fmt: skip
         found, state = library.filled("timing", timing), library.record(record, shapes)
@@ -106,7 +109,7 @@ class NativeBeliefs:
     def begun(self) -> "NativeBeliefs":
         """Go on at an episode's start; as :meth:`Beliefs.begun`, but in place."""
         self._functions.surefoot_beliefs_init(self._legs_at, self._addresses[1])
-        self.believed.fill(nothing(2) if self._legs is None else unknown())
+        self.believed.fill(nothing(FEET) if self._legs is None else unknown(FEET))
         self.known = self.standing = False
         return self
 
@@ -262,7 +265,7 @@ class NativeBeliefs:
 def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeliefs | NativeBeliefs:
     """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
     library = installed()
-    if library is None or library.real != np.float64:
+    if library is None or library.real != np.float64 or beliefs.model.feet != FEET:
         return beliefs
     try:
         return NativeBeliefs(library, beliefs)

@@ -35,7 +35,7 @@ class NominalModel:
         spec: The robot's drawing; what only a simulation needs is taken out of it.
         errors: How far :meth:`draw` puts masses and centre of mass off; it is the torso's own centre of mass
             that is misplaced.
-        sites: Names of the sites of the IMU, of the left and of the right sole.
+        sites: Names of the sites of the IMU and of the F soles, the left one first.
         torso: Name of the floating body, which carries the IMU with its axes along the body's.
 
     Attributes:
@@ -51,7 +51,7 @@ class NominalModel:
         spec: mujoco.MjSpec,
         errors: BeliefErrors = USUAL,
         *,
-        sites: tuple[str, str, str] = ("imu", "left_sole", "right_sole"),
+        sites: tuple[str, ...] = ("imu", "left_sole", "right_sole"),
         torso: str = "torso",
     ) -> None:
         self._errors = errors
@@ -85,7 +85,7 @@ class NominalModel:
         self._com, self._momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
         self._site_position = data.site_xpos
         # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
-        self._site_axes = data.site_xmat.reshape(3, 3, 3).swapaxes(1, 2)
+        self._site_axes = data.site_xmat.reshape(-1, 3, 3).swapaxes(1, 2)
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         # In a copy what were views are arrays that MuJoCo does not know.
@@ -94,13 +94,18 @@ class NominalModel:
 
     @classmethod
     def of_drawing(cls, drawing: "RobotDrawing", errors: BeliefErrors) -> "NominalModel":
-        """Make it of what the maker of a robot on two feet hands out."""
+        """Make it of what the maker of a robot with feet hands out."""
         return cls(
             drawing.spec(),
             errors,
-            sites=(drawing.imu, drawing.soles[0], drawing.soles[1]),
+            sites=(drawing.imu, *drawing.soles),
             torso=drawing.torso,
         )
+
+    @property
+    def feet(self) -> int:
+        """Number of the feet, F."""
+        return len(self._soles)
 
     @property
     def mass(self) -> float:
@@ -146,15 +151,15 @@ class NominalModel:
 
         Returns:
             In the torso's frame: the centre of mass in m, shape (3,); the angular momentum about it in
-            kg m^2/s, shape (3,); positions of the IMU and both soles in m, shape (3, 3); and the x, y and z
-            axes of the left and the right sole, shape (6, 3).
+            kg m^2/s, shape (3,); positions of the IMU and the soles in m, shape (1 + F, 3); and the x, y
+            and z axes of each sole, shape (3 F, 3).
         """
         model, data = self._model, self._data
         self._qpos[:] = position
         self._qvel[:] = velocity
         self._spin[:] = spin
         update_posture(model, data)
-        axes = self._site_axes[self._soles].reshape(6, 3)
+        axes = self._site_axes[self._soles].reshape(-1, 3)
         return self._com, self._momentum, self._site_position[self._sites], axes
 
     def velocities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -162,9 +167,9 @@ class NominalModel:
 
         Returns:
             Velocity of the centre of mass in m/s, shape (3,); and angular velocities in rad/s and velocities
-            in m/s of the IMU and both soles, (w, v), shape (3, 6).
+            in m/s of the IMU and the soles, (w, v), shape (1 + F, 6).
         """
-        model, data, twist = self._model, self._data, np.zeros((3, 6))
+        model, data, twist = self._model, self._data, np.zeros((len(self._sites), 6))
         for site, row in zip(self._sites, twist, strict=True):
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, row, 0)
         return data.subtree_linvel[self._torso].copy(), twist

@@ -70,8 +70,8 @@ class Odometry:
         Args:
             spin: Angular velocity in the torso's axes in rad/s, shape (3,).
             force: Specific force in the torso's axes in m/s^2, shape (3,).
-            sites: Places of the IMU and of both soles in the torso's frame in m, shape (3, 3).
-            axes: Axes x, y and z of the left and of the right sole in the torso's, shape (6, 3).
+            sites: Places of the IMU and of the F soles in the torso's frame in m, shape (1 + F, 3).
+            axes: Axes x, y and z of each sole in the torso's, shape (3 F, 3).
 
         Returns:
             The rotation from the torso's to the odometry axes, shape (3, 3).
@@ -118,10 +118,14 @@ class Odometry:
         return R
 
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
-        """Return which way is up by the lower sole, or by both where they are level with each other."""
-        _, _, left, _, _, right = axes.tolist()
-        x, y, z = self.up
-        _, (lx, ly, lz), (rx, ry, rz) = sites.tolist()
-        above = ((lx - rx) * x + (ly - ry) * y + (lz - rz) * z) / SOLE_HEIGHT
-        weight = 0.5 * max(0.0, min(2.0, 1.0 - above))
-        return [weight * a + (1.0 - weight) * b for a, b in zip(left, right, strict=True)]
+        """Return which way is up by the lowest sole, or by those that are level with each other.
+
+        A sole counts by the product of what speaks for it against each other one: 1/2 for two at one height,
+        1 for one that is lower by :data:`SOLE_HEIGHT`, and nothing for the other.
+        """
+        height = sites[1:] @ self.up
+        beats = 0.5 * np.clip(1.0 - (height[:, None] - height) / SOLE_HEIGHT, 0.0, 2.0)
+        np.fill_diagonal(beats, 1.0)
+        weight = beats.prod(axis=1)
+        up: list[float] = (weight @ axes[2::3] / weight.sum()).tolist()
+        return up

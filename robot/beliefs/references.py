@@ -32,21 +32,9 @@ from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import Odometry
+from surefoot.robot.beliefs.strapdown import RollingOdometry
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
-
-COM, IMU, SOLES, AXES, MOMENTUM, FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
-"""In odometry axes, from the torso's origin: centre of mass, IMU and soles in m, both soles' axes x, y and z,
-angular momentum about the centre of mass in kg m^2/s and specific force in m/s^2."""
-
-ACCELERATION, MOMENTUM_RATE = 12, 13
-"""What follows from the row's neighbours in time: m/s^2 and N m."""
-
-ACCELEROMETER, GYROSCOPE = 14, 15
-"""What was measured, in the IMU's own axes: m/s^2 and rad/s."""
-
-ROWS = 16
-"""Number of the vectors."""
 
 SLOPE = 3
 """Packets over which the soles' velocities are taken."""
@@ -60,8 +48,42 @@ CLOCK_MEMORY = 256
 LARGEST_VALUE = 1e6
 """Largest number that a packet can hold; one with a larger one, or with NaN, counts as lost."""
 
-_POSES = slice(SOLES.start, AXES.start + 4)
-"""Both soles' places, and their axes up to the x axis of the right one."""
+COM, IMU = 0, 1
+"""Rows of every :class:`Rows` that do not depend on the number of feet."""
+
+
+class Rows(NamedTuple):
+    """Which vectors of three a row holds, of a robot on F feet.
+
+    In odometry axes, from the torso's origin: centre of mass and IMU in m (0 and 1), and
+
+    Attributes:
+        soles: Places of the soles in m.
+        axes: The soles' axes x, y and z.
+        momentum: Angular momentum about the centre of mass in kg m^2/s.
+        force: Specific force in m/s^2.
+        acceleration: Of the centre of mass in m/s^2, which follows from the row's neighbours in time.
+        momentum_rate: In N m, likewise.
+        accelerometer: What was measured, in the IMU's own axes, in m/s^2.
+        gyroscope: Likewise, in rad/s.
+        width: Number of the vectors.
+    """
+
+    soles: slice
+    axes: slice
+    momentum: int
+    force: int
+    acceleration: int
+    momentum_rate: int
+    accelerometer: int
+    gyroscope: int
+    width: int
+
+    @classmethod
+    def of(cls, feet: int) -> "Rows":
+        """Return those of a robot on so many feet."""
+        own = 2 + 4 * feet
+        return cls(slice(2, 2 + feet), slice(2 + feet, own), *range(own, own + 7))
 
 
 class Posture(NamedTuple):
@@ -72,8 +94,8 @@ class Posture(NamedTuple):
     Attributes:
         com: Centre of mass in m, shape (3,).
         momentum: Angular momentum about it in kg m^2/s, shape (3,).
-        sites: IMU and soles in m, shape (3, 3).
-        axes: Both soles' axes x, y and z, shape (6, 3).
+        sites: IMU and soles in m, shape (1 + F, 3).
+        axes: The soles' axes x, y and z, shape (3 F, 3).
         force: Mean specific force since the packet before in m/s^2, shape (3,).
         spin: Mean angular velocity in rad/s, shape (3,).
     """
@@ -122,12 +144,16 @@ class Beliefs(Believed):
         lag: How many samples of the feet ago :meth:`sample` is about.
         dt: Time between these samples in s.
         joined: How many packets become one.
+        touching: Of a robot on round feet, what may touch: centres in the sole frames and radii in m, shape
+            (F, n, 4). ``None`` for flat feet, whose soles show what is level.
 
     Attributes:
         believed: What the last :meth:`sample` found.
         layout: What a packet holds.
         period: Time between joined packets in s.
         dt: Time between the feet's samples in s.
+        feet: Number of the feet, F.
+        rows: What a row holds.
     """
 
     believed: Reference
@@ -143,24 +169,30 @@ class Beliefs(Believed):
         lag: int = 0,
         dt: float = 1.0 / 80.0,
         joined: int = 1,
+        touching: NDArray[np.float64] | None = None,
     ) -> None:
         self.model = model
         self.layout = layout
         self.period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
         self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
-        self._ring = np.zeros((HISTORY, ROWS, 3))
-        self._local = np.zeros((FORCE + 1, 3))
-        self._odometry = Odometry(self.period, model.gravity)
+        self.feet, self.rows, self._touching = model.feet, Rows.of(model.feet), touching
+        self._ring = np.zeros((HISTORY, self.rows.width, 3))
+        self._local = np.zeros((self.rows.force + 1, 3))
+        self._odometry: Odometry | RollingOdometry = (
+            Odometry(self.period, model.gravity)
+            if touching is None
+            else RollingOdometry(model, self.period, touching[..., :3], touching[..., 3])
+        )
         self._last: Packet | None = None
         self._run = 0
         self._clock, self._seen = 0.0, 0
         self._lag, self.dt = lag, dt
         self._plan, self._kinematics, self._upright = (
-            Plan(lag),
-            Kinematics(model.gravity),
+            Plan(lag, self.feet),
+            Kinematics(model.gravity, self.feet, touching),
             Upright(dt, model.gravity),
         )
-        self.believed = nothing(2)
+        self.believed = nothing(self.feet)
 
     def begun(self) -> "Beliefs":
         """Return beliefs of the same robot at an episode's start."""
@@ -173,6 +205,7 @@ class Beliefs(Believed):
             lag=self._lag,
             dt=self.dt,
             joined=self._join,
+            touching=self._touching,
         )
 
     @property
@@ -249,26 +282,26 @@ class Beliefs(Believed):
         """Fill the row at the middle between a packet and the one before."""
         com, momentum, sites, axes, force, spin = posture
         R_odometry_torso = self._odometry.turn(spin, force, sites, axes)
-        local = self._local
+        local, at = self._local, self.rows
         local[COM] = com
-        local[IMU : SOLES.stop] = sites
-        local[AXES] = axes
-        local[MOMENTUM] = momentum
-        local[FORCE] = force - self._odometry.force_bias
+        local[IMU : at.soles.stop] = sites
+        local[at.axes] = axes
+        local[at.momentum] = momentum
+        local[at.force] = force - self._odometry.force_bias
         row = self._ring[number % HISTORY]
-        np.matmul(local, R_odometry_torso.T, out=row[: FORCE + 1])
-        row[ACCELEROMETER] = force
-        row[GYROSCOPE] = spin
+        np.matmul(local, R_odometry_torso.T, out=row[: at.force + 1])
+        row[at.accelerometer] = force
+        row[at.gyroscope] = spin
 
     def _differentiate(self, number: int) -> None:
         """Fill in the rates one middle before a packet's, from its neighbours."""
-        ring, period = self._ring, self.period
+        ring, period, at = self._ring, self.period, self.rows
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
-        acceleration = row[FORCE] + (bent[COM] - bent[IMU]) / period**2
+        acceleration = row[at.force] + (bent[COM] - bent[IMU]) / period**2
         acceleration[2] -= self.model.gravity
-        row[ACCELERATION] = acceleration
-        row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
+        row[at.acceleration] = acceleration
+        row[at.momentum_rate] = (after[at.momentum] - before[at.momentum]) / (2.0 * period)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """Find what the robot believes for one sample of its feet.
@@ -277,18 +310,18 @@ class Beliefs(Believed):
 
         Args:
             time: The moment that the reference describes in s of the host's clock.
-            command: What is planned now, with ``stance`` and ``swing``, shape (2,) each; or ``None`` for a
+            command: What is planned now, with ``stance`` and ``swing``, shape (F,) each; or ``None`` for a
                 robot that plans nothing, whose contacts are found by kinematics.
             hold: Whether beliefs are not to be used.
 
         Returns:
             Whether the robot was upright until this moment, and no longer is.
         """
-        nobody = np.zeros(2, dtype=bool)
+        nobody = np.zeros(self.feet, dtype=bool)
         contacts = nobody, nobody
         if command is not None:
             contacts = self._plan.at(command.stance, command.swing)
-        self.believed = nothing(2)
+        self.believed = nothing(self.feet)
         if hold:
             return False
         reference = self.reference(time, *contacts)
@@ -307,25 +340,25 @@ class Beliefs(Believed):
 
         Args:
             time: The moment in s of the host's clock.
-            stance: Feet that are sure to stand then, shape (2,).
-            swing: Feet that are sure to be in the air then, shape (2,).
+            stance: Feet that are sure to stand then, shape (F,).
+            swing: Feet that are sure to be in the air then, shape (F,).
         """
         if self._run < 3:
-            return nothing(2)._replace(stance=stance, swing=swing)
-        rows = self._at(time)
-        R_level_odometry, origin = _level(rows)
-        level = rows[: MOMENTUM_RATE + 1] @ R_level_odometry.T
-        level[: SOLES.stop] -= origin
+            return nothing(self.feet)._replace(stance=stance, swing=swing)
+        rows, at = self._at(time), self.rows
+        R_level_odometry, origin = _level(rows[at.soles], rows[at.axes])
+        level = rows[: at.momentum_rate + 1] @ R_level_odometry.T
+        level[: at.soles.stop] -= origin
         return Reference(
             level[COM],
-            level[ACCELERATION],
-            level[MOMENTUM_RATE],
-            level[SOLES],
-            level[AXES].reshape(2, 3, 3).swapaxes(1, 2),
+            level[at.acceleration],
+            level[at.momentum_rate],
+            level[at.soles],
+            level[at.axes].reshape(-1, 3, 3).swapaxes(1, 2),
             stance,
             swing,
-            rows[ACCELEROMETER],
-            rows[GYROSCOPE],
+            rows[at.accelerometer],
+            rows[at.gyroscope],
         )
 
     def soles(self, time: float) -> NDArray[np.float64]:
@@ -335,25 +368,29 @@ class Beliefs(Believed):
             time: The moment in s of the host's clock.
 
         Returns:
-            Seen from above in the level frame of that moment, the place of each sole in m and its heading, a
-            unit vector: x, y, forward x, forward y of the left one and of the right one, shape (2, 4).
+            Seen from above in the level frame of that moment, the place of each sole (of a round foot its
+            lowest point) in m and its heading, a
+            unit vector: x, y, forward x, forward y of each one, shape (F, 4).
         """
         last = self._last
         if last is None or self._run < 1 + SLOPE:
-            return np.array([(0.0, 0.0, 1.0, 0.0)] * 2)
+            return np.array([(0.0, 0.0, 1.0, 0.0)] * self.feet)
         newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - SLOPE) % HISTORY]
         ahead = (time - self._middle(last.number)) / self.period
         ahead = min(max(ahead, 0.0), FURTHEST) / SLOPE
-        rows = newest[_POSES]
-        rows = rows + ahead * (rows - before[_POSES])
-        (lx, ly, _), (rx, ry, _), (lu, lv, _), _, _, (ru, rv, _) = rows.tolist()
-        x, y = lu + ru, lv + rv
+        poses = slice(self.rows.soles.start, self.rows.axes.stop)
+        rows = newest[poses]
+        rows = rows + ahead * (rows - before[poses])
+        place, axes = rows[: self.feet, :2], rows[self.feet :].reshape(-1, 3, 3)
+        forward, middle = axes[:, 0, :2], place.mean(axis=0)
+        if self._touching is not None:
+            arm = self._touching[..., :3] @ axes
+            lowest = np.argmin(arm[..., 2] - self._touching[..., 3], axis=1)
+            place = place + arm[range(self.feet), lowest, :2]
+        x, y = forward.sum(axis=0).tolist()
         norm = 1.0 / sqrt(x * x + y * y)
-        x, y = x * norm, y * norm
-        dx, dy = 0.5 * (lx - rx), 0.5 * (ly - ry)
-        half_x, half_y = x * dx + y * dy, x * dy - y * dx
-        left = half_x, half_y, x * lu + y * lv, x * lv - y * lu
-        return np.array([left, (-half_x, -half_y, x * ru + y * rv, x * rv - y * ru)])
+        R = norm * np.array([[x, -y], [y, x]])
+        return np.hstack([(place - middle) @ R, forward @ R])
 
     def _middle(self, number: int) -> float:
         """Time on the host's clock of the middle between a packet and the one before."""
@@ -413,13 +450,20 @@ def reference_info(reference: Reference | MomentumReference) -> dict[str, Any]:
     return info
 
 
-def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Find the level frame: its rotation from the odometry frame, and its origin in its own axes."""
-    left_x, right_x = rows[AXES][::3].tolist()
-    x, y = left_x[0] + right_x[0], left_x[1] + right_x[1]
+def _level(
+    soles: NDArray[np.float64], axes: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Find the level frame: its rotation from the odometry frame, and its origin in its own axes.
+
+    It is midway between the soles at the height of the lowest one, and heads as they do on the whole.
+
+    Args:
+        soles: Their places in m, shape (F, 3).
+        axes: Their axes x, y and z, shape (3 F, 3).
+    """
+    x, y, _ = axes[::3].sum(axis=0).tolist()
     norm = 1.0 / sqrt(x * x + y * y)
     x, y = x * norm, y * norm
-    (lx, ly, lz), (rx, ry, rz) = rows[SOLES].tolist()
-    mx, my = 0.5 * (lx + rx), 0.5 * (ly + ry)
+    mx, my, _ = soles.mean(axis=0).tolist()
     R = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
-    return R, np.array([x * mx + y * my, x * my - y * mx, min(lz, rz)])
+    return R, np.array([x * mx + y * my, x * my - y * mx, float(soles[:, 2].min())])

@@ -1,7 +1,7 @@
 """What can be under a foot, as a user gives it; needs no simulator."""
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from math import ceil
 from typing import Any
 
@@ -36,6 +36,16 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
         if not set(config) <= _keys(LoadCells) and set(config) <= _keys(ForceTorque):
             return from_mapping(ForceTorque, config)
     return resolve(config, LoadCells)
+
+
+def fitted_device(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
+    """Make a configuration as :func:`foot_device` does; presets have a six-axis sensor a foot."""
+    device = foot_device(config)
+    return (
+        replace(device, sensors=feet)
+        if isinstance(config, str) and isinstance(device, ForceTorque)
+        else device
+    )
 
 
 def first_steps(configs: tuple[FootDevice, ...], dt: float) -> list[float]:

@@ -14,7 +14,7 @@ from surefoot.robot.sensing.condition import (
     faults_of,
     severity_range,
 )
-from surefoot.robot.sensing.device import FootDevice, foot_device
+from surefoot.robot.sensing.device import FootDevice, fitted_device
 from surefoot.robot.sensing.instruments import Instruments, check_capacity, usual_cells
 from surefoot.robot.streams import SENSOR_STREAM, check_stream, device_streams
 from surefoot.sensors import Encoders, Imu, Link, channel_faults, scaled
@@ -111,7 +111,8 @@ class Equipment:
         self.seldom = seldom
         self.drawing, self._joint_names = drawing, joint_names
         cells_or_ankles = usual_cells(drawing) if config is None else config
-        self._devices = [foot_device(part) for part in (cells_or_ankles, ankles) if part is not None]
+        feet = len(drawing.feet)
+        self._devices = [fitted_device(part, feet) for part in (cells_or_ankles, ankles) if part is not None]
         self._dt = dt
         lowest, highest = severity_range(severity)
         # Of both ends, so that a severity that a device cannot have is refused here.
@@ -162,7 +163,10 @@ class Equipment:
         for device in devices:
             check_wire(device, self._dt)
         instruments = Instruments(tuple(devices), self.drawing, self._dt)
-        native = {part.name: native_here(part.kind, part.config) for part in instruments.parts}
+        native = {
+            part.name: native_here(part.kind, part.config) if part.in_library else None
+            for part in instruments.parts
+        }
         if not condition.faults:
             return Fitted(condition, instruments, None, native)
         broken = channel_faults(condition.faults, instruments)

@@ -46,7 +46,9 @@ class InstrumentsState(NamedTuple):
 
 
 class CellsUnderFeet:
-    """Four load cells under each sole.
+    """Four load cells under each sole; or one a foot, which feels the force along its sole's z axis.
+
+    One is enough for a foot that touches at a point, such as a quadruped's; its force acts there.
 
     Args:
         config: The cells.
@@ -65,30 +67,26 @@ class CellsUnderFeet:
     kind: Final = CELLS
 
     def __init__(self, config: LoadCells, drawing: RobotDrawing, dt: float) -> None:
-        places, below = drawing.position_cell_sole, drawing.below_cells
-        if places is None or below is None:
+        places, below, feet = drawing.position_cell_sole, drawing.below_cells, len(drawing.feet)
+        self._one_a_foot = config.channels == feet
+        if not self._one_a_foot and (places is None or below is None):
             raise ValueError(
                 f"{drawing.flaw} Or choose six-axis sensors in the ankles, such as "
-                "FootSensors(env, 'icub-force-torque')."
+                "FootSensors(env, 'icub-force-torque'), or one load cell a foot, "
+                f"FootSensors(env, LoadCells(channels={feet}))."
             )
-        self.channels = places.shape[0] * places.shape[1]
-        if config.channels != self.channels:
+        if config.channels not in (feet, 4 * feet):
             raise ValueError(
-                f"The robot has room for {self.channels} cells, four a foot, but LoadCells.channels is "
-                f"{config.channels}."
+                f"The robot has room for {4 * feet} cells, four a foot, or for {feet}, one a foot, but "
+                f"LoadCells.channels is {config.channels}."
             )
-        self.config = config
+        self.config, self.channels = config, config.channels
         self.nominal = Parameters(config.nominal_scale, config.nominal_offset)
         self.slope, self.zero_code = config.slope, config.zero_code
         self.age = config.nominal_age + (0.5 * dt if config.averaged and config.rate is None else 0.0)
         low, high = (np.full(self.channels, end) for end in config.code_range)
         self.code_range = low, high
-        self.feet = tuple(
-            FootLayout.load_cells(
-                name, places[i], mass_below=float(below.mass[i]), com_below_sole=below.com_sole[i]
-            )
-            for i, name in enumerate(drawing.sides)
-        )
+        self.feet = tuple(self._foot(name, i, drawing) for i, name in enumerate(drawing.sides))
         self._device = load_cells(config)
 
     def init(self, rng: Rng) -> LoadCellState:
@@ -98,24 +96,39 @@ class CellsUnderFeet:
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return state._replace(charge=truth.force_cell[-1] * (state.period - state.due))
+        return state._replace(charge=self.load(truth)[-1] * (state.period - state.due))
 
     def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
         counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
 
-    @staticmethod
-    def load(truth: Any) -> Floats:
+    def load(self, truth: Any) -> Floats:
         """Return the loads that they read in each substep in N, shape (S, K)."""
-        load: Floats = truth.force_cell
+        load: Floats = truth.wrench_sole[..., 2] if self._one_a_foot else truth.force_cell
         return load
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
         instant = self.config.rate is None and not self.config.averaged
-        force: Floats = truth.force_cell[-1] + 0.0 if instant else truth.force_cell.mean(axis=0)
+        load = self.load(truth)
+        force: Floats = load[-1] + 0.0 if instant else load.mean(axis=0)
         return force
+
+    @property
+    def in_library(self) -> bool:
+        """Whether the library reads them: four a foot."""
+        return not self._one_a_foot
+
+    def _foot(self, name: str, foot: int, drawing: RobotDrawing) -> FootLayout:
+        """Describe one foot."""
+        places, below, touching = drawing.position_cell_sole, drawing.below_cells, drawing.touching[foot]
+        if not self._one_a_foot and places is not None and below is not None:
+            hanging = {"mass_below": float(below.mass[foot]), "com_below_sole": below.com_sole[foot]}
+            return FootLayout.load_cells(name, places[foot], **hanging)
+        lowest = touching[np.argmin(touching[:, 2] - touching[:, 3])]
+        x, y = touching[:, :2].mean(axis=0) if drawing.flaw == "" else lowest[:2]
+        return FootLayout(name, np.array([[0.0], [0.0], [1.0], [y], [-x], [0.0]]), ("fz",))
 
     def true_map(self, state: LoadCellState) -> Parameters:
         """Return the map that undoes their errors now."""
@@ -140,6 +153,7 @@ class SensorsInAnkles:
 
     name: Final = "ankles"
     kind: Final = FORCE_TORQUE
+    in_library: Final = True
 
     def __init__(self, config: ForceTorque, drawing: RobotDrawing, dt: float) -> None:
         below = drawing.below_ankle
@@ -350,17 +364,25 @@ def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:
         ideal = not device.converts
     if ideal:
         return True
-    return _rated(device) >= PEAK * drawing.weight
+    return _rated(device, drawing) >= PEAK * drawing.weight
 
 
-def _rated(device: FootDevice) -> float:
+def _rated(device: FootDevice, drawing: RobotDrawing) -> float:
     """Return the load in N that a foot's instruments are rated for."""
-    return 4.0 * device.capacity if isinstance(device, LoadCells) else device.full_scale_force
+    if isinstance(device, LoadCells):
+        return device.channels // len(drawing.feet) * device.capacity
+    return device.full_scale_force
+
+
+_NUMBERS: Final = {1: "Load cells", 4: "Four load cells"}
+"""What a foot has, by how many cells it has."""
 
 
 def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
     what = (
-        f"Four load cells of {device.capacity:.4g} N" if isinstance(device, LoadCells) else "Six-axis sensors"
+        f"{_NUMBERS[device.channels // len(drawing.feet)]} of {device.capacity:.4g} N"
+        if isinstance(device, LoadCells)
+        else "Six-axis sensors"
     )
     way_out = (
         "leave 'config' out, which chooses cells of the robot's size, or give "
@@ -370,7 +392,7 @@ def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
     )
     least = f"{PEAK * drawing.weight:.0f} N"
     return (
-        f"{what} are rated for {_rated(device):.0f} N a foot, and a foot of this robot of "
+        f"{what} are rated for {_rated(device, drawing):.0f} N a foot, and a foot of this robot of "
         f"{drawing.weight:.0f} N bears {least} when it lands: they are overloaded, or read too little. "
         f"To choose others, {way_out}."
     )

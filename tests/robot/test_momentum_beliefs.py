@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import MomentumReference
-from surefoot.robot.beliefs.momentum import Strapdown, touching
+from surefoot.robot.beliefs.strapdown import Strapdown, touching
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 

@@ -120,7 +120,7 @@ def test_listening_shifts_nothing_that_feet_draw() -> None:
         np.testing.assert_array_equal(one["foot_raw"], other["foot_raw"])
 
 
-def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
+def test_feet_without_soles_have_forces_and_one_centre_of_pressure_together() -> None:
     env = SelfCalibration(
         FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE),
         "none",
@@ -131,7 +131,7 @@ def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
     loads = []
     for _ in range(30):
         observation, _, _, _, info = env.step(np.zeros(17, dtype=np.float32))
-        assert not observation["cop_valid"].any()
+        assert not observation["cop_valid"][1:].any()
         loads.append((observation["vgrf"].sum(), info["surefoot"]["truth"]["vgrf"].sum()))
     told, true = np.array(loads).T
     assert true.max() > 100.0

@@ -194,7 +194,7 @@ def test_the_order_of_wrappers_matters_and_is_explained(make_bare) -> None:
         (lambda env: FootSensors(env, {"input_noise": -1.0}), "LoadCells.input_noise must be .*, got -1.0"),
         (
             lambda env: FootSensors(env, LoadCells(channels=4)),
-            "has room for 8 cells, four a foot, but LoadCells.channels is 4",
+            "has room for 8 cells, four a foot, or for 2, one a foot, but LoadCells.channels is 4",
         ),
         (
             lambda env: SelfCalibration(FootSensors(env), "windows"),

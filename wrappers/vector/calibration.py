@@ -35,7 +35,7 @@ class BatchCalibration:
 
     Raises:
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of: one free body, hinge joints, two feet.
+            that a nominal model can be made of: one free body, hinge joints, feet.
     """
 
     def __init__(self, owner: str, sensors: BatchSensors, method: str = "moment", /, **options: Any) -> None:

@@ -40,7 +40,7 @@ class CalibrationLog(BaseCallback):
 
     | Key | Value | Unit |
     |-----|-------|------|
-    | ``feet/true_cop_error_m`` | error of both feet's centre of pressure against the truth, rms | m |
+    | ``feet/true_cop_error_m`` | error of the common centre of pressure against the truth, rms | m |
     | ``feet/stated_cop_std_m`` | its standard deviation as the calibrator states it, rms | m |
     | ``feet/flagged_channels`` | share of channels with any flag | 1 |
     | ``feet/flagged_channels/spike`` | share with this one, for each flag that was raised | 1 |
