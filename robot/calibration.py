@@ -15,8 +15,7 @@ from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, 
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import ReferenceRecord
-from surefoot.calibration.online import method_entry
-from surefoot.calibration.setup import method_name
+from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
@@ -86,6 +85,8 @@ class CalibrationSetup:
         options: Of the method.
 
     Attributes:
+        method: Name of the method.
+        given: Options of the method, as they were given.
         start: The map to start from.
         layout: The feet and their channels.
         ages: How old readings of each channel are on average when they are taken, in s, shape (K,).
@@ -102,7 +103,7 @@ class CalibrationSetup:
         self,
         owner: str,
         equipment: Equipment,
-        method: str = "moment",
+        method: str | MethodOptions = "moment",
         /,
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
@@ -113,7 +114,8 @@ class CalibrationSetup:
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
-        self.method = method_name(method)
+        self.method, options = resolve_method(method, options)
+        self.given = options
         self.errors = belief_errors(errors)
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)

@@ -9,6 +9,7 @@ from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.online import MethodOptions
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import RAW, seen_below
@@ -87,7 +88,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        method: str = "moment",
+        method: str | MethodOptions = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         show: Sequence[str] | None = None,
@@ -119,7 +120,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             fresh=fresh,
             errors=setup.errors,
             stream=stream,
-            **options,
+            **setup.given,
         )
         gym.Wrapper.__init__(self, env)
         space = env.observation_space

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.calibration import FootCalibrator, Moment, Parameters
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Plan
 from surefoot.robot.foot_view import DEFAULT
 from surefoot.sensors import ForceTorque, Wire
@@ -264,3 +264,12 @@ def test_a_stream_is_a_whole_number(stream: Any, make_bare) -> None:
         FootSensors(make_bare(), stream=stream)
     with pytest.raises(ValueError, match=f"SelfCalibration: {re.escape(text)}"):
         SelfCalibration(FootSensors(make_bare()), stream=stream)
+
+
+def test_options_may_be_a_value_that_a_spec_has_as_well(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare()), Moment(scale_std=0.2))
+    env.reset(seed=0)
+    assert env.calibrator.method == "moment"
+    assert env.calibrator._options["scale_std"] == 0.2
+    kept = env.spec.additional_wrappers[-1].kwargs
+    assert (kept["method"], kept["scale_std"]) == ("moment", 0.2)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import seen_below
 from surefoot.robot.native import feed_many
@@ -38,7 +39,9 @@ class BatchCalibration:
             that a nominal model can be made of: one free body, hinge joints, feet.
     """
 
-    def __init__(self, owner: str, sensors: BatchSensors, method: str = "moment", /, **options: Any) -> None:
+    def __init__(
+        self, owner: str, sensors: BatchSensors, method: str | MethodOptions = "moment", /, **options: Any
+    ) -> None:
         self._sensors = sensors
         self.setup = setup = CalibrationSetup(owner, sensors.equipment, method, **options)
         self.robots = [RobotCalibration(setup, robot) for robot in sensors.robots]

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.calibration.online import MethodOptions
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
@@ -129,7 +130,7 @@ class VecSelfCalibration(CalibrationFace, VecEnvWrapper):
 
     venv: VecFootSensors
 
-    def __init__(self, venv: VecEnv, method: str = "moment", **options: Any) -> None:
+    def __init__(self, venv: VecEnv, method: str | MethodOptions = "moment", **options: Any) -> None:
         if not isinstance(venv, VecFootSensors):
             raise TypeError(
                 "VecSelfCalibration calibrates the counts of VecFootSensors and goes right around them: "

@@ -8,6 +8,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from surefoot.calibration.online import MethodOptions
 from surefoot.wrappers.source import find_sensors
 from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
 from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
@@ -43,7 +44,9 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             that a nominal model can be made of.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], method: str = "moment", **options: Any) -> None:
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], method: str | MethodOptions = "moment", **options: Any
+    ) -> None:
         super().__init__(env)
         sensors = find_sensors(env, VectorSelfCalibration, VectorFootSensors, VectorWrapper).sensors
         self._sensors = sensors
