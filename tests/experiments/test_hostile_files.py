@@ -254,7 +254,7 @@ OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "a program": (STAND, {"prelude": "/bin/sh"}, "sh: not a text in UTF-8 ("),
     "no severity": (FootSensors, {"severity": None}, "'severity' must be a number, got None of type"),
     "faults of none": (FootSensors, {"faults": 1}, "'faults' must be a sequence of faults, such as [1]; got"),
-    "no view": (SelfCalibration, {"show": None}, "'show' must name parts of "),
+    "no view": (SelfCalibration, {"show": 5}, "'show' must name parts of "),
     "beliefs in words": (
         SelfCalibration, {"errors": "small"},
         "A BeliefErrors is made of a mapping of its fields, got ",
