@@ -114,6 +114,7 @@ class MomentFilter:
         blocks: What makes blocks of samples.
         model: What makes rows of blocks.
         tare: What tares feet.
+        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
@@ -135,7 +136,7 @@ class MomentFilter:
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
         self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
-        self._walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
+        self.walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
     def constants(self) -> tuple[NamedTuple, ...]:
@@ -145,7 +146,7 @@ class MomentFilter:
             self.columns.components,
             self.blocks.capacity,
             self._first_variance,
-            self._walk,
+            self.walk,
             config.block,
             config.mass_std,
             self._ahead,
@@ -251,7 +252,7 @@ class MomentFilter:
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
-        walked = self._walk * state.tare.rate**2 * duration
+        walked = self.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
         for part, variance in ((columns.scale, walked[0]), (columns.drift, walked[1] * self._spread.unit**2)):
@@ -293,11 +294,11 @@ class MomentFilter:
                 covariance=transition @ belief.covariance @ transition.T,
             )
             likeliest = belief.mean[belief.chance.argmax()]
-            ahead = rows.measured - rows.mean @ likeliest - rows.mean_rest
+            ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
             state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
             if wrong is not None:
                 return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
-            rejected = abs(ahead[0]) > 0.5 * LARGEST_ERROR * block.duration
+            rejected = bool(abs(ahead) > 0.5 * LARGEST_ERROR * block.duration)
         if not follows or rejected:
             belief = begin_momentum(belief, rows, columns)
             weighed = self._weigh(belief, state.drifted)
@@ -361,7 +362,7 @@ class MomentFilter:
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
-        walked = np.outer(self._walk * rate**2 * self._ahead, np.ones(self._channels))
+        walked = np.outer(self.walk * rate**2 * self._ahead, np.ones(self._channels))
         walked[1] *= self._spread.unit**2
         mean, columns, weight = published.mean, self.columns, self.setup.weight
         learnt = map_covariance(mean, published.covariance, columns, weight)

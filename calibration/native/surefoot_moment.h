@@ -159,7 +159,6 @@ typedef struct {
 } sf_moment_work;
 
 /* Where parts of the unknowns stand: scales from 0 on. */
-SF_API int sf_drifts(const sf_config *c) { return 2 * c->channels; }
 SF_API int sf_coms(const sf_config *c, const sf_moment_config *m) { return 3 * c->channels + m->talks; }
 SF_API int sf_weighed(const sf_config *c) { return 3 * c->channels; }
 SF_API int sf_momenta(const sf_config *c, const sf_moment_config *m) { return sf_coms(c, m) + 4; }
