@@ -3,13 +3,14 @@ r"""Velocity of a robot's IMU and rotation of its torso: increments of its IMU, 
 In axes that are level and whose heading follows the gyroscope, the IMU's velocity and the torso's rotation
 follow from its own increments, and from what the points of feet that touch the ground say,
 
-    V' = R (f - b) - g e_z + k_1 e,          e = V_legs - V
+    V' = R (f - b_f) - g e_z + k_1 e,        e = V_legs - V
     R' = R [w - b_w]x + [k_2 e_z x e]x R,    b_w' = -k_2 R' (e_z x e) / T_b,     b_z' = -k_1 e_z / T_b
 
-with the specific force f, the angular velocity w, and b = b_s / (1 + (b_s / B)^2) by what soles on a level
-floor show of the accelerometer's error, b_s: floors may lean as well. A tilt that is off by a small angle drives V sideways by
-g per second and rad, which is how the legs show it; the poles of the tilt's loop lie together at 1 / (2 s).
-The lowest points of feet stand still: V_legs is what they ask for.
+with the specific force f and the angular velocity w. Soles that lie on a level floor show what both are wrong
+by, the accelerometer by b_s; of that b_f = b_s / (1 + (b_s / B)^2) is believed, as floors may lean. A tilt
+that is off by a small angle drives V sideways by g per second and rad, which is how the legs show it; the
+poles of the tilt's loop lie together at 1 / (2 s). The lowest points of feet stand still: V_legs is what they
+ask for.
 """
 
 from typing import NamedTuple
