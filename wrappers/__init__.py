@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from surefoot.robot.beliefs.errors import BeliefErrors
     from surefoot.robot.beliefs.nominal import NominalModel
     from surefoot.robot.beliefs.references import Beliefs
+    from surefoot.robot.sensing.foot_equipment import FootEquipment
     from surefoot.wrappers.calibrate_first import CalibrateFirst
     from surefoot.wrappers.foot_sensors import FootSensors
     from surefoot.wrappers.history import SampleHistory
@@ -24,6 +25,7 @@ __all__ = [
     "BeliefErrors",
     "Beliefs",
     "CalibrateFirst",
+    "FootEquipment",
     "FootSensors",
     "NominalModel",
     "SampleHistory",
@@ -37,6 +39,7 @@ _MODULES = {
     "BeliefErrors": "surefoot.robot.beliefs.errors",
     "Beliefs": "surefoot.robot.beliefs.references",
     "CalibrateFirst": "surefoot.wrappers.calibrate_first",
+    "FootEquipment": "surefoot.robot.sensing.foot_equipment",
     "FootSensors": "surefoot.wrappers.foot_sensors",
     "NominalModel": "surefoot.robot.beliefs.nominal",
     "SampleHistory": "surefoot.wrappers.history",

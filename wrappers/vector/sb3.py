@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import OPTIONS, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorsFace, merge_rows
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -35,7 +36,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
         venv: A vector environment of SB3.
         config: As of :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`, like all others.
         measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
-        options: ``ankles`` and so on.
+        options: Fields of :class:`~surefoot.wrappers.FootEquipment`.
 
     Attributes:
         sensors: The sensors of all robots.
@@ -49,19 +50,18 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
     def __init__(
         self,
         venv: VecEnv,
-        config: str | Mapping[str, Any] | FootDevice | None = None,
+        config: str | Mapping[str, Any] | FootDevice | FootEquipment | None = None,
         *,
         measure_state: bool = True,
-        **options: Unpack[SensorOptions],
+        **options: Unpack[FootOptions],
     ) -> None:
         self.sensors = BatchSensors(
             "VecFootSensors",
             venv.num_envs,
             venv.observation_space,
             venv.get_attr,
-            config,
+            equip(config, **options),
             measure_state,
-            **options,
         )
         super().__init__(venv, observation_space=self.sensors.view.space)
         self.seeds: Sequence[int | None] = [None] * venv.num_envs

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from operator import is_not
 from os import PathLike
-from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -15,13 +15,12 @@ from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
 from surefoot.native import cores
-from surefoot.robot.sensing.condition import Faults, Severity
-from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.condition import Faults
 from surefoot.robot.sensing.equipment import Equipment
+from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
@@ -33,19 +32,6 @@ Seeds = int | Sequence[int | None] | None
 
 Attribute = Callable[[str], Sequence[Any]]
 """Asks each copy for an attribute."""
-
-
-class SensorOptions(TypedDict, total=False):
-    """Keyword arguments of :class:`~surefoot.wrappers.FootSensors` that wrappers of many robots have."""
-
-    ankles: str | Mapping[str, Any] | FootDevice | None
-    imu: str | Mapping[str, Any] | Imu | None
-    encoders: str | Mapping[str, Any] | Encoders | None
-    link: str | Mapping[str, Any] | Link | None
-    severity: Severity
-    faults: Faults
-    fresh: bool
-    stream: int
 
 
 class Planned(NamedTuple):
@@ -78,9 +64,8 @@ class BatchSensors:
         count: Number of robots N.
         space: Observation space of one copy.
         attribute: Asks each copy for an attribute.
-        config: What is under the feet, as of :class:`~surefoot.wrappers.FootSensors`.
+        given: The sensors that the user put on each.
         measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
-        options: As of :class:`~surefoot.wrappers.FootSensors`.
 
     Attributes:
         drawing: The robot.
@@ -102,16 +87,13 @@ class BatchSensors:
         count: int,
         space: Any,
         attribute: Attribute,
-        config: str | Mapping[str, Any] | FootDevice | None,
+        given: FootEquipment,
         measure_state: bool = True,
-        **options: Unpack[SensorOptions],
     ) -> None:
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
         meaning = self._meaning
-        self.equipment = Equipment(
-            owner, self.drawing, joints, meaning.dt, config, **options, seldom=meaning.seldom
-        )
+        self.equipment = Equipment(owner, self.drawing, joints, meaning.dt, given, meaning.seldom)
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
