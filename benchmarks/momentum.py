@@ -208,8 +208,8 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     raw, accelerations, momenta, true, sole, R = zip(*rows, strict=True)
     return Stream(
         layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
-        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
-        momenta=_stacked(MomentumReference, momenta), true=_stacked(Parameters, true),
+        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stack(Reference, accelerations),
+        momenta=_stack(MomentumReference, momenta), true=_stack(Parameters, true),
         sole=np.stack(sole), R=np.stack(R), fell=fell,
     )  # fmt: skip
 
@@ -224,7 +224,7 @@ def _outside(scene: Scene, time: float, weight: float) -> Floats:
     return force
 
 
-def _stacked(kind: Any, rows: Sequence[Any]) -> Any:
+def _stack(kind: Any, rows: Sequence[Any]) -> Any:
     return kind(*(np.stack(part) for part in zip(*rows, strict=True)))
 
 

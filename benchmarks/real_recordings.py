@@ -36,7 +36,7 @@ from surefoot.experiments.study.tables import Frame, Table, with_interval
 from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
-from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.score import hold_last
 
 Floats = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def wii_board(folder: Path) -> Recording:
     )
 
 
-def rocked_pole(folder: Path) -> Recording:
+def load_rocked_pole(folder: Path) -> Recording:
     """Load the force plate on which a loaded pole is rocked about a fixed tip."""
     with np.load(folder / "foot" / "caltester_FP1_600hz.npz") as file:
         cells, rate = file["plate0_N"][4:].T.astype(np.float64), float(file["rate_hz"])
@@ -240,7 +240,7 @@ def icub_feet(folder: Path) -> Recording:
 
 RECORDINGS: Mapping[str, tuple[Callable[[Path], Recording], Mapping[str, Any], Mapping[str, Any]]] = {
     "board": (wii_board, {}, {}),
-    "pole": (rocked_pole, {}, _IMPATIENT),
+    "pole": (load_rocked_pole, {}, _IMPATIENT),
     "empty-plate": (drifting_zeros, {}, {}),
     "icub": (icub_feet, _FOOT_LENGTH, {}),
 }
@@ -270,7 +270,7 @@ def spoil(recording: Recording, seed: int) -> Stream:
         lag=0,
         seed=seed,
         truth=LogTruth(
-            force=np.zeros_like(recording.force) if empty else held(recording.force),
+            force=np.zeros_like(recording.force) if empty else hold_last(recording.force),
             position_sole=soles,
             R_world_sole=level,
             scale=np.broadcast_to(1.0 / gain, (samples, channels)),

@@ -118,7 +118,7 @@ def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) ->
     def bare() -> gym.Env[Any, Any]:
         return gym.make(robot.env, disable_env_checker=True, **robot.options)
 
-    def sensed() -> gym.Env[Any, Any]:
+    def with_sensors() -> gym.Env[Any, Any]:
         return FootSensors(bare(), robot.config, faults=faults)
 
     found: dict[str, gym.Env[Any, Any]] = {}
@@ -127,9 +127,9 @@ def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) ->
         if not robot.env.startswith("surefoot/"):
             found["InstrumentedEnv"] = InstrumentedEnv(bare())
     with nullcontext() if native else specification():
-        found["FootSensors"] = sensed()
+        found["FootSensors"] = with_sensors()
         for method in methods:
-            found[f"+ SelfCalibration({method})"] = SelfCalibration(sensed(), method)
+            found[f"+ SelfCalibration({method})"] = SelfCalibration(with_sensors(), method)
     return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
 
 
@@ -155,7 +155,7 @@ def many(
             return gym.make_vec(robot.env, count, "vector_entry_point", threads=threads, **robot.options)
         return make_copies(robot, count, gym.vector.SyncVectorEnv, *wrappers)
 
-    def sensed() -> Any:
+    def with_sensors() -> Any:
         feet = VectorFootSensors(bare(TruthRow), robot.config, faults=faults)
         feet.sensors.threads = threads
         return feet
@@ -167,9 +167,9 @@ def many(
     found["bare"] = bare()
     if not robot.batch:
         found["TruthRow"] = bare(TruthRow)
-    found["VectorFootSensors"] = sensed()
+    found["VectorFootSensors"] = with_sensors()
     for method in methods:
-        found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(sensed(), method)
+        found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(with_sensors(), method)
     return {name: Stack(env, True) for name, env in found.items()}
 
 

@@ -125,7 +125,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
     return OnlineMethod(init, update, limits=limits)
 
 
-def uncorrected(setup: OnlineSetup) -> OnlineMethod:
+def leave_start(setup: OnlineSetup) -> OnlineMethod:
     """Return the method that leaves the starting map as it is, and readings as they were read.
 
     Args:

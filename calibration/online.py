@@ -29,7 +29,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from surefoot.calibration.baselines import SwingTare, tare, uncorrected
+from surefoot.calibration.baselines import SwingTare, leave_start, tare
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import moment_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
@@ -79,7 +79,7 @@ _METHODS = {
     "window": MethodEntry(window, Window),
     "quasi-static": MethodEntry(quasi_static, Window),
     "tare": MethodEntry(tare, SwingTare),
-    "none": MethodEntry(uncorrected),
+    "none": MethodEntry(leave_start),
 }
 
 METHODS = MappingProxyType(_METHODS)

@@ -132,7 +132,7 @@ class BatchVectorEnv(SyncVectorEnv):
             )
         starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
         stepping = ~starting
-        residual = robots._checked(actions, (self.num_envs,))
+        residual = robots._check_action(actions, (self.num_envs,))
         prepares = np.array([env.prelude.playing for env in self.envs])
         residual[(robots._tick < robots._quiet_ticks) & ~prepares] = 0.0
         robots._tick += ~prepares
@@ -165,12 +165,18 @@ class BatchVectorEnv(SyncVectorEnv):
             for i in np.flatnonzero(done).tolist():
                 finals[i] = {key: part[i].copy() for key, part in observation.items()}
                 self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
-            last = {"final_obs": finals, "final_info": _told(truth, terms, done, done)}
-            infos, stepping = _masked(last, done), ~done
+            last = {"final_obs": finals, "final_info": _gather_infos(truth, terms, done, done)}
+            infos, stepping = _add_masks(last, done), ~done
             self._restart(done)
             observation, *_, truth = self._observe()
         everyone = np.ones(self.num_envs, dtype=bool)
-        return observation, rewards, terminated, truncated, infos | _told(truth, terms, everyone, stepping)
+        return (
+            observation,
+            rewards,
+            terminated,
+            truncated,
+            infos | _gather_infos(truth, terms, everyone, stepping),
+        )
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
@@ -248,7 +254,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return self.envs[robot]._read(self._rows[robot].copy())
 
 
-def _told(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
+def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
     """Gather infos of robots as Gymnasium does.
 
     Args:
@@ -257,8 +263,8 @@ def _told(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool
         seen: Robots whose truth is told, shape (N,).
         paid: Robots whose terms are, shape (N,).
     """
-    told = _masked({"surefoot": _masked({"truth": _masked(_of(truth, seen), seen)}, seen)}, seen)
-    return told | (_masked(_of(terms, paid), paid) if paid.any() else {})
+    told = _add_masks({"surefoot": _add_masks({"truth": _add_masks(_of(truth, seen), seen)}, seen)}, seen)
+    return told | (_add_masks(_of(terms, paid), paid) if paid.any() else {})
 
 
 def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -270,7 +276,7 @@ def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, N
     return kept
 
 
-def _masked(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
+def _add_masks(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Put beside each part which robots it is of, as Gymnasium's infos do."""
     return parts | {f"_{name}": mask for name in parts}
 

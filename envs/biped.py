@@ -14,7 +14,7 @@ from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import FeetObserver, Observation, Places
-from surefoot.envs.options import checked_action, positive
+from surefoot.envs.options import check_action, positive
 from surefoot.envs.prelude import Player, Prelude
 
 
@@ -132,7 +132,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return whether the robot has fallen."""
         raise NotImplementedError
 
-    def _paid_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
+    def _reward_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
         """Return exp(-(e / width)^2), e the distance of the CoP from its reference in m; 0 without a CoP."""
         m = self._numbers
         (x, y), (reference_x, reference_y) = m.parts(pressed["cop_world"]), m.parts(self.command.cop)
@@ -143,8 +143,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return the cost of an action: -0.1 times its mean square."""
         return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
 
-    def _checked(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
-        return checked_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
+    def _check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
+        return check_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
 
     def _targets(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
@@ -205,7 +205,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         if self._tick is None:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = self._checked(action)
+        residual = self._check_action(action)
         prepares = self.prelude.playing
         if self._tick < self._quiet_ticks and not prepares:
             residual = np.zeros_like(residual)

@@ -180,7 +180,7 @@ def plan_motion(
         raise ValueError(
             f"Played together, the motions do not keep to the limits: {reason}. Ask for more margin."
         )
-    tables = [_segments(plan, prelude), _single(plan), _refused(refused)]
+    tables = [_segments(plan, prelude), _single(plan), _reasons(refused)]
     return PlannedMotion(plan, prelude, tables)
 
 
@@ -205,6 +205,6 @@ def _single(plan: FootExcitation) -> Table:
     return Table("rates", "What each motion would bring first", ("motion", "nats per second"), rows)
 
 
-def _refused(refused: dict[str, str]) -> Table:
+def _reasons(refused: dict[str, str]) -> Table:
     rows = tuple(refused.items()) or (("none", ""),)
     return Table("refused", "What the robot must not do", ("motion", "because"), rows)

@@ -19,7 +19,7 @@ from surefoot.calibration.online import MethodOptions, method_entry, resolve_met
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
-from surefoot.robot.beliefs.lag import check_lag, joined_packets, usual_lag, waiting_samples
+from surefoot.robot.beliefs.lag import check_lag, packets_per_join, usual_lag, waiting_samples
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, Touching
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
@@ -194,7 +194,7 @@ class RobotCalibration:
         """Warn, before a reset, if nothing was learnt for long; return whether that was done."""
         if not self.made or self.frozen or self._setup.method == "none":
             return False
-        return self._chances.judge(self._moved(), self._sensors.telemetry.dt)
+        return self._chances.judge(self._map_has_moved(), self._sensors.telemetry.dt)
 
     def reset(self, seed: int | None = None, choice: str | None = None) -> bool:
         """Start an episode, after the sensors did; what was learnt is kept, or calibration starts fresh.
@@ -215,7 +215,7 @@ class RobotCalibration:
         else:
             self._wait_out()
         if self._timing == (telemetry, self.late):
-            self.beliefs = self.beliefs.begun()
+            self.beliefs = self.beliefs.begin_episode()
         else:
             self._timing = telemetry, self.late
             beliefs = Beliefs(
@@ -226,7 +226,7 @@ class RobotCalibration:
                 telemetry.averaged,
                 lag=self.late,
                 dt=telemetry.dt,
-                joined=joined_packets(telemetry),
+                joined=packets_per_join(telemetry),
                 touching=setup.touching.round,
             )
             if setup.by_momentum:
@@ -254,7 +254,7 @@ class RobotCalibration:
         The packets that have arrived belong to it. :meth:`note` has to follow.
         """
         sensors, hold = self._sensors, self._next()
-        arrived = sensors.arrived()
+        arrived = sensors.packet_rows()
         if arrived is None:
             self.beliefs.update(sensors.packets)
         self._estimate = None  # made of the library's record when somebody asks
@@ -268,7 +268,7 @@ class RobotCalibration:
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.arrived()
+        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.packet_rows()
         if arrived is not None and isinstance(beliefs, NativeBeliefs):
             beliefs.update_rows(*arrived)
         else:
@@ -283,12 +283,12 @@ class RobotCalibration:
         if native is not None:
             native.feed(self.put(native, command))
             self.note()
-            shown, told = native.told()
+            shown, told = native.outputs()
         else:
             if self.believe(command):
                 self.calibrator.retract()
             self._estimate = estimate = self.calibrator.update(self._sensors.raw, self.beliefs.believed)
-            shown, told = self._view.show(estimate, self.soles()), told_of(estimate, self.beliefs.info())
+            shown, told = self._view.show(estimate, self.soles()), info_of(estimate, self.beliefs.info())
         told["lag"] = self.late
         return shown, told
 
@@ -363,7 +363,7 @@ class RobotCalibration:
         # The library's record, of which an estimate is made, stays behind.
         return {**vars(self), "_estimate": self.estimate if self.made else None}
 
-    def _moved(self) -> bool:
+    def _map_has_moved(self) -> bool:
         """Return whether the map is no longer the starting map."""
         start, now = self.calibrator.setup.initial, self.estimate
         return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
@@ -406,7 +406,7 @@ class RobotCalibration:
         return start.off(self._sensors.true_parameters(), drawn)
 
 
-def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
+def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
     """Return what ``info`` holds of an estimate, which may hold arrays of the one before, as copies."""
     told = {
         "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},

@@ -66,7 +66,7 @@ def default_parts(flaw: str) -> tuple[str, ...]:
     return tuple(part for part in DEFAULT if not (flaw and part == "cop_foot"))
 
 
-def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
+def drop_counts(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
     """Return what stays of the sensors' observation, or of its space: without counts nobody asks for."""
     return {key: part for key, part in observed.items() if key != RAW or RAW in parts}
 
@@ -201,10 +201,10 @@ class FootView:
             case "contact_probability" | "undetermined":
                 return np.array(getattr(estimate, part), dtype=np.float32)
             case "foot_load":
-                return self._limited(estimate.force, self.weight)
-        return self._limited(getattr(estimate, part.removeprefix("foot_")), 1.0)
+                return self._clip(estimate.force, self.weight)
+        return self._clip(getattr(estimate, part.removeprefix("foot_")), 1.0)
 
-    def _limited(self, force: Any, unit: float) -> NDArray[np.float32]:
+    def _clip(self, force: Any, unit: float) -> NDArray[np.float32]:
         bound = self.force_bound
         limited: NDArray[np.float32] = (np.minimum(np.maximum(force, -bound), bound) / unit).astype(
             np.float32

@@ -63,13 +63,13 @@ class NativeSample:
         self._of = beliefs, state, beliefs.model.revision
         self._filter, self._raw, self.sampled = native, native.raw, False
         config = view_record(library, view)
-        told = _told(library, beliefs, native, view)
+        told = _output_dtype(library, beliefs, native, view)
         self._dtype, self._memory = told, np.zeros(library.places["told"][""][2], np.uint8)
         # What comes after the last number is room that this robot has no use for.
         self._part = self._memory[: told.itemsize]
         self._parts, self._believed = view.parts, ("known", *beliefs.believed.kind._fields)
         self._fields = itemgetter(*(told.names or ()))
-        records = library.filled(
+        records = library.record_of(
             "sample_records",
             {
                 **beliefs.addresses(),
@@ -116,9 +116,9 @@ class NativeSample:
         beliefs.tell(found)
         self.sampled = True
         if found & 9:
-            state.changed()
+            state.drop_published()
 
-    def told(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return what an agent is shown of the last sample, and what ``info`` holds of the estimate.
 
         All arrays are fresh.
@@ -129,7 +129,7 @@ class NativeSample:
             told["reference"] = beliefs.info()
         return shown, told
 
-    def told_by(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs_of(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the same of robots of this one's kind, with the robots in front of each array."""
         memory = np.array([robot._part for robot in robots])
         shown, told = self._read(np.ndarray(len(robots), self._dtype, memory), np.ones(len(robots), bool))
@@ -187,7 +187,7 @@ def feed_many(natives: Sequence[NativeSample], samples: Sequence[Sample], thread
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:
     """Return the bounds of what is shown, as the library wants them."""
-    config = library.filled(
+    config = library.record_of(
         "view",
         {
             "force_bound": view.force_bound,
@@ -200,14 +200,16 @@ def view_record(library: Library, view: FootView) -> NDArray[Any]:
     return config
 
 
-def shown_dtype(library: Library, view: FootView) -> np.dtype[Any]:
+def view_dtype(library: Library, view: FootView) -> np.dtype[Any]:
     """Return the dtype of what the library can show."""
     dtype = library.record("shown", {name: space.shape or () for name, space in view.every.items()})
     assert dtype is not None
     return dtype
 
 
-def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: FootView) -> np.dtype[Any]:
+def _output_dtype(
+    library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: FootView
+) -> np.dtype[Any]:
     """Return the dtype of what a sample tells, up to the last number.
 
     Its names come in the order in which :meth:`NativeSample._read` takes them.
@@ -218,7 +220,7 @@ def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: 
             native.estimate.now.dtype,
             _OF_ESTIMATE + DETERMINED * native.constants.contact,
         ),
-        "shown": (shown_dtype(library, view), view.parts),
+        "shown": (view_dtype(library, view), view.parts),
         "belief": (beliefs.believed.dtype, beliefs.believed.kind._fields),
     }
     # Names alone would not do: an estimate's are shown as well.

@@ -35,7 +35,7 @@ class StartingMap:
         self.known = read if isinstance(read, Parameters) else nominal
         self._errors = errors
 
-    def recorded(self) -> str | dict[str, list[float]]:
+    def as_plain(self) -> str | dict[str, list[float]]:
         """Return what was given as plain words and numbers."""
         if self.given:
             return {name: part.tolist() for name, part in self.known._asdict().items()}

@@ -47,12 +47,12 @@ def device(build: Callable[Arguments, Corruption[State]]) -> Callable[Arguments,
     """Let what a function of configurations builds be pickled: as that function and its arguments."""
 
     @wraps(build)
-    def built(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Corruption[State]:
+    def make(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Corruption[State]:
         corruption = build(*args, **kwargs)
-        corruption.init.built_by = partial(built, **kwargs), args  # type: ignore[attr-defined]
+        corruption.init.built_by = partial(make, **kwargs), args  # type: ignore[attr-defined]
         return corruption
 
-    return built
+    return make
 
 
 def limit(reading: ArrayLike, low: Any, high: Any) -> Array:

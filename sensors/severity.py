@@ -202,7 +202,7 @@ def scaled(config: Config, severity: float) -> Config:
         raise TypeError(f"{kind.__name__} has no severity; {[known.__name__ for known in ERRORS]} have.")
     errors = {name: _times(getattr(config, name), severity) for name in ERRORS[kind]}
     if severity > 1.0:
-        errors |= _limited(config, errors, severity)
+        errors |= _at_limit(config, errors, severity)
     try:
         worse: Config = replace(config, **errors)  # type: ignore[type-var]
     except ValueError as refused:
@@ -218,7 +218,7 @@ def _times(value: Any, factor: float) -> Any:
     return tuple(factor * part for part in value) if isinstance(value, tuple) else factor * value
 
 
-def _limited(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
+def _at_limit(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
     """Return the values of the errors that reach a limit."""
     limits = LIMITS.get(type(config), {})
     found = {name: min(errors[name], max(most, getattr(config, name))) for name, most in limits.items()}

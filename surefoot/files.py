@@ -99,7 +99,7 @@ def write_text(path: AnyPath, text: str) -> None:
 
 
 @contextmanager
-def locked(folder: Path, refusal: Exception) -> Iterator[None]:
+def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
     """Keep others, who get ``refusal``, out of a folder while this process lives, where the system can."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)

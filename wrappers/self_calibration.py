@@ -12,7 +12,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import RAW, seen_below
+from surefoot.robot.foot_view import RAW, drop_counts
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
@@ -114,7 +114,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=setup.method,
-            initial=setup.start.recorded(),
+            initial=setup.start.as_plain(),
             show=list(setup.show),
             lag=lag,
             fresh=fresh,
@@ -133,7 +133,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         sensors.listen()
         self.robot, self.layout = RobotCalibration(setup, sensors.robot), setup.layout
         self._shows_raw = RAW in setup.show
-        self.observation_space = spaces.Dict(seen_below(space.spaces, setup.show) | setup.spaces)
+        self.observation_space = spaces.Dict(drop_counts(space.spaces, setup.show) | setup.spaces)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -28,7 +28,7 @@ _LONGEST = 4.0
 """Samples by which a force is carried on at most: that it helps for longer has not been seen."""
 
 
-def carried_time(setup: OnlineSetup) -> NDArray[np.float64]:
+def extrapolation_time(setup: OnlineSetup) -> NDArray[np.float64]:
     """Return by how long each channel is carried on in s, shape (K,)."""
     age = np.asarray(setup.age, dtype=np.float64)
     return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
@@ -39,7 +39,7 @@ def as_read(setup: OnlineSetup) -> OnlineSetup:
     return replace(setup, age=0.0)
 
 
-def expected_change(history: Array, clean: int, time: Array, interval: float) -> Array:
+def change_since_reading(history: Array, clean: int, time: Array, interval: float) -> Array:
     """Return by how much forces are expected to have changed since they were read, in N, shape (K,).
 
     That is nothing where a reading at an end of the slope did not come, or a sample between was not good.

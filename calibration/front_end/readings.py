@@ -21,8 +21,8 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import (
     SLOPE_SAMPLES,
-    carried_time,
-    expected_change,
+    change_since_reading,
+    extrapolation_time,
     with_total_kept,
 )
 from surefoot.calibration.front_end.centres import centres
@@ -125,7 +125,7 @@ class FrontEnd:
             "history": (-made, made),
             "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
         }
-        self.carried = carried_time(setup)
+        self.carried = extrapolation_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
 
@@ -205,7 +205,7 @@ class FrontEnd:
         ahead = None
         if self._aged:
             # Samples that come late are further apart than they should be.
-            ahead = force + expected_change(history, clean, self.carried, max(dt, self.setup.dt))
+            ahead = force + change_since_reading(history, clean, self.carried, max(dt, self.setup.dt))
 
         flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
         flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)

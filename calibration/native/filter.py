@@ -69,7 +69,7 @@ class NativeState:
             self._covariance = self.record[self._name].copy()
         return self._covariance
 
-    def changed(self) -> None:
+    def drop_published(self) -> None:
         """Forget what was handed out."""
         self._covariance = None
 
@@ -196,7 +196,7 @@ class NativeFilter:
             for place, part in zip(given.places, reference, strict=False):
                 place[...] = part
         if self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out):
-            state.changed()
+            state.drop_published()
         return self.read(state)
 
     def read(self, state: NativeState) -> Estimate:
@@ -222,7 +222,7 @@ class NativeFilter:
     def retract(self, state: NativeState) -> None:
         """Take back what was learnt in the last seconds."""
         self._functions.surefoot_retract(self._addresses[0], state.address)
-        state.changed()
+        state.drop_published()
 
 
 def native_filter(

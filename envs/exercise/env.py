@@ -21,7 +21,7 @@ from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation, Places
-from surefoot.envs.options import check_render_mode, checked_range, positive
+from surefoot.envs.options import check_range, check_render_mode, positive
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import check_size
 
@@ -188,7 +188,7 @@ class ExerciseEnv(BipedEnv):
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(pressed, self._cop_width),
+            "reward_cop": self._reward_cop(pressed, self._cop_width),
             "reward_action": self._effort(action),
         }
 
@@ -241,7 +241,7 @@ def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:
     """Return a range of positive numbers, or raise ValueError if it is none or exceeds ``highest``."""
-    low, high = checked_range(name, value)
+    low, high = check_range(name, value)
     if not 0.0 < low <= high <= highest:
         raise ValueError(f"'{name}' must be (lowest, highest) in (0, {highest}], got {value!r}.")
     return low, high

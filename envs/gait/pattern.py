@@ -28,7 +28,7 @@ from surefoot.envs.gait.ground import Walk, lay_out
 from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
-from surefoot.envs.gait.swing import checked_roll
+from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.numbers import MANY, ONE, Numbers
 from surefoot.envs.robots.nao import nao_model
 
@@ -173,7 +173,7 @@ def plan_walk(
     if com_height is None:
         com_height = _com_height(speed, timing)
     walks = (Walk(timing.stand_ticks, footsteps),)
-    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
 
 
 def plan_route(
@@ -192,7 +192,7 @@ def plan_route(
     its last. A walk takes whole steps, so that it may stand up to a step before its time is over.
 
     Args:
-        legs: The legs, from :func:`~surefoot.envs.gait.route.checked_route`.
+        legs: The legs, from :func:`~surefoot.envs.gait.route.parse_route`.
         duration: Duration of all of it in s, the stands before and after the route included; what the route
             leaves over is stood. ``None`` for as long as it takes.
         timing: Duration of a step and of its parts.
@@ -218,7 +218,7 @@ def plan_route(
         )
     if com_height is None:
         com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
-    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
 
 
 def _ticks_of(duration: float) -> int:

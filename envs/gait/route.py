@@ -41,7 +41,7 @@ class Leg(NamedTuple):
         return self.speed == 0.0 and self.turn_rate == 0.0
 
 
-def checked_route(route: Any) -> tuple[Leg, ...]:
+def parse_route(route: Any) -> tuple[Leg, ...]:
     """Make legs of what an option holds.
 
     Args:

@@ -70,7 +70,7 @@ def lift(phase: ArrayLike, height: float) -> NDArray[np.float64]:
     return height * 64.0 * (s * (1.0 - s)) ** 3
 
 
-def checked_roll(angle: float) -> float:
+def check_roll(angle: float) -> float:
     """Return a pitch as a number, or raise ValueError if it is negative, too large or no number."""
     try:
         number = float(angle)

@@ -196,7 +196,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
 
     def lines(body: int, indent: str) -> Iterable[str]:
         pose = _attributes(pos=model.body_pos[body], quat=model.body_quat[body])
-        yield f"{indent}<body{_named(names[body])}{pose}>"
+        yield f"{indent}<body{_plain(names[body])}{pose}>"
         deeper = indent + "  "
         if model.body_mass[body] > 0.0:
             inertial = _attributes(
@@ -214,7 +214,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
                 yield f"{deeper}<joint{_joint(model, joint)}/>"
         for name, (carrier, position, quaternion) in sites.items():
             if carrier == names[body]:
-                yield f"{deeper}<site{_named(name)}{_attributes(pos=position, quat=quaternion)}/>"
+                yield f"{deeper}<site{_plain(name)}{_attributes(pos=position, quat=quaternion)}/>"
         for child in np.flatnonzero(inside & (model.body_parentid == body)):
             if child != body:
                 yield from lines(int(child), deeper)
@@ -227,7 +227,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
 
 def _joint(model: mujoco.MjModel, joint: int) -> str:
     kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
-    text = _named(joint_name(model, joint)) + f' type="{_JOINTS[kind]}"'
+    text = _plain(joint_name(model, joint)) + f' type="{_JOINTS[kind]}"'
     text += _attributes(pos=model.jnt_pos[joint])
     if kind == mujoco.mjtJoint.mjJNT_BALL:
         return text
@@ -235,7 +235,7 @@ def _joint(model: mujoco.MjModel, joint: int) -> str:
     return text + _attributes(axis=model.jnt_axis[joint], ref=ref)
 
 
-def _named(name: str) -> str:
+def _plain(name: str) -> str:
     return f" name={quoteattr(name)}" if name else ""
 
 

@@ -132,7 +132,7 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
         near = SAME_HEIGHT * max(float(torso - lowest.min()), 1e-3)
         low = lowest < lowest.min() + near
         pair = [body for body, is_low in zip(feet, low, strict=True) if is_low and model.body_parentid[body]]
-        ordered = _left_first(model, data, pair) if len(pair) == 2 else ()
+        ordered = _order_left_right(model, data, pair) if len(pair) == 2 else ()
         why = _doubt(model, data, pair, ordered, height, near)
         if not why:
             _check_weight(model, data, ordered, height)
@@ -317,7 +317,7 @@ def pose_name(model: mujoco.MjModel) -> str:
     return next((f"keyframe '{name}'" for name in STANDING if name in named), "zero pose")
 
 
-def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
+def _order_left_right(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
     """Order a pair as left and right, by names before places; empty if neither decides."""
     names = [model.body(body).name for body in pair]
     sides = [_side(name) for name in names]

@@ -191,7 +191,7 @@ def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return hangs
 
 
-def checked_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
+def check_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
     """Return four places of cells, or raise ValueError if they are not four or not finite."""
     places = np.asarray(cells, dtype=np.float64)
     if places.shape != (4, 2) or not np.isfinite(places).all():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.envs.instrumentation.feet import find_feet
-from surefoot.envs.instrumentation.geometry import FootGeometry, below, checked_layout, measure_foot
+from surefoot.envs.instrumentation.geometry import FootGeometry, below, check_layout, measure_foot
 from surefoot.envs.instrumentation.plate import SolePlate
 
 
@@ -149,7 +149,7 @@ def _places(
         if foot.body in cells and foot.flaw:
             raise ValueError(foot.flaw)
         if foot.body in cells:
-            places.append(checked_layout(foot.body, cells[foot.body]))
+            places.append(check_layout(foot.body, cells[foot.body]))
         else:
             places.append(None if foot.flaw else foot.layout(margin))
     return tuple(places)

@@ -91,7 +91,7 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
         # Added descriptions name what had no name.
         if len(ours) != len(theirs) or any(a not in (None, b) for a, b in zip(ours, theirs, strict=True)):
             return f"its {name} are {theirs}, the environment's {ours}"
-    kept = _kept(new, prefix)
+    kept = _original_ids(new, prefix)
     for name in _STRUCTURE:
         own, other = getattr(old, name), _rows(new, name, kept)
         if not np.array_equal(own, other):
@@ -109,7 +109,7 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
         new: The same robot, in which sites, sensors and geoms may have been added.
         prefix: What the names of these begin with.
     """
-    kept = _kept(new, prefix)
+    kept = _original_ids(new, prefix)
     for name, value in _public(old):
         if not isinstance(value, np.ndarray) or name.startswith(_DERIVED):
             continue
@@ -229,7 +229,7 @@ def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
             holder.model, holder.data = model, data
 
 
-def _kept(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
+def _original_ids(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
     """Number the geoms and sites that were not added."""
     kinds = {"geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom), "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite)}
     return {

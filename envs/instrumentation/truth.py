@@ -112,7 +112,7 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
-    def sensed_columns(self) -> SensedColumns:
+    def sensor_columns(self) -> SensedColumns:
         """Return where in a row stands what sensors feel."""
         return SensedColumns(
             joints=self._end + TorsoColumns.width,
@@ -254,7 +254,7 @@ def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
     ]
 
 
-def pressed(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
+def ground_at_feet(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
     """Find what the ground does to feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
 
     Returns:
@@ -273,7 +273,7 @@ def pressed(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Numb
 def centres(
     wrench: Sequence[Sequence[Number]], common: Sequence[Number], flat: Sequence[bool], m: Numbers = ONE
 ) -> list[Any]:
-    """Find the centres of pressure of :func:`pressed` feet.
+    """Find the centres of pressure of :func:`ground_at_feet` feet.
 
     Args:
         wrench: Wrenches at the soles, (F, 6).

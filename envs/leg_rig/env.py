@@ -20,7 +20,7 @@ from surefoot.envs.leg_rig.spec import (
     read_wrenches,
     sensor_frames,
 )
-from surefoot.envs.options import check_render_mode, checked_action, positive
+from surefoot.envs.options import check_action, check_render_mode, positive
 from surefoot.envs.rendering import Marker, SceneRenderer
 
 CONTROL_STEP = 0.1
@@ -216,7 +216,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._limbs:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
         model, data = self.model, self.data
-        wanted = checked_action(action, HIP_JOINTS, "a speed for each of", "zeros hold the leg still")
+        wanted = check_action(action, HIP_JOINTS, "a speed for each of", "zeros hold the leg still")
         for target in self._drive.follow(wanted * self._top_speed):
             data.ctrl[:] = target
             mujoco.mj_step(model, data)

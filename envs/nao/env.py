@@ -14,10 +14,10 @@ from surefoot.envs.nao.truth import Truth, TruthChannels
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import (
+    check_range,
     check_render_mode,
-    checked_range,
-    checked_stiffness,
-    checked_time_constant,
+    check_stiffness,
+    check_time_constant,
     positive,
 )
 from surefoot.envs.prelude import Prelude
@@ -201,8 +201,8 @@ class NaoEnv(BipedEnv):
         height: int = 480,
         camera: str = "track",
     ) -> None:
-        stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else checked_stiffness(cell_stiffness)
-        self._friction = checked_range("friction", friction)
+        stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else check_stiffness(cell_stiffness)
+        self._friction = check_range("friction", friction)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
         check_render_mode(render_mode, self.metadata["render_modes"])
@@ -224,7 +224,7 @@ class NaoEnv(BipedEnv):
         self.joint_names = hinge_joint_names(model)
         self.motor_names = motor_names(model)
         self.position_cell_sole = cell_positions(model)
-        give = checked_time_constant("ground_time_constant", ground_time_constant)
+        give = check_time_constant("ground_time_constant", ground_time_constant)
         model.pair_solref[:, 0] = give
         self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
         self._payload = Payload(model, payload, CONTROL_STEP)
@@ -254,7 +254,7 @@ class NaoEnv(BipedEnv):
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(pressed, COP_SCALE),
+            "reward_cop": self._reward_cop(pressed, COP_SCALE),
             "reward_action": self._effort(action),
         }
 

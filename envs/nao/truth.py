@@ -117,7 +117,7 @@ class Truth:
         """What the sensors of both plates read in N and N m, shape (S, 12)."""
         return self.rows[:, self.channels.plate]
 
-    def sensed_columns(self) -> SensedColumns:
+    def sensor_columns(self) -> SensedColumns:
         """Return where in a row stands what sensors feel."""
         parts = self.channels
         return SensedColumns(

@@ -46,11 +46,11 @@ def load_nao_spec() -> mujoco.MjSpec:
 
 def nao_model() -> mujoco.MjModel:
     """Return a model of nao.xml of its own; it is compiled once in a process."""
-    return copy.copy(_compiled())
+    return copy.copy(_compile())
 
 
 @functools.cache
-def _compiled() -> mujoco.MjModel:
+def _compile() -> mujoco.MjModel:
     return load_nao_spec().compile()
 
 

@@ -3,7 +3,13 @@
 from collections.abc import Iterator
 
 from surefoot.experiments.episodes.comparisons import CALIBRATED, trainings
-from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
+from surefoot.experiments.episodes.scores import (
+    Run,
+    controllers_of,
+    difference,
+    severities_of,
+    share_recovered,
+)
 from surefoot.experiments.episodes.tables import percent_interval
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.study.page import Words
@@ -66,7 +72,7 @@ def _claims(own: Frame) -> Iterator[Claim]:
             measured = f"{interval_text(drifting, digits=4)} and {interval_text(on_true, digits=4)}"
             apart = drifting.mean + drifting.half < on_true.mean - on_true.half
             yield Claim(what, "intervals apart", measured, apart)
-        won = won_back(own, CALIBRATED, severity)
+        won = share_recovered(own, CALIBRATED, severity)
         if won is not None:
             measured = percent_interval(won, "{:.1f} ({:.1f} to {:.1f})")
             yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
@@ -98,7 +104,7 @@ def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
             continue
         falls = own[(own["feed"] == "none") & (own["severity"] == severity)]["fell"]
         text += f" and {int(falls.sum())} of {len(falls)} fall"
-        shares = {feed: won_back(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
+        shares = {feed: share_recovered(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
         won = [
             percent_interval(share, f"{feed} wins {{:.1f}} % of it back ({{:.0f}} to {{:.0f}})")
             for feed, share in shares.items()

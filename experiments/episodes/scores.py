@@ -81,7 +81,7 @@ def difference(frame: Frame, first: Run, second: Run, severity: float | None = N
     return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
 
 
-def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
+def share_recovered(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
     """Return which share of what drifting feet cost one controller a feed wins back, and its 95 % interval.
 
     ``None`` if it is no calibration, shares no seeds with true and drifting feet, or these do not clearly

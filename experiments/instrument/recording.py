@@ -127,7 +127,7 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
             f"{table.file}: holds no column 'raw_<channel>_count'; there are {join_names(table.names)}. Name "
             f"yours under [columns] in {Path(table.file).stem}.toml."
         )
-    raw = table.stacked(names)
+    raw = table.stack_columns(names)
     time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
     load: Floats | None = None
     if loads:

@@ -156,7 +156,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
     Raises LogError if there is no whole bag, no mapping, or a topic or field is not as the mapping says.
     """
     mapping = path.with_suffix(".topics.toml") if mapping is None else mapping
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         topics = _read_topics(path, mapping)
         there = reader.topics
         for topic in topics.topics:
@@ -216,7 +216,7 @@ def whole(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_bag(path: Path) -> Iterator[Any]:
     """Give a reader of a bag that has messages."""
     if path.exists() and not is_bag(path):
         raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
@@ -365,7 +365,7 @@ def guess_topics(path: Path, *, walk: bool) -> str:
     else numbers. Raises LogError if there is no whole bag.
     """
     firsts: dict[str, Any] = {}  # messages, by topic
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         kinds = {name: str(info.msgtype) for name, info in sorted(reader.topics.items())}
         known = [one for one in reader.connections if _of_use(one.msgtype)]
         with whole(path):

@@ -30,7 +30,7 @@ class Settings(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _known(cls, given: Any) -> Any:
+    def _check_known(cls, given: Any) -> Any:
         unknown = [key for key in given if key not in cls.model_fields] if isinstance(given, Mapping) else []
         if unknown and cls.model_config["extra"] == "forbid":
             raise ValueError(f"unknown key '{unknown[0]}'; there are {', '.join(cls.model_fields)}")

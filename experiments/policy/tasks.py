@@ -89,12 +89,12 @@ def task_in(env_id: Any) -> Task | None:
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
 
 
-def shipped_file(task: str, sensors: str) -> Traversable:
+def policy_file(task: str, sensors: str) -> Traversable:
     """Return the file of a policy that comes with the package: for the task, or for the easier one."""
     folder = files("surefoot.experiments.policy").joinpath("files")
     own = folder.joinpath(f"{task}-{sensors}", "policy.npz")
     easier = task_named(task).easier
-    return own if own.is_file() or not easier else shipped_file(easier, sensors)
+    return own if own.is_file() or not easier else policy_file(easier, sensors)
 
 
 def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:
@@ -108,7 +108,7 @@ def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwor
         raise ValueError(
             f"There is no shipped policy '{sensors}' for the task '{task}'. Available: {available}."
         )
-    with as_file(shipped_file(task_named(task).name, sensors)) as path:
+    with as_file(policy_file(task_named(task).name, sensors)) as path:
         return PolicyNetwork.load(path)
 
 

@@ -85,7 +85,7 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
         """Reset, with the pattern's posture."""
         observation, info = self.env.reset(seed=seed, options=options)
         self.drive.reset()
-        return self.seen(observation), info
+        return self.inputs_of(observation), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Move the posture for the steps that an action holds."""
@@ -95,9 +95,9 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
             total += float(reward)
             if terminated or truncated:
                 break
-        return self.seen(observation), self._reward_scale * total, terminated, truncated, info
+        return self.inputs_of(observation), self._reward_scale * total, terminated, truncated, info
 
-    def seen(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+    def inputs_of(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the inputs of an observation, shape (N,)."""
         flat = np.concatenate([np.ravel(observation[part]).astype(np.float64) for part in PARTS] + [[1.0]])
         seen: NDArray[np.float32] = (self.inputs @ flat).astype(np.float32)

@@ -128,13 +128,13 @@ def _to_dask(client: Any, function: Callable[..., Any], *arguments: Any) -> "Fut
     # dask's own executor never hears of a task whose result was lost with its worker.
     theirs, ours = client.submit(function, *arguments, pure=False), Future[Any]()
 
-    def done(_: Any) -> None:
+    def on_done(_: Any) -> None:
         try:
             ours.set_result(theirs.result())
         except Exception as error:
             ours.set_exception(error)
 
-    theirs.add_done_callback(done)
+    theirs.add_done_callback(on_done)
     return ours
 
 

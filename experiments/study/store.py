@@ -16,7 +16,7 @@ from typing import Any
 
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
-from surefoot.files import locked, parse_json, read_json, stat_of_file, write_text
+from surefoot.files import lock_folder, parse_json, read_json, stat_of_file, write_text
 
 JOURNAL, PLAN = "journal.jsonl", "study.json"
 
@@ -59,7 +59,7 @@ class Outcome:
 
 
 class Store:
-    """The results of a study in a folder, ``outcomes`` by key of the case; use it within :meth:`opened`."""
+    """The results of a study in a folder, ``outcomes`` by key of the case; use it within :meth:`open_for`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -68,7 +68,7 @@ class Store:
         self._journal = -1
 
     @contextmanager
-    def opened(
+    def open_for(
         self,
         plan: Mapping[str, Any] | None = None,
         versions: Mapping[str, str] | None = None,
@@ -77,7 +77,7 @@ class Store:
     ) -> Iterator["Store"]:
         """Take the folder for one study, or raise StudyError; a plan goes on with the same versions alone."""
         busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
-        with self._explain_errors(), locked(self.folder, busy):
+        with self._explain_errors(), lock_folder(self.folder, busy):
             if plan is not None:
                 self._claim(as_kept(plan), dict(versions or {}), any_version)
             self.read()

@@ -113,7 +113,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def laid_out(
+def table_of(
     name: str, title: str, columns: Mapping[str, Cell], items: Iterable[Any], note: str = ""
 ) -> Table:
     """Return a table of a row an item; each column says what makes its cells of one."""
@@ -190,7 +190,7 @@ def _digits(value: float, digits: int) -> str:
     return f"{value:.{decimals}f}"
 
 
-def rounded(value: float, deviation: float) -> tuple[str, str]:
+def round_by_deviation(value: float, deviation: float) -> tuple[str, str]:
     """Return a value and its deviation to the decimal at which the deviation has two significant digits.
 
     >>> rounded(4.75804, 0.1912), rounded(-0.00002, 0.000157), rounded(5231.6, 99.97)
@@ -203,13 +203,13 @@ def rounded(value: float, deviation: float) -> tuple[str, str]:
 
 
 def with_deviation(value: float, deviation: float) -> str:
-    """Return a value with its deviation, as :func:`rounded`.
+    """Return a value with its deviation, as :func:`round_by_deviation`.
 
     >>> with_deviation(20.91, 0.0312)
     '20.910 ± 0.031'
     """
     both = {"value": value, "plus_minus": deviation}
-    return Valued.of(" ± ".join(rounded(value, deviation)), both)
+    return Valued.of(" ± ".join(round_by_deviation(value, deviation)), both)
 
 
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:

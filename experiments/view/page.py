@@ -52,7 +52,7 @@ class Page(Served):
 
     def draw(self) -> None:
         """Draw the session as it is now."""
-        now, source = self.session.shown(), self.session.source
+        now, source = self.session.state_to_draw(), self.session.source
         torso = source.data.body(self.session.drawing.torso).xpos
         origin = np.array([torso[0], torso[1], 0.0])
         with self.server.atomic():
@@ -165,7 +165,7 @@ class Page(Served):
         if not self.session.recording or self._folder is None:
             return
         self._panel.show_recording(False)
-        log = self.session.recorded()
+        log = self.session.stop_recording()
         task = self.session.env_id.rpartition("/")[2].lower()
         number = 1
         while (path := self._folder / f"{task}-seed{self.session.seed}-{number}.parquet").exists():

@@ -20,7 +20,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.recording import Recording
-from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
+from surefoot.experiments.view.shown import WAYS, Reading, Shown, move_cop
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
@@ -267,7 +267,7 @@ class Session:
         """Whether what happens is recorded."""
         return self._recording is not None
 
-    def shown(self) -> Shown:
+    def state_to_draw(self) -> Shown:
         """State to draw now."""
         truth = self.source.truth
         position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
@@ -276,14 +276,14 @@ class Session:
         calibrated = self._lines[self._settings["method"]]
         now = Shown(self.time, position, R, readings, np.asarray(calibrated.estimate.flags).copy())
         for way, line in (("raw", self._lines["none"]), ("calibrated", calibrated)):
-            readings[way] = placed(now, line.estimate, line.seen["cop"])
+            readings[way] = move_cop(now, line.estimate, line.seen["cop"])
         return now
 
     def record(self) -> None:
         """Record from now on, to the end of the episode at the latest."""
         self._recording = Recording(self.dt)
 
-    def recorded(self) -> Log:
+    def stop_recording(self) -> Log:
         """Stop recording and return what was recorded; ValueError if nothing was."""
         recording, self._recording = self._recording or Recording(self.dt), None
         setup = self._env.calibrator.setup
@@ -397,7 +397,7 @@ class Session:
         self._feed()
 
 
-def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
+def repeat_session(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
     """Return the session that a log describes, powered up, and the changes that are still to come.
 
     Raises ValueError if it was not recorded by a session.

@@ -47,7 +47,7 @@ class Shown:
         return float(np.linalg.norm(apart))
 
 
-def placed(now: Shown, estimate: Estimate, cop: Any) -> Reading:
+def move_cop(now: Shown, estimate: Estimate, cop: Any) -> Reading:
     """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
     x, y = now.heading
     R_world_level = np.array([[x, -y], [y, x]])

@@ -17,7 +17,7 @@ from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.replay import age_of, starting_map, steps_of
 from surefoot.experiments.walks.scenarios import Scenario, log_paths
-from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
 
@@ -49,7 +49,7 @@ class Stream:
     @property
     def start(self) -> Floats:
         """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
-        return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
+        return starting_map(self.log).force(hold_last(self.log.raw))  # type: ignore[no-any-return]
 
 
 def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stream], int]:
@@ -141,7 +141,7 @@ def _true_map(stream: Stream) -> Played:
 def _undo_errors(stream: Stream) -> Floats:
     """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
     log, truth = stream.log, stream.truth
-    own: Floats = truth.scale * held(log.raw) + truth.offset
+    own: Floats = truth.scale * hold_last(log.raw) + truth.offset
     if "truth_cross_talk" not in log.about:
         return own
     # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond it.
@@ -166,7 +166,7 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags
         watch.look(k, estimate, now)
-    return Played(force, scale, offset, flags, watch.seen())
+    return Played(force, scale, offset, flags, watch.consistency())
 
 
 class _Watch:
@@ -205,7 +205,7 @@ class _Watch:
         self._time.append(float(stream.log.time[k]))
         self._seen.append((nees, cop, force))
 
-    def seen(self) -> Consistency:
+    def consistency(self) -> Consistency:
         """Consistency of the samples so far."""
         nees, cop, force = np.array(self._seen).reshape(-1, 3).T
         return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)

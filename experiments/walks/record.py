@@ -84,11 +84,9 @@ class FootInstruments:
             readings.append(reading)
             forces.append(part.force(truth))
             maps.append(part.true_map(self._states[i]))
-        self._raw.append(self._all.joined(readings))
-        self._force.append(self._all.joined(forces))
-        self._maps.append(
-            (self._all.joined([m.scale for m in maps]), self._all.joined([m.offset for m in maps]))
-        )
+        self._raw.append(self._all.join(readings))
+        self._force.append(self._all.join(forces))
+        self._maps.append((self._all.join([m.scale for m in maps]), self._all.join([m.offset for m in maps])))
 
     @property
     def raw(self) -> Floats:
@@ -118,7 +116,7 @@ class FootInstruments:
         talk = block_diag(*blocks)
         self.about = {
             "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
-            "truth_preload": self._all.joined(preload).tolist(),
+            "truth_preload": self._all.join(preload).tolist(),
         }
 
 

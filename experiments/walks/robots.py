@@ -42,11 +42,11 @@ from surefoot.experiments.study.tables import (
     at_most,
     claim_table,
     decimal,
-    laid_out,
     plural,
+    table_of,
     with_interval,
 )
-from surefoot.experiments.walks.score import held, rms
+from surefoot.experiments.walks.score import hold_last, rms
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -161,7 +161,7 @@ def _run(
         ended = fell or truncated
         falls += bool(fell)
     time = setup.dt * np.arange(len(cop))
-    loads, places = np.array(vgrf)[time >= BEGIN], held(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
+    loads, places = np.array(vgrf)[time >= BEGIN], hold_last(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
     places = places.reshape((*loads.shape, 2))
     borne = loads[:, 0] > BEARS * setup.mass * GRAVITY
     off = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
@@ -214,7 +214,7 @@ def compare_robots(options: RobotOptions) -> Report:
     ]
     seconds: dict[str, float] = {}
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, seconds) as run:
+    with store.open_for(), runner(options.jobs, seconds) as run:
         run.run("robots", cases, store)
     scores, failures = store.rows("scores", cases), store.failures(cases)
     claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None
@@ -262,4 +262,4 @@ def robot_table(scores: Frame, sensors: str) -> Table:
         **{f"vGRF (N): {look_of(m).label}": error("vgrf", m, 1.0) for m in ("none", "moment")},
     }
     parts = [part for _, part in scores[scores["sensors"] == sensors].groupby(_KEYS, sort=False)]
-    return laid_out(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)
+    return table_of(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)

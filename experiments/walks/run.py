@@ -88,7 +88,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
     limits = [bound_case(s, options) for s in chosen] if bounds else []
-    scaled, loops = _scaled_cases(options, chosen), _loop_cases(options, results.speeds)
+    scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
         "compute the bounds": limits,
@@ -96,7 +96,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
         "close the loop": [case for cases in loops.values() for case in cases],
     }
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, results.seconds) as run:
+    with store.open_for(), runner(options.jobs, results.seconds) as run:
         walks = {(s.walk.name, seed): (s.walk, seed) for s in chosen for seed in s.seeds(options.seeds)}
         recordings = [(*walk, options.duration, options.logs) for walk in walks.values()]
         run.do("walk and record", [(record_missing, recording) for recording in recordings])
@@ -123,7 +123,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     return results
 
 
-def _scaled_cases(
+def _weight_cases(
     options: WalkStudyOptions, chosen: tuple[Scenario, ...]
 ) -> dict[tuple[str, float], list[Case]]:
     """List the cases of the window with one of its weights scaled, by weight and factor."""

@@ -13,7 +13,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.tables import Cell, Table, decimal, laid_out, number, with_deviation
+from surefoot.experiments.study.tables import Cell, Table, decimal, number, table_of, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
 
@@ -60,7 +60,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
         "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
     }
-    table = laid_out("weighings", "F = scale · count + offset", columns, range(len(names)))
+    table = table_of("weighings", "F = scale · count + offset", columns, range(len(names)))
     return CalibratedCells(out, table, notices)
 
 
@@ -81,7 +81,7 @@ def read_weighings(path: Path) -> Weighings:
             "'raw_left_front_left_count'."
         )
     unit = units[given[0]]
-    return Weighings(table.numbers(given[0]) * unit, table.stacked(cells), tuple(cells), given[0], unit)
+    return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
 
 
 def _deviations(fit: ChannelFit, code: Floats) -> Floats:

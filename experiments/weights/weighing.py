@@ -200,13 +200,13 @@ def _pool(scores: list[PlacementScore]) -> PlacementScore:
     """Return the scores of both feet together."""
     both = pd.DataFrame(scores)
 
-    def pooled(name: str, count: str) -> float:
+    def pool(name: str, count: str) -> float:
         return float(np.sqrt((both[count] * both[name] ** 2).sum() / both[count].sum()))
 
     return PlacementScore(
         placements=int(both["placements"].sum()),
         weighings=int(both["weighings"].sum()),
-        cop_raw=pooled("cop_raw", "placements"),
-        cop=pooled("cop", "placements"),
-        vgrf=pooled("vgrf", "weighings"),
+        cop_raw=pool("cop_raw", "placements"),
+        cop=pool("cop", "placements"),
+        vgrf=pool("vgrf", "weighings"),
     )

@@ -30,7 +30,7 @@ COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
 """Its cosine, to second order."""
 
 
-def planned_window(lag: int) -> tuple[int, int]:
+def plan_window(lag: int) -> tuple[int, int]:
     """Return for how many samples a plan must have held, and how many of them are kept.
 
     Args:
@@ -66,7 +66,7 @@ class Plan:
     """
 
     def __init__(self, lag: int, feet: int = 2) -> None:
-        self._needed, kept = planned_window(lag)
+        self._needed, kept = plan_window(lag)
         self._runs = deque([[0] * (2 * feet)], maxlen=kept)
 
     def at(

@@ -80,9 +80,9 @@ class MomentumBeliefs(Believed):
         self.run, self.number = 0, 0
         self.believed = unknown(beliefs.feet)
 
-    def begun(self) -> "MomentumBeliefs":
+    def begin_episode(self) -> "MomentumBeliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return MomentumBeliefs(self.beliefs.begun(), self.corners, self._radius)
+        return MomentumBeliefs(self.beliefs.begin_episode(), self.corners, self._radius)
 
     @property
     def constants(self) -> StrapdownConstants:

@@ -194,7 +194,7 @@ class Beliefs(Believed):
         )
         self.believed = nothing(self.feet)
 
-    def begun(self) -> "Beliefs":
+    def begin_episode(self) -> "Beliefs":
         """Return beliefs of the same robot at an episode's start."""
         return Beliefs(
             self.model,

@@ -38,7 +38,7 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     return resolve(config, LoadCells)
 
 
-def fitted_device(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
+def device_for_feet(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
     """Make a configuration as :func:`foot_device` does; presets have a six-axis sensor a foot."""
     device = foot_device(config)
     return (

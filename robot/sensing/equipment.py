@@ -11,7 +11,7 @@ from surefoot.robot.sensing.condition import (
     faults_of,
     severity_range,
 )
-from surefoot.robot.sensing.device import fitted_device
+from surefoot.robot.sensing.device import device_for_feet
 from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.instruments import Instruments, check_capacity, usual_cells
 from surefoot.robot.streams import check_stream, device_streams
@@ -92,7 +92,7 @@ class Equipment:
         self.drawing, self._joint_names = drawing, joint_names
         config = usual_cells(drawing) if given.config is None else given.config
         feet = len(drawing.feet)
-        self._devices = [fitted_device(part, feet) for part in (config, given.ankles) if part is not None]
+        self._devices = [device_for_feet(part, feet) for part in (config, given.ankles) if part is not None]
         self._dt = dt
         lowest, highest = severity_range(given.severity)
         # Of both ends, so that a severity that a device cannot have is refused here.

@@ -72,7 +72,7 @@ class NativeSensing:
         for state in self._states.values():
             kind = state.owner.kind.name
             numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
-        observed, to, taken = _NOTHING if view is None else view.measured()
+        observed, to, taken = _NOTHING if view is None else view.state_places()
         self._observed = observed if len(observed) else None
         self._seen = Record(
             np.dtype(
@@ -100,7 +100,7 @@ class NativeSensing:
             "to": to,
         }
         self._shape = self._truth.shape
-        where = truth.sensed_columns()
+        where = truth.sensor_columns()
         numbers |= {
             "columns": self._shape[-1],
             "at_joints": where.joints,
@@ -126,7 +126,7 @@ class NativeSensing:
             }
         numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0}
         numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
-        records = library.filled(
+        records = library.record_of(
             "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
         )
         assert records is not None
@@ -202,9 +202,9 @@ class NativeSensing:
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
-        return raw, self._view.seen(observation, counts, None if self._observed is None else state)
+        return raw, self._view.compose(observation, counts, None if self._observed is None else state)
 
-    def arrived(self) -> tuple[int, int] | None:
+    def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
         return None if self._telemetry is None else (self._telemetry.arrived_address, self._count)
 

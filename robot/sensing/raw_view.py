@@ -70,9 +70,9 @@ class RawView:
             low, high = self.bounds
             np.maximum(state, low, out=state)
             np.minimum(state, high, out=state)
-        return self.seen(observation, counts.copy(), state)
+        return self.compose(observation, counts.copy(), state)
 
-    def seen(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
+    def compose(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
         """Put together what is seen.
 
         Args:
@@ -90,7 +90,7 @@ class RawView:
         seen["foot_raw"] = counts
         return seen
 
-    def measured(self) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    def state_places(self) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
         """Return room for a state to be shown, and which of its numbers are which ones of a packet."""
         to, taken = (
             np.array([i for pair in self._measured for i in range(pair[k].start, pair[k].stop)], np.int32)

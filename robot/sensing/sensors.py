@@ -113,7 +113,7 @@ class RobotSensors:
         sensing = self._by_library(truth)
         read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
         if read is not None:
-            return self._seen(read)
+            return self._take_over(read)
         self._leave_library()
         self._begin(truth, at_rest, draws)
         return None
@@ -132,7 +132,7 @@ class RobotSensors:
         sensing = self._sensing or self._by_library(truth)
         read = None if sensing is None else sensing.step(truth, self.time, observation)
         if read is not None:
-            return self._seen(read)
+            return self._take_over(read)
         self._leave_library()
         self._read(truth, self.telemetry.dt)
         if self._telemetry_state is not None:
@@ -166,9 +166,9 @@ class RobotSensors:
             self._packets = () if self._sensing is None else self._sensing.packets()
         return self._packets
 
-    def arrived(self) -> tuple[int, int] | None:
+    def packet_rows(self) -> tuple[int, int] | None:
         """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
-        return None if self._packets is not None or self._sensing is None else self._sensing.arrived()
+        return None if self._packets is not None or self._sensing is None else self._sensing.packet_rows()
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -266,7 +266,7 @@ class RobotSensors:
         if self._sensing is not None:
             self._packets, self._hardware, self._sensing = self.packets, self._devices, None
 
-    def _seen(self, read: Seen) -> dict[str, Any] | None:
+    def _take_over(self, read: Seen) -> dict[str, Any] | None:
         self._packets = None  # made of the library's rows when somebody asks
         self._raw, seen = read
         return seen

@@ -35,10 +35,10 @@ from surefoot.sensors.stages.clock import (
     settle,
 )
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
-from surefoot.sensors.stages.mechanics import mechanics, shifted_offset
+from surefoot.sensors.stages.mechanics import mechanics, offset_shift
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.nonlinearity import bent
-from surefoot.sensors.stages.temperature import thermal_drift, warmed
+from surefoot.sensors.stages.temperature import temperature_rise, thermal_drift
 from surefoot.sensors.transport.wire import WireState, wire
 
 
@@ -179,7 +179,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             error[walking] += dt**0.5 * walks[walking] * drawn[: len(walking)]
         if warms:
             tempco, before = thermal[:RISE], thermal[RISE]
-            temperature = warmed(before, ramp, rise, dt)
+            temperature = temperature_rise(before, ramp, rise, dt)
             error = error + tempco * (temperature - before)
             thermal = np.concatenate([tempco, temperature[None]])
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
@@ -228,7 +228,7 @@ def static_counts(
     if state.mechanics:
         if state.mechanics.nonlinearity:
             load = bent(load, state.mechanics.nonlinearity, config.capacity)
-        load = load + shifted_offset(config.mechanics, state.mechanics)
+        load = load + offset_shift(config.mechanics, state.mechanics)
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
         (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )
@@ -251,7 +251,7 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     scale = 1.0 / (config.slope * scale_true)
     offset = -config.zero_code * scale - state.error[OFFSET] / scale_true
     if state.mechanics:
-        offset = offset - shifted_offset(config.mechanics, state.mechanics)
+        offset = offset - offset_shift(config.mechanics, state.mechanics)
     return scale, offset
 
 

@@ -37,7 +37,7 @@ class Kind(NamedTuple):
     blocks: bool = False
     loads: int | None = None
 
-    def felt(self, config: Any) -> int:
+    def count_loads(self, config: Any) -> int:
         """Return how many loads a device of a configuration reads."""
         return int(self.loads or config.channels)
 
@@ -83,7 +83,7 @@ class NativeDevice:
 
     def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
         self.kind, self._config, self.constants = kind, config, constants
-        self._felt = kind.felt(config)
+        self._felt = kind.count_loads(config)
         self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
         leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
         dtype = library.record(kind.name, leaves)
@@ -145,7 +145,7 @@ def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDev
     """Return the device of one robot by a library; ``None`` for one that it is not made for."""
     if library is None:
         return None
-    record = library.filled(f"{kind.name}_config", kind.constants(config))
+    record = library.record_of(f"{kind.name}_config", kind.constants(config))
     fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
     if record is None or not fits(record.ctypes.data):
         return None

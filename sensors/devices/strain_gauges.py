@@ -33,8 +33,8 @@ from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
-from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
-from surefoot.sensors.stages.temperature import warmed
+from surefoot.sensors.stages.nonlinearity import cross_nonlinearity
+from surefoot.sensors.stages.temperature import temperature_rise
 
 DOUBLINGS = 6
 """The matrix has changed in N = 2^6 small steps: squared six times."""
@@ -101,7 +101,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
     creeping = creep(config.creep_shares, config.creep_time_constants)
     bends = config.bends
-    bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
+    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         check_channels(shape, k)
@@ -138,7 +138,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             offset = offset + dt**0.5 * (drawn @ walk_map)
         temperature = before
         if config.temperature_ramp:
-            temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
+            temperature = temperature_rise(before, config.temperature_ramp, config.temperature_rise, dt)
             offset = offset + tempco[OFFSET] * (temperature - before)
             counts = counts * (1.0 + tempco[SCALE] * temperature)
         counts = counts + offset

@@ -234,7 +234,7 @@ class Channel(NamedTuple):
         """Return a code that a converter can put out."""
         return float(limit(code, self.low, self.high))
 
-    def saturated(self, level: float | None) -> tuple[float, float]:
+    def limits_at(self, level: float | None) -> tuple[float, float]:
         """Return the lowest and the highest code that is left; without a level both are the rail."""
         presses = self.slope > 0.0
         if level is None:
@@ -259,7 +259,7 @@ def _misread(fault: Fault, channel: Channel, code: float, draws: Any, dt: float)
         case "dead":
             return code * 0.0 + channel.unloaded
         case "saturated":
-            return float(limit(code, *channel.saturated(fault.level)))
+            return float(limit(code, *channel.limits_at(fault.level)))
         case "spiking":
             if draws[0] >= 1.0 - np.exp(-fault.rate * dt):
                 return code

@@ -48,7 +48,7 @@ def scale(value: ArrayLike) -> Corruption[FixedState]:
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
         return reading * state.value, state
 
-    return Corruption(_fixed_init(value), apply)
+    return Corruption(_constant_init(value), apply)
 
 
 def offset(value: ArrayLike) -> Corruption[FixedState]:
@@ -61,7 +61,7 @@ def offset(value: ArrayLike) -> Corruption[FixedState]:
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
         return reading + state.value, state
 
-    return Corruption(_fixed_init(value), apply)
+    return Corruption(_constant_init(value), apply)
 
 
 def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
@@ -102,7 +102,7 @@ def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkStat
     return Corruption(_walk_init(initial_std), apply)
 
 
-def _fixed_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
+def _constant_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
     def init(shape: tuple[int, ...], rng: Rng) -> FixedState:
         return FixedState(np.asarray(value, dtype=np.float64))
 

@@ -80,7 +80,7 @@ class NonlinearityState(NamedTuple):
     quadratic: Array
 
 
-def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
+def random_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
     """Add a quadratic error that each channel draws for itself at power-up.
 
     Args:
@@ -107,7 +107,7 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
 
 
 def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
-    """Apply :func:`drawn_nonlinearity` to readings, shape (K,) or (N, K)."""
+    """Apply :func:`random_nonlinearity` to readings, shape (K,) or (N, K)."""
     u = limit(reading / full_scale, -1.0, 1.0)
     off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
     return reading + off
@@ -126,15 +126,15 @@ class CoupledState(NamedTuple):
     cross: Array
 
 
-def coupled_slope(cubic: float, cross: float, axes: int) -> float:
-    """Return the most by which a row of the slopes of :func:`coupled_nonlinearity` misses the identity.
+def cross_slope(cubic: float, cross: float, axes: int) -> float:
+    """Return the most by which a row of the slopes of :func:`cross_nonlinearity` misses the identity.
 
     Below one no two loads have one reading.
     """
     return 2.0 * CUBIC_PEAK * cubic + axes * (axes - 1) * cross
 
 
-def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
+def cross_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
     """Add cubic errors and products of two axes, which each axis draws for itself at power-up.
 
     Loads beyond the full scale keep the error that they have there.
@@ -151,7 +151,7 @@ def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> C
     check_not_negative(cubic=cubic, cross=cross)
     scale = np.asarray(full_scale, dtype=np.float64)
     axes = len(scale)
-    if coupled_slope(cubic, cross, axes) >= 1.0:
+    if cross_slope(cubic, cross, axes) >= 1.0:
         raise ValueError(
             f"'cubic' and 'cross' must keep {2.0 * CUBIC_PEAK:.3g} cubic + {axes * (axes - 1)} cross below "
             f"1, or two loads could have one reading, got {cubic!r} and {cross!r}."

@@ -30,7 +30,7 @@ class ThermalState(NamedTuple):
     temperature: Array
 
 
-def warmed(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
+def temperature_rise(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
     """Return the rise of a device's temperature since power-up in K, after it has warmed for a while more.
 
     Args:
@@ -76,7 +76,7 @@ def thermal_drift(
         error, tempco, before = state
         if density:
             error = error + density * dt**0.5 * normal(rng, error.shape)
-        temperature = warmed(before, ramp, rise, dt)
+        temperature = temperature_rise(before, ramp, rise, dt)
         error = error + tempco * (temperature - before)
         read = reading * (1.0 + error) if relative else reading + error
         return read, ThermalState(error, tempco, temperature)

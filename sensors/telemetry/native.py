@@ -67,7 +67,7 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
-        config = library.filled(
+        config = library.record_of(
             "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps)
         )
         assert config is not None

@@ -91,7 +91,7 @@ class Library(NamedTuple):
                 zeros[field] = 0 if size == _KINDS.get(kind, self.real).itemsize else ()
         return zeros
 
-    def filled(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
+    def record_of(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
         """Return one of its records with these values, shape (); ``None`` if it has no room for one."""
         dtype = self.record(name, {field: np.shape(value) for field, value in values.items()})
         if dtype is None:
@@ -184,7 +184,7 @@ class Native:
         return None
 
 
-def required(library: Library | None) -> Library:
+def require(library: Library | None) -> Library:
     """Return a library that there has to be.
 
     Raises:

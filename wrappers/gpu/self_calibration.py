@@ -209,9 +209,9 @@ class SelfCalibrationModule(BatchModule):
         given = native.references
         self._beliefs = {kind: self._record(record, num_envs) for kind, record in given.items()}
         estimate = self._nothing(num_envs, library.places["estimate"][""][2])
-        self._state = self._kept("state", self._fresh.expand(num_envs, -1))
-        self._estimate = self._kept("estimate", estimate)
-        self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
+        self._state = self._register("state", self._fresh.expand(num_envs, -1))
+        self._estimate = self._register("estimate", estimate)
+        self._waiting = self._register("waiting", torch.zeros(num_envs, dtype=torch.int32))
         self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.record.dtype, native.estimate.now.dtype
         self._view()
@@ -300,7 +300,7 @@ class SelfCalibrationModule(BatchModule):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return everything for ``state_dict()``."""
-        return self._saved(self._kernel, self._identity()) | {"frozen": self.frozen}
+        return self._state_of(self._kernel, self._identity()) | {"frozen": self.frozen}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Go on, bit for bit, from what :meth:`get_extra_state` returned.

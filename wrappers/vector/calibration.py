@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import seen_below
+from surefoot.robot.foot_view import drop_counts
 from surefoot.robot.native import feed_many
 from surefoot.wrappers.vector.sensors import BatchSensors
 
@@ -68,7 +68,7 @@ class BatchCalibration:
 
     def around(self, observed: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
         """Put parts beside what the sensors show."""
-        return {**seen_below(observed, self.setup.show), **parts}
+        return {**drop_counts(observed, self.setup.show), **parts}
 
     def last_of(self, robot: int) -> dict[str, NDArray[Any]]:
         """Return what one robot observed before its last episode started, as arrays of its own."""
@@ -121,7 +121,7 @@ class BatchCalibration:
                 feed_many(those, samples, self._sensors.threads)
             for i in which:
                 self.robots[i].note()
-            self.shown, self.told = natives[0].told_by(natives)
+            self.shown, self.told = natives[0].outputs_of(natives)
         else:
             shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)
             self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)

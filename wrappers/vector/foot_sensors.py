@@ -114,5 +114,9 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
 
     def _with_truth(self, infos: Infos) -> Infos:
         known, below, sensors = infos.get("surefoot", {}), self.env, self.sensors
-        truth = below.mean_truth | sensors.drawn() if isinstance(below, VectorTruthRow) else sensors.truth
+        truth = (
+            below.mean_truth | sensors.true_conditions()
+            if isinstance(below, VectorTruthRow)
+            else sensors.truth
+        )
         return {**infos, "surefoot": {**known, "truth": truth}}

@@ -72,7 +72,7 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             ValueError: If a choice does not exist.
         """
         observations, infos = self.env.reset(seed=seed, options=options)
-        return self._shown(observations), self._with_calibration(infos)
+        return self._show(observations), self._with_calibration(infos)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and calibrate by one sample."""
@@ -83,9 +83,9 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             for robot in np.flatnonzero(done).tolist():
                 finals[robot] = calibration.around(finals[robot], calibration.last_of(robot))
             infos = {**infos, "final_obs": finals}
-        return self._shown(observations), rewards, terminations, truncations, self._with_calibration(infos)
+        return self._show(observations), rewards, terminations, truncations, self._with_calibration(infos)
 
-    def _shown(self, observations: dict[str, Any]) -> dict[str, Any]:
+    def _show(self, observations: dict[str, Any]) -> dict[str, Any]:
         return self.calibration.around(observations, self.calibration.shown)
 
     def _with_calibration(self, infos: Infos) -> Infos:

@@ -188,10 +188,10 @@ class BatchSensors:
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`drawn`."""
-        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.drawn()
+        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.true_conditions()
 
-    def drawn(self) -> dict[str, NDArray[Any]]:
+    def true_conditions(self) -> dict[str, NDArray[Any]]:
         """Return what was drawn of the robots' conditions, (N, ...); nothing where these do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
 
@@ -207,7 +207,7 @@ class BatchSensors:
             IndexError: If there is no such robot.
             ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
         """
-        named = self._named(robots)
+        named = self._robots_of(robots)
         own = isinstance(severity, list | np.ndarray)
         values = list(severity) if own else [severity]
         if own and len(values) != len(named):
@@ -230,7 +230,7 @@ class BatchSensors:
             IndexError: If there is no such robot.
             ValueError: If a fault or a probability is refused.
         """
-        named = self._named(robots)
+        named = self._robots_of(robots)
         found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
         for robot, conditions in zip(named, found, strict=True):
             robot.conditions = conditions
@@ -257,7 +257,7 @@ class BatchSensors:
         """
         load_hardware(path, self.robots)
 
-    def _named(self, robots: Sequence[int] | None) -> list[RobotSensors]:
+    def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
         count = len(self.robots)
         numbers = range(count) if robots is None else np.asarray(robots, dtype=np.intp).ravel().tolist()
