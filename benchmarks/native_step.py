@@ -1,11 +1,11 @@
-"""What the native step of everything costs: sensors, telemetry, beliefs, filter and view of a NAO, in C.
+"""The time of the native step of everything: sensors, telemetry, beliefs, filter and view of a NAO, in C.
 
     python benchmarks/native_step.py
     python benchmarks/native_step.py --steps 600 --robots 1 4096 --rounds 1
 
-A walk is recorded once through the wrappers: what the native step reads, and the forces that it makes of
+A walk is recorded once through the wrappers: the inputs of the native step, and the forces that it makes of
 that. A small program is compiled with the headers and the robot's constants, with arrays as large as this
-robot needs. It steps N robots over the recording, each with a state and random numbers of its own, begun at
+robot needs. It steps N robots over the recording, each with a state and random numbers of its own, started at
 other moments so that their blocks do not fill together. First it must make the forces of the recording.
 
 Told are microseconds of a robot's step: means over 16 steps, one block of the filter, of which the middle one
@@ -175,7 +175,7 @@ int main(int argc, char **argv) {
 
 
 def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
-    """Record a walk: the robot's constants in C, what the native step reads, and the forces it makes."""
+    """Record a walk: the robot's constants in C, the inputs of the native step, and its forces."""
     require(installed())
     options = {"speed": 0.04, "duration": steps / 80.0 + 5.0, "disable_env_checker": True}
     env: Any = gym.make("surefoot/NaoWalk-v0", **options)
@@ -259,7 +259,7 @@ def main(given: list[str] | None = None) -> None:
         rows.tofile(data)
         program = compile_program(source, folder)
         check(program, data, forces)
-        # The walk has begun, and 512 moments hold all phases of a block and many of a stride.
+        # The walk goes on, and 512 moments hold all phases of a block and many of a stride.
         before, moments = arguments.steps // 5, min(512, arguments.steps // 4)
         cases = [(robots, swept) for robots in arguments.robots for swept in (True, False)[robots > 1 :]]
         taken: dict[Any, list[Any]] = {}

@@ -55,10 +55,10 @@ class SwingTare:
 
 
 class TareState(NamedTuple):
-    """What the tare remembers.
+    """The state of the tare.
 
     Attributes:
-        front: What the way of a sample remembers.
+        front: The state of the front end.
         airborne: Samples that each channel's foot has been in the air for, shape (K,).
         count: Readings of this swing that were used, shape (K,).
         mean: Their mean in N, shape (K,).

@@ -3,8 +3,8 @@
     python docs/fill_tables.py docs/results.md
 
 A page marks where a table goes: ``<!-- table out/results/walking/tables/overview.csv -->``, later
-``<!-- end -->``. What stands between them is replaced by that table and a line that says how and with which
-code it was made. Where there is no such file, what stands there stays.
+``<!-- end -->``. The text between them is replaced by that table and a line that says how and with which
+code it was made. Where there is no such file, the text stays.
 """
 
 import csv

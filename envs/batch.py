@@ -1,6 +1,6 @@
 """Many robots of a task at once, stepped by MuJoCo's own threads.
 
-What a robot draws at an episode start it draws in an environment of its own. From there on all robots
+A robot's draws at an episode start come from an environment of its own. From there on all robots
 together are one more environment of the task: its functions serve arrays with the robots in front, and
 :class:`mujoco.batch.Batch` takes the place of ``mj_step``.
 """
@@ -35,10 +35,10 @@ RECORD = ("sensordata", "qvel")
 
 
 class BatchVectorEnv(SyncVectorEnv):
-    """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
+    """N robots of one task: like ``SyncVectorEnv`` of its environments, bit for bit, in less time.
 
     Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in each of its autoreset modes.
-    What a robot's own environment has can be asked for by ``get_attr``, as it is now; what is set there by
+    Attributes of a robot's own environment can be asked for by ``get_attr``; a value that is set there by
     ``set_attr`` counts from its next episode on.
 
     A robot whose simulation diverges stands still until its step is over, where a lone one would start again
@@ -54,7 +54,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
     Attributes:
         robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
-        mean_truth: Of what is shown now (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
+        mean_truth: Means of the present truth (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
         ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
@@ -258,7 +258,7 @@ def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray
     """Gather infos of robots as Gymnasium does.
 
     Args:
-        truth: What happened, with all robots in front.
+        truth: The truth, with all robots in front.
         terms: Terms of the reward, likewise.
         seen: Robots whose truth is told, shape (N,).
         paid: Robots whose terms are, shape (N,).

@@ -1,4 +1,4 @@
-"""What the robot commands itself at one control tick."""
+"""The robot's command to itself at one control tick."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from surefoot.envs.numbers import ONE, Number, Numbers
 
 
 class Command(NamedTuple):
-    """One tick of a pattern: what the robot knows because it asked for it, and no truth.
+    """One tick of a pattern: the robot knows it because it asked for it; it is no truth.
 
     Positions are in the world of the pattern: z up, the ground at z = 0.
 

@@ -1,4 +1,4 @@
-"""What a robot on two feet shows that follows a pattern: its state and the true forces under its feet.
+"""The observation of a robot on two feet that follows a pattern: its state and the forces under its feet.
 
 Everything is made from the last row of the control step's sensor data, for one robot or for many.
 """
@@ -27,7 +27,7 @@ class Places(NamedTuple):
     """Where in a row of sensor data things are that are shown: of each, the first of its numbers.
 
     Attributes:
-        feet: What the feet feel.
+        feet: The loads of the feet.
         axes_torso: The torso's axes one after another (9).
         position_torso: Its origin (3).
         gyroscope: Its angular velocity in its own axes (3).
@@ -106,7 +106,7 @@ class FeetObserver:
             last: The row, shape (..., columns).
             row: Its parts.
             qvel: MuJoCo's velocities at that instant, shape (..., nv).
-            command: What the robot commands at its end.
+            command: The robot's command at its end.
 
         Returns:
             The observation, and the centre of pressure of that instant, of which rewards are made:

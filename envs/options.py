@@ -1,4 +1,4 @@
-"""Checks of the environments' options: each message names the option, the rule and what was given."""
+"""Checks of the environments' options: each message names the option, the rule and the given value."""
 
 from collections.abc import Sequence
 from math import isfinite, nan
@@ -53,10 +53,10 @@ def check_action(
     """Return an action, clipped to -1 ... 1.
 
     Args:
-        action: What was given.
-        names: What it moves.
-        each: What it has for each, for the message.
-        cure: What to do about one that is not finite, for the message.
+        action: The action.
+        names: The joints that it moves.
+        each: The name of one of its numbers, for the message.
+        cure: The way out of one that is not finite, for the message.
         robots: (N,) for the actions of N robots.
 
     Raises:
@@ -77,7 +77,7 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
 
 
 def number_of(value: Any) -> float:
-    """Return a number as a float, NaN for what is none."""
+    """Return a number as a float, NaN for other values."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -85,7 +85,7 @@ def number_of(value: Any) -> float:
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:
-    """Return a sequence of numbers: NaN for what is none, empty for what is no sequence."""
+    """Return a sequence of numbers: NaN for other values, empty for no sequence."""
     try:
         return tuple(number_of(number) for number in value)
     except TypeError:

@@ -1,4 +1,4 @@
-"""What a robot does before an episode: commands over time, planned once, that a file can hold."""
+"""A robot's motion before an episode: commands over time, planned once, that a file can hold."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -95,7 +95,7 @@ class Prelude(NamedTuple):
 
     @classmethod
     def read(cls, path: AnyPath) -> "Prelude":
-        """Read what :meth:`write` wrote.
+        """Read a file of :meth:`write`.
 
         Raises:
             ValueError: If it is no such table, a column is missing, a number is not finite, or the times are

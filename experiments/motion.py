@@ -31,7 +31,7 @@ BEARS = 0.1  # share of the weight that a foot bears if the place of its centre 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a motion must keep to."""
+    """The limits of a motion."""
 
     torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
     margin: float = 0.12
@@ -121,7 +121,7 @@ def _limits(limited: Any, ranges: Any) -> Any:
 def rehearse(
     rehearsal: Rehearsal, names: Sequence[str] | None = None, limits: Limits | None = None
 ) -> tuple[MovingRobot, dict[str, str]]:
-    """Return a robot with what it can do, the farthest of each kind by default, and why not the others."""
+    """Return a robot with its possible motions, by default the farthest of each kind, and why not others."""
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
@@ -144,7 +144,7 @@ def rehearse(
 
 
 class PlannedMotion(NamedTuple):
-    """A motion, and what it will bring: tables of its parts, of single motions, and of those refused."""
+    """A motion, and its gain: tables of its parts, of single motions, and of those refused."""
 
     plan: FootExcitation
     prelude: Prelude

@@ -1,4 +1,4 @@
-"""All of one sample of one robot by the library, in one call: beliefs, filter and what an agent is shown."""
+"""All of one sample of one robot by the library, in one call: beliefs, filter and observation."""
 
 from collections.abc import Sequence
 from operator import itemgetter
@@ -24,12 +24,12 @@ NOTHING = None, 0
 
 
 class Sample(NamedTuple):
-    """What the library is asked of one sample.
+    """The request to the library for one sample.
 
     Attributes:
         rows: Where rows of packets lie that have arrived before it; ``None`` for nowhere.
         packets: Their number.
-        then: What the sample is about, in s on the host's clock.
+        then: The moment of the sample, in s on the host's clock.
         now: The host's clock in s.
         how: 1 if there is a plan, plus 2 to learn nothing.
     """
@@ -42,13 +42,13 @@ class Sample(NamedTuple):
 
 
 class NativeSample:
-    """The library for one robot; its beliefs, its filter and what is held stay those of the objects.
+    """The library for one robot; its beliefs, its filter and the held values stay those of the objects.
 
     Args:
         beliefs: The robot's.
         native: Its filter.
         state: The filter's state.
-        view: What is shown.
+        view: The view of the feet.
         dt: Time between samples in s.
 
     Attributes:
@@ -100,7 +100,7 @@ class NativeSample:
 
         Args:
             raw: Counts, shape (K,).
-            command: What the robot commands itself, if anything.
+            command: The robot's command to itself, if any.
             hold: Whether nothing is learnt of it.
         """
         self._raw[...] = raw
@@ -111,7 +111,7 @@ class NativeSample:
         self.tell(self._sample(self._at, *sample))
 
     def tell(self, found: int) -> None:
-        """Learn what the library found of a sample."""
+        """Take over the library's results of a sample."""
         beliefs, state, _ = self._of
         beliefs.tell(found)
         self.sampled = True
@@ -119,7 +119,7 @@ class NativeSample:
             state.drop_published()
 
     def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return what an agent is shown of the last sample, and what ``info`` holds of the estimate.
+        """Return the observation of the last sample, and the ``info`` of the estimate.
 
         All arrays are fresh.
         """
@@ -186,7 +186,7 @@ def feed_many(natives: Sequence[NativeSample], samples: Sequence[Sample], thread
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:
-    """Return the bounds of what is shown, as the library wants them."""
+    """Return the bounds of the observation, as the library wants them."""
     config = library.record_of(
         "view",
         {
@@ -201,7 +201,7 @@ def view_record(library: Library, view: FootView) -> NDArray[Any]:
 
 
 def view_dtype(library: Library, view: FootView) -> np.dtype[Any]:
-    """Return the dtype of what the library can show."""
+    """Return the dtype of the library's observation."""
     dtype = library.record("shown", {name: space.shape or () for name, space in view.every.items()})
     assert dtype is not None
     return dtype
@@ -210,7 +210,7 @@ def view_dtype(library: Library, view: FootView) -> np.dtype[Any]:
 def _output_dtype(
     library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: FootView
 ) -> np.dtype[Any]:
-    """Return the dtype of what a sample tells, up to the last number.
+    """Return the dtype of a sample's outputs, up to the last number.
 
     Its names come in the order in which :meth:`NativeSample._read` takes them.
     """

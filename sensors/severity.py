@@ -1,9 +1,9 @@
 """One number for how bad an instrument is, for sweeps: 0 is perfect, 1 its configuration, 2 twice as bad.
 
-The *errors* grow in proportion: spreads, noises, drifts, coefficients, shares, delays. What the instrument
-*is* stays: its number of channels, their ranges, resolution, rate and coding, the law by which it warms up.
-An instrument of severity 0 therefore still rounds, clips and has a clock of its own. :data:`ERRORS` and
-:data:`IDENTITY` list the fields of both kinds.
+The *errors* grow in proportion: spreads, noises, drifts, coefficients, shares, delays. The parts that the
+instrument *is* stays: its number of channels, their ranges, resolution, rate and coding, the law by which it
+warms up. An instrument of severity 0 therefore still rounds, clips and has a clock of its own. :data:`ERRORS`
+and :data:`IDENTITY` list the fields of both kinds.
 
 Some errors have a largest value: no wire repeats more than all of its readings. Severities above 1 take these
 up to :data:`LIMITS` and no further, while all others go on.

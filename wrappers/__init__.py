@@ -1,6 +1,6 @@
 """Sensors and calibrators around an environment: faces of :mod:`surefoot.robot`.
 
-Modules are loaded when something of theirs is asked for: what serves GPU simulators
+Modules are loaded when something of theirs is asked for: code that serves GPU simulators
 (:mod:`surefoot.wrappers.gpu`) needs no MuJoCo.
 """
 

@@ -23,7 +23,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
     Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in
-    memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with what the
+    memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with all that the
     environment showed as ``"state"`` unless it was a ``Dict`` already, and gains
 
     | Key | Observation | Min | Max | Unit |
@@ -31,7 +31,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     | ``"foot_raw"`` (K) | cells, left then right: FL, FR, RL, RR; ankles: fx to tz | 0 | 2^24 - 1 | count |
 
     (the range is the configuration's; where no reading arrives the last one is held, and before the first
-    that of an unloaded sensor). It loses what only truth has (``"foot_force"``, ``"cop"``,
+    that of an unloaded sensor). It loses the true (``"foot_force"``, ``"cop"``,
     ``"cop_foot"`` and ``"cop_valid"``), and where the environment has a ``state_layout``, ``joint_position``,
     ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
     arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
@@ -45,16 +45,17 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     ``options={"surefoot": {"sensors": "fresh"}}`` draws
     fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
-    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` holds what
-    was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the place
-    of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a policy.
+    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` also holds
+    the was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the
+    place of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a
+    policy.
 
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
-        config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells`, a
-            :class:`~surefoot.sensors.ForceTorque`, a mapping of the fields of either; or all sensors as one
+        config: The instruments under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells`,
+            a :class:`~surefoot.sensors.ForceTorque`, a mapping of the fields of either; or all sensors as one
             value, a :class:`~surefoot.wrappers.FootEquipment`.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
         cells: Places of the cells, see :class:`~surefoot.envs.InstrumentedEnv`.
         soles: Flat soles for feet without area, likewise; they change how the robot moves.
@@ -62,9 +63,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             ``link``, ``severity``, ``faults``, ``fresh`` and ``stream``.
 
     Attributes:
-        source: What records the truth.
+        source: The environment or wrapper that records the truth.
         robot: The sensors, which outlive episodes.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, or is wrapped already.
@@ -165,7 +166,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     @property
     def telemetry(self) -> Telemetry:
-        """What the packets hold (``telemetry.layout``) and how often they are sent."""
+        """The layout of the packets (``telemetry.layout``) and their rate."""
         return self.robot.telemetry
 
     def set_severity(self, severity: Severity) -> None:
@@ -198,7 +199,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return scale, offset
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what the hardware keeps while the power is on, its scales and offsets, to an ``.npz``.
+        """Write the hardware's lasting state, its scales and offsets, to an ``.npz``.
 
         Raises:
             RuntimeError: If nothing was drawn yet.

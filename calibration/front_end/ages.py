@@ -7,7 +7,7 @@ with the slope that it had over the last :math:`n = 3` samples,
 .. math:: \delta_i = \alpha_i \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
 
 The feet's vertical force stays as it was read. While a robot shifts its weight the sum hardly changes, and
-what slope it has is mostly that chips are read at different moments. With :math:`v_i` what a newton on a
+its slope is mostly that chips are read at different moments. With :math:`v_i` the share of a newton on a
 channel adds to the vertical force, least squares relative to the :math:`\delta` themselves give
 
 .. math:: \delta_i \leftarrow \delta_i - v_i \delta_i^2 \frac{\sum_j v_j \delta_j}{\sum_j v_j^2 \delta_j^2} .
@@ -64,7 +64,7 @@ def with_total_kept(change: Array, up: Array) -> Array:
 
     Args:
         change: Changes in N, shape (K,).
-        up: What a newton on each channel adds to the vertical force, shape (K,).
+        up: The vertical force of a newton on each channel, shape (K,).
     """
     by = up * change * change
     room = (by * up).sum()

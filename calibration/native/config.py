@@ -40,7 +40,7 @@ class Constants(NamedTuple):
         like: A state of the method's Python, before any sample.
         front: The way of a sample.
         covariance: Name of the state's leaf that is the covariance of an estimate; or ``None``.
-        contact: Whether it says how likely feet bear load, and what it could not determine.
+        contact: Whether it says how likely feet bear load, and how much is undetermined.
     """
 
     number: int

@@ -184,7 +184,7 @@ def motions_of(name: str) -> list[Move]:
     """Return the moves of a motion that starts and ends in the middle, on both feet.
 
     Args:
-        name: What, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
+        name: The kind, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
             "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot
             and sway about it), "step" (in place, one foot after the other) or "march" (twice that, without
             a halt in the middle).
@@ -418,7 +418,7 @@ class Motion:
         """Draw an episode: its tempo, which foot is lifted first, the sways' order and every extent.
 
         Args:
-            rng: What to draw from.
+            rng: The source of chance.
             amplitude: Least and largest share of a path that is used.
             tempo: Least and largest factor on all speeds.
         """

@@ -9,7 +9,7 @@ The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propos
 the planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
 difference to the reference, corrects the motion of the centre of mass.
 
-The motors' targets lead the posture by what is known to hold it back: the servos give way under their
+The motors' targets lead the posture by its known delays: the servos give way under their
 load and lag behind by kv / kp, and the ground gives way under a foot.
 """
 
@@ -92,7 +92,7 @@ class Pattern:
         return len(self.com)
 
     def command(self, tick: Any, m: Numbers = ONE) -> Command:
-        """What the robot commands at a control step; before the first and after the last, it stands there.
+        """The robot's command at a control step; before the first and after the last, it stands there.
 
         Control steps of many robots, shape (N,), give a command with the robots in front of each field.
         """
@@ -124,7 +124,7 @@ class Patterns:
         self._which = np.array(which), np.arange(len(patterns))
 
     def command(self, ticks: NDArray[np.int_], m: Numbers = MANY) -> Command:
-        """What the robots command at a control step each; see :meth:`Pattern.command`."""
+        """The robots' commands at a control step each; see :meth:`Pattern.command`."""
         commands = [pattern.command(ticks, m) for pattern in self._distinct]
         return Command(*(np.array(parts)[self._which] for parts in zip(*commands, strict=True)))
 
@@ -193,8 +193,8 @@ def plan_route(
 
     Args:
         legs: The legs, from :func:`~surefoot.envs.gait.route.parse_route`.
-        duration: Duration of all of it in s, the stands before and after the route included; what the route
-            leaves over is stood. ``None`` for as long as it takes.
+        duration: Duration of all of it in s, the stands before and after the route included; the time that
+            the route leaves over is stood. ``None`` for as long as it takes.
         timing: Duration of a step and of its parts.
         lift_height: How high a foot is lifted, in m.
         com_height: Height of the centre of mass in m; as low as the longest steps need, when not given.

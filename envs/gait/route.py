@@ -42,7 +42,7 @@ class Leg(NamedTuple):
 
 
 def parse_route(route: Any) -> tuple[Leg, ...]:
-    """Make legs of what an option holds.
+    """Make legs of an option's value.
 
     Args:
         route: Legs (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.

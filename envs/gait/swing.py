@@ -3,7 +3,7 @@
 Both the way along the ground and the lift are polynomials of the phase of the swing, with zero velocity and
 acceleration at either end, so that a foot leaves and lands without a jolt. A foot that rolls lifts its heel
 before it leaves while its toe stays where it is, and lands on its heel before it lays its toe down. While it
-does, it touches the ground with one edge only, where it then carries what load it has: its centre of pressure
+does, it touches the ground with one edge only, where it then carries its load: its centre of pressure
 leaves the middle of the sole.
 """
 

@@ -49,13 +49,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         in_place: Whether to put sensors into the environment's model; None to decide.
         visuals: Whether meshes that are only seen stay. They take most of a humanoid's memory; without them
             boxes of their size are drawn. None for those that the environment draws (``render_mode``).
-        prefix: What the names of added sites and sensors begin with.
+        prefix: The beginning of the names of added sites and sensors.
 
     Attributes:
-        truth: What the feet felt in each of the S substeps of the last control step, a row each; a single row
+        truth: The feet's loads in each of the S substeps of the last control step, a row each; a single row
             where it is computed beside the environment. After a reset all are of the state that it chose.
         tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
-        drawing: What the robot's maker hands out.
+        drawing: The drawing by the robot's maker.
         joint_names: The hinge joints that encoders measure.
         instrumentation: The instrumented description, which copies share; None for a model that was left
             alone.
@@ -217,7 +217,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return observation, self._with_truth(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment, and read what happened."""
+        """Step the environment, and read the truth."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._base.data is not self._data:
             self._refuse_another()

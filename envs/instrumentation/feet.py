@@ -231,7 +231,7 @@ def _vertical_joint(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> in
 def _floor(
     model: mujoco.MjModel, data: mujoco.MjData, robot: NDArray[np.bool_], place: NDArray[np.float64]
 ) -> float | None:
-    """Find the height in m of the highest fixed horizontal plane, or of what else lies below a place."""
+    """Find the height in m of the highest fixed horizontal plane, or of another thing below a place."""
     fixed = colliding(model) & (model.body_weldid[model.geom_bodyid] == 0) & ~robot[model.geom_bodyid]
     planes = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (data.geom_xmat[:, 8] > 0.99)
     if planes.any():
@@ -251,7 +251,7 @@ def _doubt(
     height: NDArray[np.float64],
     near: float,
 ) -> str:
-    """Return why the lowest leaves are not the two feet of a robot that stands, and what to do."""
+    """Return why the lowest leaves are not the two feet of a robot that stands, and the way out."""
     name_them = "If they are its feet, name them: feet=(left, right)."
     if not pair:
         return "they are whole robots, or lie about: a foot hangs on another body."

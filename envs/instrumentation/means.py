@@ -1,4 +1,4 @@
-"""Means over a control step of what feet feel, as ideal cells give them: the truth in ``info``."""
+"""Means over a control step of the feet's loads, as ideal cells give them: the truth in ``info``."""
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -59,9 +59,9 @@ def _columns(places: FootPlaces) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _add_up(substeps: Sequence[Any]) -> tuple[list[Number], Number, Number]:
-    """Add up what one foot feels in all substeps, of 21 numbers each.
+    """Add up one foot's loads in all substeps, of 21 numbers each.
 
-    It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which says what they are, and
+    It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which explains them, and
     :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop, which is several times faster.
 
     Returns:
@@ -91,7 +91,7 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
 
     Args:
         rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
-        places: What the columns are.
+        places: The meaning of the columns.
         m: Whether there is one robot, or many.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What of a robot is measured before sensors are put in: feet, their cells, torso and encoders."""
+"""The measures of a robot before sensors are put in: feet, their cells, torso and encoders."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from surefoot.envs.instrumentation.plate import SolePlate
 
 
 class FootColumns:
-    """Columns of one foot in a row: what its sensors measure, in the order in which they are added."""
+    """Columns of one foot in a row: the measurements of its sensors, in the order in which they are added."""
 
     ankle: Final = slice(0, 6)
     force: Final = slice(6, 9)

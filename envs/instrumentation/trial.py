@@ -68,7 +68,7 @@ def _play(env: gym.Env[Any, Any], model: mujoco.MjModel | None) -> Shown:
 
 
 def _copy(env: gym.Env[Any, Any]) -> Any:
-    """Copy an environment and its wrappers; what cannot be copied is shared."""
+    """Copy an environment and its wrappers; parts that cannot be copied are shared."""
     base: Any = env.unwrapped
     model = copy(base.model)
     data = mujoco.MjData(model)

@@ -121,12 +121,12 @@ def swing(
     range_deg: tuple[float, float] | None = None,
     seed: int = 0,
 ) -> HipMotion:
-    """Swing both joints at 0.8 to 2 Hz about middles that wander over the rest of the ranges.
+    """Swing both joints at 0.8 to 2 Hz about middles that move over the rest of the ranges.
 
     Args:
         duration: In s.
         rate: Samples per s.
-        swing_deg: Largest deflection from the wandering middle in deg.
+        swing_deg: Largest deflection from the moving middle in deg.
         range_deg: Ranges (front-back, lateral) in deg; those of the rig by default.
         seed: Of the three frequencies and phases of each joint.
 

@@ -27,8 +27,8 @@ class NaoBalanceEnv(NaoStandEnv):
 
     Actions and observations are :class:`NaoEnv`'s. After a quiet stand the commanded centre of pressure
     (``cop_reference`` in ``"state"``) moves smoothly at random, and the open-loop pattern sways the pelvis by
-    what that takes *without a payload*. At a random moment a mass is fixed somewhere to the torso. It moves
-    the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
+    the holding torques *without a payload*. At a random moment a mass is fixed somewhere to the torso. It
+    moves the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
     encoders nor tilt show it: only the feet do.
 
     ## Action
@@ -42,7 +42,7 @@ class NaoBalanceEnv(NaoStandEnv):
     none), and ``reward_action`` = -0.1 times the mean square of the action. A step 10 mm off costs
     0.72 of 3.
 
-    ## What an episode draws
+    ## Drawn at each episode
 
     All from the environment's generator: the sway (three sines per axis, periods of 3 to 8 s), the payload's
     mass, its place in a box of 0.18 x 0.24 x 0.10 m about the chest, when it comes, pushes, friction and the

@@ -96,7 +96,7 @@ class Payload:
         return self._carried
 
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
-        """Plan what will be picked up; the robot must carry nothing, as after :meth:`reset`.
+        """Plan the payload to pick up; the robot must carry nothing, as after :meth:`reset`.
 
         Args:
             mass: Its mass in kg, 0 for none.
@@ -187,7 +187,7 @@ def _check_payload(payload: Any) -> tuple[float, float]:
 
 
 class Surprise:
-    """When an episode is still, and what it has its robot carry later.
+    """When an episode is still, and the later payload of its robot.
 
     Args:
         stand_time: Length of the quiet stand in s, with which an episode begins: calibrators get a standing

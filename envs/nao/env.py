@@ -61,7 +61,7 @@ DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 
 
 class NaoEnv(BipedEnv):
-    r"""A position-controlled NAO-class biped; subclasses supply what it commands itself.
+    r"""A position-controlled NAO-class biped; subclasses supply its commands.
 
     ## Action
 
@@ -139,7 +139,7 @@ class NaoEnv(BipedEnv):
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
-        action_scale: What a full action adds to a target, in rad.
+        action_scale: The change of a target by a full action, in rad.
         cell_stiffness: Relative stiffnesses of the eight cells, which decide how a sole shares its load;
             ``None`` for a fixed unequal set.
         friction: Lowest and highest coefficient of friction under the soles; (0.15, 0.2) is slippery, and
@@ -147,7 +147,7 @@ class NaoEnv(BipedEnv):
         ground_time_constant: Time constant in s in which the ground gives way to a sole, from 0.005 to 0.1.
             Under a foot that carries the robot, 0.02 gives way by 0.5 mm, 0.04 (a carpet) by 1.4 mm and 0.06
             (a soft mat) by 2.8 mm.
-        prelude: What the robot does before each episode, or the path of its file, which
+        prelude: The robot's motion before each episode, or the path of its file, which
             ``surefoot calibrate motion nao`` writes. Its steps are ordinary ones, in which nobody pushes;
             ``duration`` and a task's own times begin after it. ``None`` for nothing.
         payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
@@ -164,9 +164,9 @@ class NaoEnv(BipedEnv):
     Attributes:
         model: The MuJoCo model.
         data: Its state.
-        truth: What really happened during the last step.
-        command: What the robot commands itself now.
-        prelude: Plays what comes before the episode (:class:`~surefoot.envs.prelude.Player`).
+        truth: The truth of the last step.
+        command: The robot's present command to itself.
+        prelude: Plays the motion before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
         motor_names: The M motors, the leg motors of an action first.
         state_layout: Where each part lies in ``observation["state"]``.
@@ -238,7 +238,7 @@ class NaoEnv(BipedEnv):
 
     @property
     def drawing(self) -> RobotDrawing:
-        """What the robot's maker hands out: nao.xml without what an episode changes."""
+        """The drawing by the robot's maker: nao.xml without an episode's changes."""
         return draw_nao()
 
     def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
@@ -301,5 +301,5 @@ class NaoEnv(BipedEnv):
         return self._renderer.render(self.render_mode, self.markers)
 
     def close(self) -> None:
-        """Close what was drawn on."""
+        """Close the renderer."""
         self._renderer.close()

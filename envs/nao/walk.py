@@ -110,7 +110,7 @@ class NaoWalkEnv(NaoPatternEnv):
         duration: Duration of the plan, standing at either end included, in s.
         stand_time: Standing before the first and after the last step, in s.
         route: Legs (duration in s, speed in m/s, turn rate in rad/s) to go one after another, in place of
-            ``speed`` and ``turn_rate``; a leg with both zero stands still, and what the route leaves of the
+            ``speed`` and ``turn_rate``; a leg with both zero stands still, and the rest of the
             duration is stood. For instance ``[[8, 0.04, 0], [3, 0, 0], [6, 0, 0.2], [8, 0.04, 0.1]]`` walks,
             stops, turns in place and goes on along an arc.
         foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel, 0.05 for

@@ -1,6 +1,6 @@
 """The NAO-class biped: its model and the names of its parts.
 
-The numbers are those of nao.xml alone; what this module adds are the orders in which the rest of the package
+The numbers are those of nao.xml alone; this module adds the orders in which the rest of the package
 speaks of joints, motors and feet.
 """
 

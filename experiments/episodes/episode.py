@@ -107,7 +107,7 @@ def check_episode(episode: Episode) -> None:
 def episode_row(episode: Episode, controller: Controller | None = None) -> dict[str, Any]:
     """Run an episode, perhaps with another controller than the named one, and return one row about it.
 
-    What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
+    The episode's keys, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
     (otherwise the time is censored), ``cop_error`` (rms distance between the centre of pressure fed back and
     the true one, in m) and ``tracking`` (between the true one and its plan, in m), both while the controller
     is asked, ``digest`` (a hash of all actions, rewards and centres of pressure), ``wall_time`` in s,
@@ -149,7 +149,7 @@ def row_of_failure(episode: Episode, error: str) -> dict[str, Any]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return with what this process computes; ``code`` is a hash of surefoot's own sources."""
+    """Return the versions of this process; ``code`` is a hash of surefoot's own sources."""
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
     code = source_hash(__name__)
     found = {"surefoot": surefoot.__version__, "python": platform.python_version(), **packages, "code": code}

@@ -34,7 +34,7 @@ _MARKERS = "osD^vP"
 def outcome_figures(
     folder: Path, rows: Frame, suffix: str = "", since: str = ""
 ) -> tuple[ReportFigure, ReportFigure]:
-    """Draw what came of one scenario, in files with a suffix; ``since`` says when time begins."""
+    """Draw the results of one scenario, in files with a suffix; ``since`` says when time begins."""
     returns = against_severity(folder / f"returns{suffix}.svg", rows)
     standing = survival_curves(folder / f"survival{suffix}.svg", rows)
     means = "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity."

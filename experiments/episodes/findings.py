@@ -1,4 +1,4 @@
-"""What an evaluation says in words and against its claims: nothing is written beforehand but the grammar."""
+"""The findings of an evaluation in words and against its claims: only the grammar is written beforehand."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, cla
 def target_table(frame: Frame) -> Table | None:
     """Table of the claims about a policy and about randomisation; ``None`` without policies.
 
-    What learnt nothing was set no target: of policies, the first that was trained on true feet has some.
+    Untrained controllers have no target: of policies, the first that was trained on true feet has some.
     """
     trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
     learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
@@ -87,7 +87,7 @@ def _clearly(what: str, gap: Interval) -> Claim:
 
 
 def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
-    """Say what a controller loses on drifting feet and gets back on calibrated ones."""
+    """Return a controller's loss on drifting feet and its gain on calibrated ones, in words."""
     name = labels(controllers_of(frame))[controller]
     own = frame[(frame["controller"] == controller) & (frame["cop_input"] == "given")]
     true = own[own["feed"] == "true"]

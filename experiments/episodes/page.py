@@ -1,4 +1,4 @@
-"""Pages of episodes, one file each: of an evaluation, what was compared; of a sweep, what fell where."""
+"""Pages of episodes, one file each: of an evaluation, the comparison; of a sweep, who fell where."""
 
 import base64
 import shlex
@@ -142,7 +142,7 @@ def _repeat_evaluation(frame: Frame, origins: dict[str, Origin], task: Task) -> 
 
 
 def _say_versions(versions: dict[str, str]) -> list[str]:
-    """Say with what the episodes were made: once if all alike, else of each controller."""
+    """Name the versions that made the episodes: once if all alike, else of each controller."""
     if len(set(versions.values())) == 1:
         return [f"The episodes were made with {each}." for each in set(versions.values()) if each]
     return [

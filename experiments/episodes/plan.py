@@ -1,4 +1,4 @@
-"""What a study of controllers does: a grid of controllers, feeds, scenarios, severities and seeds.
+"""The plan of a study of controllers: a grid of controllers, feeds, scenarios, severities and seeds.
 
 ``surefoot evaluate`` is a preset: policies at the task that they were trained for.
 """
@@ -115,7 +115,7 @@ SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
 
 
 def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
-    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists what there is."""
+    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists them."""
     known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
     if name not in known:
         raise ValueError(f"There is no scenario '{name}'. Available: {', '.join(known)}.")
@@ -135,10 +135,10 @@ _NOT_IN_FILES = ("own", "cop_inputs")
 
 @dataclass(frozen=True)
 class EpisodePlan:
-    """A grid of valid names; every combination is one episode. Raises ValueError at what cannot be done.
+    """A grid of valid names; every combination is one episode. Raises ValueError at impossible plans.
 
     True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0. It alone is run with
-    other inputs than what is fed back.
+    other inputs than those that are fed back.
     """
 
     controllers: tuple[str, ...] = ("zero", "stabiliser")
@@ -153,7 +153,7 @@ class EpisodePlan:
     own: Mapping[str, LoopScenario] = field(default_factory=dict)  # scenarios besides the table's
 
     def __post_init__(self) -> None:
-        """Raise ValueError at what cannot be done, before anything is."""
+        """Raise ValueError at an impossible plan, before anything runs."""
         object.__setattr__(self, "feeds", tuple(map(feed_named, self.feeds)))
         for name in _AXES:
             _check_axis(name, getattr(self, name))

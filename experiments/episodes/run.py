@@ -1,6 +1,6 @@
 """Run the episodes of a plan that are not there yet, one again from its row; and read rows, or refuse them.
 
-Each row says what the episode was and with what it was made: no policy's file is read again for it.
+Each row names its episode and the versions that made it: no policy's file is read again for it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -38,7 +38,7 @@ from surefoot.experiments.walks.walkers import FEEDS
 
 @dataclass(frozen=True, eq=False)
 class EpisodeResults:
-    """What a study found, a row an episode, and how many this run added; a temporary folder is gone."""
+    """The results of a study, a row an episode, and how many this run added; a temporary folder is gone."""
 
     plan: EpisodePlan
     folder: Path
@@ -138,7 +138,7 @@ class Replayed:
 
     @property
     def other_versions(self) -> tuple[str, ...]:
-        """What was run with then and is another now, in words."""
+        """Versions that differ between then and now, in words."""
         changed = [name for name in VERSIONS if self.then[name] != self.now[name]]
         return tuple(f"{name} {self.then[name]} -> {self.now[name]}" for name in changed)
 
@@ -198,7 +198,7 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Origin:
-    """What is known of a controller whose episodes are there; nothing where nobody wrote it down."""
+    """The facts of a controller whose episodes are there; nothing where nobody wrote it down."""
 
     file: str = ""  # hash of the file behind it when it was run
     trained: str = ""  # on what

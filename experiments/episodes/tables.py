@@ -178,7 +178,7 @@ def worst_table(worst: Frame) -> Table:
 
 
 def failure_table(failed: Frame) -> Table | None:
-    """Return the episodes that could not be run through, with the last line of what was raised."""
+    """Return the episodes that could not be run through, with the last line of their errors."""
     if not len(failed):
         return None
     note = "The whole text is in the column 'error' of episodes.parquet."

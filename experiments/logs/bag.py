@@ -97,7 +97,7 @@ class Series(NamedTuple):
 
 
 class Bag(NamedTuple):
-    """What was read of a bag."""
+    """The data of a bag."""
 
     file: str
     series: tuple[Series, ...]  # in the order of the mapping file
@@ -203,7 +203,7 @@ def _read_topics(path: Path, mapping: Path) -> Topics:
 
 @contextmanager
 def whole(path: Path) -> Iterator[None]:
-    """Say of a file that cannot be read what can be done."""
+    """Name the way out of a file that cannot be read."""
     try:
         yield
     except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
@@ -305,9 +305,9 @@ def _stamps(messages: list[Any], origin: int) -> Floats | None:
 def _clock(received: Floats, stamps: Floats | None, given: float | None) -> tuple[Floats, str]:
     """Return times of messages on the recorder's clock, and how they were found.
 
-    What a message takes to the recorder is never negative, and most messages take little more than the
-    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to what the
-    quickest takes.
+    The delay of a message to the recorder is never negative, and most messages take little more than the
+    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to the time that
+    the quickest takes.
     """
     if stamps is None:
         time = _even(received)

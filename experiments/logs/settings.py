@@ -1,4 +1,4 @@
-"""What a TOML or JSON file states beside a table: the types of fields say what may stand there."""
+"""A TOML or JSON file beside a table: the types of fields define its values."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Self
@@ -38,7 +38,7 @@ class Settings(BaseModel):
 
     @classmethod
     def read(cls, given: Any, where: str) -> Self:
-        """Return the settings that a file states; LogError names file, key, what is wrong and was given."""
+        """Return the settings that a file states; LogError names file, key, flaw and value."""
         try:
             return cls.model_validate(given)
         except ValidationError as error:

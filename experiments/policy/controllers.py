@@ -1,6 +1,6 @@
 """Who controls the robot: controllers by name, policies from files, and functions of the user's own.
 
-| Controller | What it is |
+| Controller | Meaning |
 |------------|------------|
 | ``"zero"`` | the open-loop walker |
 | ``"stabiliser"`` | :class:`surefoot.controllers.Stabiliser` |
@@ -10,7 +10,7 @@
 | ``"module:function"`` | code of the user's, which is imported and **runs with the user's rights** |
 
 A function either answers an observation itself, or, if its first parameter is called ``state_layout``, is
-given the environment's and returns what answers. What has a ``reset`` is reset before every episode.
+given the environment's and returns the controller. One with a ``reset`` is reset before every episode.
 """
 
 import inspect

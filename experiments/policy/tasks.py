@@ -18,7 +18,7 @@ SENSORS = ("true", "randomised")
 
 @dataclass(frozen=True)
 class Task:
-    """A task, what a policy sees of it, and how it is trained."""
+    """A task, a policy's view of it, and its training."""
 
     name: str  # for files and the command
     env_id: str
@@ -78,7 +78,7 @@ TASKS: Mapping[str, Task] = MappingProxyType(
 
 
 def task_named(name: str) -> Task:
-    """Return the task of a name, or raise ValueError with what there is."""
+    """Return the task of a name, or raise ValueError with their names."""
     if name not in TASKS:
         raise ValueError(f"There is no task '{name}'. Available: {', '.join(map(repr, TASKS))}.")
     return TASKS[name]
@@ -140,7 +140,7 @@ class TrainOptions:
     explore: int = 8  # decisions until it is drawn again (gSDE): feet that shake measure nothing
 
     def __post_init__(self) -> None:
-        """Raise ValueError at what cannot be trained."""
+        """Raise ValueError at a task that cannot be trained."""
         task_named(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
@@ -167,5 +167,5 @@ class TrainOptions:
         return [float(severity) for severity in np.linspace(0.0, LARGEST_SEVERITY, self.environments)]
 
     def segment_seed(self, update: int) -> int:
-        """Return the seed of what follows the checkpoint after some updates."""
+        """Return the seed of the training after a checkpoint at some updates."""
         return TRAINING_SEEDS + self.seed * 1_000_000 + update * self.environments

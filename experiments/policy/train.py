@@ -260,7 +260,7 @@ def _curve_keeper(trainer: Trainer, progress: Progress | None) -> Any:
 
 
 def remove_training(out: Path) -> None:
-    """Remove what a training left in a folder, and nothing else."""
+    """Remove the files of a training in a folder, and nothing else."""
     for name in (CHECKPOINT, OPTIONS, CURVE, POLICY):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / BOARD, ignore_errors=True)

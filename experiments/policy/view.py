@@ -39,7 +39,7 @@ def make_task(
 def _input_matrix(
     state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
 ) -> NDArray[np.float64]:
-    """Return the matrix that picks and scales what is seen of (state, cop, cop_valid, 1), (N, S + 6).
+    """Return the matrix that picks and scales the inputs of (state, cop, cop_valid, 1), (N, S + 6).
 
     Not the joints' velocities, which encoders measure badly, nor arms and head.
     """
@@ -139,7 +139,7 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
 
 
 def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
-    """Turn what ``PPO.save`` wrote of a model that was trained on :class:`PolicyView` into a policy file.
+    """Turn a file of ``PPO.save`` of a model that was trained on :class:`PolicyView` into a policy file.
 
     Opening such a zip runs pickled code, so its maker must be trusted: else, or if it is none,
     PolicyFileError.

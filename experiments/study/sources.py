@@ -48,7 +48,7 @@ def code_of(module: str) -> str:
 def own_code(*names: str) -> tuple[str, ...]:
     """Hashes that decide the results of methods and presets that a user registered; none of others.
 
-    Of a method it is a hash of its file, of a preset what it holds.
+    Of a method it is a hash of its file, of a preset its values.
     """
     found: list[str] = []
     for name in map(plain_name, names):
@@ -106,7 +106,7 @@ def _needs(module: str) -> frozenset[str]:
 
 
 def _imports(text: str) -> Iterator[tuple[str, str, str]]:
-    """Yield the names that a source imports from surefoot: of which module, which, and what it calls them."""
+    """Yield the names that a source imports from surefoot: of which module, which, and their names there."""
     for home, several, one in _IMPORT.findall(text):
         for part in re.sub(r"#[^\n]*", "", several or one).split(","):
             if words := part.split():

@@ -1,6 +1,6 @@
 """Tables of a study: one content for the terminal, the page and the files.
 
-A cell is a text that knows the value of what it shows, all digits of it: files for machines hold values.
+A cell is a text that knows its value, all digits of it: files for machines hold values.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,7 +26,7 @@ NOTHING = "–"
 
 
 class Valued(str):
-    """A cell that knows the value of what it shows: a number, a list, or a mapping of some."""
+    """A cell that knows its value: a number, a list, or a mapping of some."""
 
     value: Any
 
@@ -116,7 +116,7 @@ def _finite(value: Any) -> Any:
 def table_of(
     name: str, title: str, columns: Mapping[str, Cell], items: Iterable[Any], note: str = ""
 ) -> Table:
-    """Return a table of a row an item; each column says what makes its cells of one."""
+    """Return a table of a row an item; each column has a function that makes its cells of one."""
     rows = tuple(tuple(cell(item) for cell in columns.values()) for item in items)
     return Table(name, title, tuple(columns), rows, note)
 
@@ -258,7 +258,7 @@ def flat(text: str) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: what is measured, with its unit; what it was to be; what it is; whether it was met."""
+    """A claim: the quantity with its unit, its aim, its value, and whether it was met."""
 
     what: str
     aim: str

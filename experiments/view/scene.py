@@ -1,4 +1,4 @@
-"""What the feet are drawn on: the ground, and the camera; and what controls have in common."""
+"""The scene: the ground, the camera, and the common part of controls."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What there is to draw of one sample: the feet, read in several ways."""
+"""One sample to draw: the feet, read in several ways."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What there is to draw of one sample."""
+    """One sample to draw."""
 
     time: float  # since the episode start in s
     position_sole: Floats  # origins of the soles in the world in m, shape (2, 3)

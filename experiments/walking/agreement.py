@@ -1,4 +1,4 @@
-"""How well calibrated forces agree with what the robot's own motion asks of the ground.
+"""How well calibrated forces agree with those that the robot's own motion requires.
 
 The feet's total and centre of pressure against those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to
 11), behind the paper's zero-phase filter. A calibrator that follows the motion makes it small whether the

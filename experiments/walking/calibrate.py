@@ -1,4 +1,4 @@
-"""Calibrate one log by one method, and write what came of it: a table, the last parameters and a page."""
+"""Calibrate one log by one method, and write the result: a table, the last parameters and a page."""
 
 import json
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class CalibratedLog:
 
     @property
     def files(self) -> dict[str, Path]:
-        """All that was written, by what it is."""
+        """All files, by their kind."""
         files = {"calibrated walk": self.walk, "parameters": self.parameters, "report": self.page}
         return files if self.ros2 is None else {**files, "ROS 2": self.ros2}
 

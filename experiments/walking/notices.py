@@ -1,4 +1,4 @@
-"""What would mislead any calibrator is refused; what a log merely lacks is a notice, and shown."""
+"""Data that would mislead any calibrator are refused; missing data are noticed, and shown."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _UNITS = {
 
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
-    """Raise LogError if by the starting map the feet carry far from what the robot weighs, or pull."""
+    """Raise LogError if by the starting map the feet carry far from the robot's weight, or pull."""
     if not np.isfinite(log.raw).any():
         raise LogError(
             f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "

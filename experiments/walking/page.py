@@ -1,4 +1,4 @@
-"""The page about one calibrated log: how far to trust it, and what it lacks; its figures."""
+"""The page about one calibrated log: how far to trust it, its missing data, and its figures."""
 
 from collections.abc import Iterator
 from pathlib import Path

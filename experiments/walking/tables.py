@@ -28,7 +28,7 @@ class MapChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What tables, figures and page are made of."""
+    """The data of tables, figures and page."""
 
     log: Log
     start: str  # name of the starting map
@@ -55,7 +55,7 @@ class Facts:
         return np.nan_to_num(hold_last(force, seen))
 
     def sides(self) -> tuple[tuple[str, Floats], ...]:
-        """Return forces after and before, with what tables call them."""
+        """Return forces after and before, with their names in tables."""
         return ("calibrated", self.estimate.force), (f"by the {self.start} map", self.before)
 
     def change(self) -> MapChange:
@@ -136,7 +136,7 @@ def nis_per_row(estimate: Estimate) -> float | None:
 
 
 def agreement_table(facts: Facts) -> Table:
-    """Return how far the feet are from what the motion asks for, after and before."""
+    """Return how far the feet are from the motion's forces, after and before."""
     log, asked = facts.log, required_ground(facts.log)
     rows = []
     for name, force in facts.sides():

@@ -1,4 +1,4 @@
-"""Replay the streams of a scenario, and keep what the scores need and nothing else.
+"""Replay the streams of a scenario, and keep the data that the scores need and nothing else.
 
 A covariance is held against the truth as it appears, once a second, and forgotten.
 """
@@ -30,7 +30,7 @@ _NOISE_STREAM = 0xFA18
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """A log of N samples and how to judge what a method makes of it."""
+    """A log of N samples and how to judge a method on it."""
 
     log: Log  # with truth
     seed: int
@@ -42,7 +42,7 @@ class Stream:
 
     @property
     def truth(self) -> LogTruth:
-        """What the simulator knew."""
+        """The simulator's truth."""
         assert self.log.truth is not None
         return self.log.truth
 
@@ -108,7 +108,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What a method made of one stream of N samples and K channels."""
+    """The result of a method on one stream of N samples and K channels."""
 
     force: Floats  # in N, shape (N, K)
     scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
@@ -170,7 +170,7 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
 
 
 class _Watch:
-    """Compares what is claimed of a stream with the truth, as it goes."""
+    """Compares the claims about a stream with the truth, as it goes."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream

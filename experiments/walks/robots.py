@@ -1,4 +1,4 @@
-"""Robots that others made: what calibration is worth on each, standing, moving and falling.
+"""Robots that others made: the worth of calibration on each, standing, moving and falling.
 
 Errors are root mean squares over a run from the first second on, its falls included: of the centre of
 pressure of each foot in its sole's frame, where the foot truly bears a tenth of the robot's weight, and of
@@ -60,7 +60,7 @@ _STREAM = 0x20B07  # of actions
 
 @dataclass(frozen=True)
 class Motion:
-    """A robot and what it does: random actions of up to an amplitude, in the units of its actions."""
+    """A robot and its motion: random actions of up to an amplitude, in the units of its actions."""
 
     robot: str  # of Gymnasium, or of the package of robots
     name: str
@@ -115,7 +115,7 @@ class _Together:
         """Nothing, as no filter of the library's alone makes the estimates."""
 
     def is_in(self, state: Any) -> bool:
-        """No: no state of the library's alone is what it goes on with."""
+        """No: no state of the library's alone is the one it goes on with."""
         return False
 
     def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:

@@ -1,6 +1,6 @@
 """A study of walks: the same recorded streams, several methods, many seeds; and walks on the feet themselves.
 
-What is finished is kept in the folder, so that a run that was interrupted goes on where it was.
+Finished cases are kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
 import time
@@ -53,7 +53,7 @@ Tables = dict[str, list[dict[str, Any]]]
 
 @dataclass(eq=False)
 class WalkStudyResults:
-    """What a study of walks found."""
+    """The results of a study of walks."""
 
     options: WalkStudyOptions
     scenarios: tuple[Scenario, ...]
@@ -243,7 +243,7 @@ def bound_case(scenario: Scenario, options: WalkStudyOptions) -> Case:
 def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
     """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
 
-    NaN for what is no walk of the NAO.
+    NaN for other walks than the NAO's.
     """
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():

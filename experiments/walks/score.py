@@ -7,7 +7,7 @@ All errors are root mean squares over the samples of one walk from a settling ti
   true vertical force exceeds 5 N. Where the estimated force does not, its centre of pressure is held, as an
   observation holds it, and still counts.
 * **foot's CoP**: that of each foot in its own sole's frame, over both feet, where the true load of the foot
-  exceeds 5 N; held likewise. The total hides what one foot is wrong by in the other's favour.
+  exceeds 5 N; held likewise. The total hides errors of one foot in the other's favour.
 * **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
 * **cell**: the force of single cells, over all cells.
 

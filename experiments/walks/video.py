@@ -51,7 +51,7 @@ def prepare_rendering() -> None:
     """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
 
     To be called before MuJoCo draws first. Where EGL is missing nothing is chosen: MuJoCo cannot even be
-    imported by a process that is told to use what is not there.
+    imported by a process that is told to use a missing one.
     """
     if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
         os.environ.setdefault("MUJOCO_GL", "egl")

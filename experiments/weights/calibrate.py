@@ -32,8 +32,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
 
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
     and readings as ``raw_<cell>_count``, empty where not weighed. Readings that lie far off are left out.
-    ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at what cannot be
-    read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
+    ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at data that cannot
+    be read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
     weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]

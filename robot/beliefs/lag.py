@@ -1,4 +1,4 @@
-"""By how many samples the feet wait for the telemetry of what the robot did."""
+"""By how many samples the feet wait for the telemetry of the robot's motion."""
 
 from math import ceil
 

@@ -1,4 +1,4 @@
-"""What a robot knows of its momentum: velocity increments of its IMU, held by the legs that stand.
+"""A robot's knowledge of its momentum: velocity increments of its IMU, held by the legs that stand.
 
 The IMU's velocity and the torso's rotation are those of :mod:`surefoot.robot.beliefs.strapdown`, in axes that
 are level and whose heading follows the gyroscope. Nothing is differentiated but encoders.
@@ -63,9 +63,9 @@ class MomentumBeliefs(Believed):
 
     Attributes:
         beliefs: Those that hold accelerations.
-        believed: What the last :meth:`sample` found.
+        believed: The result of the last :meth:`sample`.
         corners: The same.
-        rows: What a row holds.
+        rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
         strapdown: Velocity and attitude.
         run: Rows in a row.
@@ -126,7 +126,7 @@ class MomentumBeliefs(Believed):
         row[: at.soles.stop] += self.strapdown.place
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
-        """Find what the robot believes for one sample of its feet; as :meth:`Beliefs.sample`."""
+        """Find the robot's beliefs for one sample of its feet; as :meth:`Beliefs.sample`."""
         fell = self.beliefs.sample(time, command, hold)
         found, self.believed = self.beliefs.believed, unknown(self.beliefs.feet)
         if self.beliefs.known and self.run > 1:
@@ -147,11 +147,11 @@ class MomentumBeliefs(Believed):
 
 
 class Touching(NamedTuple):
-    """What of each foot may touch the ground.
+    """The parts of each foot that may touch the ground.
 
     Attributes:
         places: Centres in the sole frames and radii in m, shape (F, n, 4); radii are 0 of points.
-        rolls: Whether feet stand on any of their sides, so that a sole does not show what is level.
+        rolls: Whether feet stand on any of their sides, so that a sole does not show the level.
     """
 
     places: Floats

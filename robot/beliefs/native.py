@@ -44,7 +44,7 @@ class NativeBeliefs:
         believed: The Python object.
 
     Attributes:
-        believed: What the last :meth:`sample` found; the next one overwrites it.
+        believed: The result of the last :meth:`sample`; the next one overwrites it.
         known: Whether it is anything.
         standing: Whether a foot surely stood.
 
@@ -190,7 +190,7 @@ class NativeBeliefs:
         return True
 
     def tell(self, found: int) -> None:
-        """Learn what the library found of a sample."""
+        """Take over the library's results of a sample."""
         self.known, self.standing = found & 2 > 0, found & 4 > 0
 
     def info(self) -> dict[str, Any]:
@@ -212,19 +212,19 @@ class NativeBeliefs:
 
     def unpack(self) -> Beliefs | MomentumBeliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        begun, state, believed = self._spec.begin_episode(), self._state, self.believed.reference()
-        if not isinstance(begun, MomentumBeliefs):
-            self._unpack(begun)
-            begun.believed = believed
-            return begun
-        self._unpack(begun.beliefs)
+        started, state, believed = self._spec.begin_episode(), self._state, self.believed.reference()
+        if not isinstance(started, MomentumBeliefs):
+            self._unpack(started)
+            started.believed = believed
+            return started
+        self._unpack(started.beliefs)
         # What it believes of accelerations is made anew at each sample.
-        begun.believed, begun.ring[...] = believed, state["moved"]
-        begun.run, begun.number = int(state["run"]), int(state["number"])
+        started.believed, started.ring[...] = believed, state["moved"]
+        started.run, started.number = int(state["run"]), int(state["number"])
         for name, attribute in _STRAPDOWN.items():
             part = state[name].copy()
-            setattr(begun.strapdown, attribute, part if part.ndim else part.item())
-        return begun
+            setattr(started.strapdown, attribute, part if part.ndim else part.item())
+        return started
 
     def _unpack(self, found: Beliefs) -> None:
         state = self._state
@@ -297,12 +297,12 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
 
 
 def _owners(beliefs: Beliefs) -> tuple[tuple[Any, dict[str, str]], ...]:
-    """Return what holds the parts of a state, and the attributes that do."""
+    """Return the objects that hold the parts of a state, and their attributes."""
     return (beliefs, _OWN), (beliefs._odometry, _ODOMETRY), (beliefs._upright, _UPRIGHT)
 
 
 def _packet_places(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:
-    """Return where a packet holds what is kept of it."""
+    """Return where a packet holds the numbers that are kept of it."""
     return (
         ("angle", layout.joint_position),
         ("accelerometer", layout.accelerometer),

@@ -1,4 +1,4 @@
-"""What each robot of a kind is equipped with, and what one of them has under its feet in its condition."""
+"""The equipment of a kind of robot, and the instruments under one robot's feet in its condition."""
 
 from dataclasses import replace
 from hashlib import sha256
@@ -37,13 +37,13 @@ ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
 
 
 class Fitted(NamedTuple):
-    """What one robot has under its feet, in its condition.
+    """The instruments under one robot's feet, in its condition.
 
     Attributes:
         condition: How bad it is.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
         broken: The faults of channels, or ``None``.
-        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` for what it
+        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` where it
             has no room for.
     """
 
@@ -54,7 +54,7 @@ class Fitted(NamedTuple):
 
 
 class Equipment:
-    """What each robot of a kind is equipped with.
+    """The equipment of a kind of robot.
 
     Args:
         owner: The wrapper that asks, for messages.
@@ -66,11 +66,11 @@ class Equipment:
 
     Attributes:
         seldom: The same.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
-        conditions: What a robot's condition is drawn from.
-        fitted: What a robot has under its feet before anything is drawn.
+        conditions: The distribution of a robot's condition.
+        fitted: The instruments under a robot's feet before anything is drawn.
         computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
 
     Raises:
@@ -134,7 +134,7 @@ class Equipment:
         return conditions._replace(faults=given, chances=chances)
 
     def fit(self, condition: Condition) -> Fitted:
-        """Return what a robot in some condition has under its feet.
+        """Make the instruments under the feet of a robot in some condition.
 
         Raises:
             ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
@@ -171,7 +171,7 @@ class Equipment:
         return telemetry_of(len(self._joint_names), imu, encoders, link, dt, substeps)
 
     def notes(self) -> dict[str, str]:
-        """Return what hardware that is saved belongs to."""
+        """Name the robot and the sensors that saved hardware belongs to."""
         return {
             "robot": _robot_note(self.drawing, self._joint_names),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
@@ -181,7 +181,7 @@ class Equipment:
 
 
 def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
-    """Return which robot it is, to be kept with what is saved of it."""
+    """Identify a robot in files that are saved of it."""
     places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
     mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
     return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"

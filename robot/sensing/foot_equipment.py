@@ -25,7 +25,7 @@ class FootOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class FootEquipment:
-    """The sensors of a robot with feet: what they are, how bad they are and when they are drawn.
+    """The sensors of a robot with feet: which they are, how bad they are and when they are drawn.
 
     A device is the name of a preset, a configuration, or a mapping of a configuration's fields.
 
@@ -86,7 +86,7 @@ class FootEquipment:
 def equip(
     config: str | Mapping[str, Any] | FootDevice | FootEquipment | None, **options: Unpack[FootOptions]
 ) -> FootEquipment:
-    """Make equipment of what a wrapper was given: a value, keywords, or both.
+    """Make equipment of a wrapper's arguments: a value, keywords, or both.
 
     Raises:
         ValueError: If an option is given twice.

@@ -1,7 +1,8 @@
 """The instruments under one robot's feet: load cells, six-axis sensors in the ankles, or both.
 
-Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). What a
-level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a calibrator.
+Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). A force
+that a level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a
+calibrator.
 """
 
 import warnings
@@ -34,7 +35,7 @@ PEAK: Final = 1.5
 
 
 class InstrumentsState(NamedTuple):
-    """What hardware keeps while the power is on.
+    """State that hardware keeps while the power is on.
 
     Attributes:
         cells: State of the load cells, or ``()``.
@@ -57,7 +58,7 @@ class CellsUnderFeet:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
-        kind: What they are in the library.
+        kind: Their kind in the library.
 
     Raises:
         ValueError: If a foot has no place for cells, or their numbers differ.
@@ -145,7 +146,7 @@ class SensorsInAnkles:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
-        kind: What they are in the library.
+        kind: Their kind in the library.
 
     Raises:
         ValueError: If there are more or fewer of them than feet.
@@ -213,7 +214,7 @@ class SensorsInAnkles:
         return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
     def cross_talk(self, state: ForceTorqueState) -> Floats:
-        """Return what each channel reads of the others' loads, a row a channel, shape (K, K)."""
+        """Return each channel's reading of the others' loads, a row a channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
         off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
@@ -357,7 +358,7 @@ def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None
 
 
 def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:
-    """Return whether a foot's instruments are rated for what it has to bear; ideal ones bear everything."""
+    """Return whether a foot's instruments are rated for its load; ideal ones bear everything."""
     if isinstance(device, LoadCells):
         ideal = device.adc_bits == 0 and not device.mechanics.acts
     else:
@@ -399,7 +400,7 @@ def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
 
 
 def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float]:
-    """Return the options of a calibrator that follow from what is under the feet.
+    """Return the options of a calibrator that follow from the instruments under the feet.
 
     A foot whose channels have no places of their own gets a length.
 

@@ -1,7 +1,7 @@
 """Devices of one robot by the library: the same states, the same counts, the same random numbers.
 
-The Python is the specification. It alone reads what is larger than the library's room, and what draws from a
-generator of NumPy's.
+The Python is the specification. It alone reads devices that are larger than the library's room, and those
+that draw from a generator of NumPy's.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     Attributes:
         name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
         build: Makes the Python of a configuration.
-        constants: Returns what is in the first record of a configuration, by its names there.
+        constants: Returns the values of the first record of a configuration, by its names there.
         blocks: Whether it reads blocks of substeps rather than an instant.
         loads: How many loads it reads; ``None`` for as many as it has channels.
     """
@@ -71,12 +71,12 @@ class NativeDevice:
 
     Args:
         library: The library.
-        kind: What it is.
+        kind: Its kind.
         config: The instrument.
         constants: Its constants, as the library has them.
 
     Attributes:
-        kind: What it is.
+        kind: Its kind.
         constants: Its constants.
         layout: Of its states' records.
     """
@@ -124,7 +124,7 @@ class NativeDevice:
             dt: Time since the reading before in s.
 
         Raises:
-            ValueError: If the wire cannot hold what is under way, see
+            ValueError: If the wire cannot hold the readings under way, see
                 :func:`~surefoot.sensors.transport.wire.check_wire`.
         """
         if dt != self._checked:

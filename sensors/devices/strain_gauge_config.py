@@ -1,4 +1,4 @@
-"""What a six-axis sensor of strain gauges is: its maker's matrix, its errors and its converter."""
+"""A six-axis sensor of strain gauges: its maker's matrix, its errors and its converter."""
 
 from dataclasses import dataclass
 

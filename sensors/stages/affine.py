@@ -1,4 +1,4 @@
-"""Scale and offset, fixed or drifting: what turns a load into a voltage, and a voltage into a count.
+"""Scale and offset, fixed or drifting: the map from a load to a voltage, and a voltage into a count.
 
 The drifting ones are random walks, b_{k+1} = b_k + sigma sqrt(dt) w_k with w_k ~ N(0, 1): their spread
 depends on the time that has passed and not on how finely that time was stepped.

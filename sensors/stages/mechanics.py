@@ -1,4 +1,4 @@
-"""What happens to a load before a bridge turns it into a voltage: the metal's part of a load cell.
+"""Stages on a load before a bridge turns it into a voltage: the metal's part of a load cell.
 
 In this order: the characteristic bends (:mod:`~surefoot.sensors.stages.nonlinearity`), the element lags
 (:mod:`~surefoot.sensors.stages.hysteresis`) and creeps (:mod:`~surefoot.sensors.stages.creep`), impacts move

@@ -22,7 +22,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class MovingAverageState(NamedTuple):
-    """What a filter remembers.
+    """The state of a filter.
 
     Attributes:
         window: The readings before, the oldest first, shape (L, K) with L = m (n - 1); NaN before the first,

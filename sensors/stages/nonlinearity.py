@@ -5,11 +5,11 @@ and the full scale, the two ends that a terminal-based straight line joins (ISA-
 
 .. math:: y = x + x_{FS} \Big( 4 a\, u (1 - u) + \tfrac{3 \sqrt 3}{2} b\, u (1 - u^2) \Big).
 
-The factors make :math:`a` and :math:`b` what a data sheet says: the largest departure of each term from the
-line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`. The quadratic term is that
-of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
-The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar
-cell of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
+The factors make :math:`a` and :math:`b` the numbers of a data sheet: the largest departure of each term from
+the line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`. The quadratic term is
+that of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
+The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar cell
+of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
 
 The element of a six-axis sensor bends in all directions at once. There the cubic term of each axis has
 company of products, :math:`x_{FS} \sum_{j < k} c_{jk} u_j u_k`, that vanish while one axis alone is loaded.
@@ -142,7 +142,7 @@ def cross_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Cor
     Args:
         cubic: Largest departure of the cubic terms in shares of the full scale: they are drawn uniformly from
             ``-cubic`` to ``cubic``.
-        cross: The same for what two axes at their full scales add to each.
+        cross: The same for the effect of two axes at their full scales on each.
         full_scale: Full scale of each axis, shape (K,).
 
     Raises:

@@ -1,4 +1,4 @@
-r"""What temperature does to a strain-gauge bridge: its offset and its scale change.
+r"""The effect of temperature on a strain-gauge bridge: its offset and its scale change.
 
 A device warms up after it was switched on, along a ramp :math:`T = r t` or, as one with a heat loss does,
 levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides drifting at random, follow
@@ -21,7 +21,7 @@ class ThermalState(NamedTuple):
 
     Attributes:
         error: Its error now, shape (K,).
-        tempco: What a kelvin adds to it, shape (K,); constant from power-up.
+        tempco: Its change by a kelvin, shape (K,); constant from power-up.
         temperature: Rise since power-up in K, shape (K,).
     """
 

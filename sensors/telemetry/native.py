@@ -47,8 +47,8 @@ class NativeTelemetry(Telemetry):
         substeps: Rows of truth in a control step.
 
     Attributes:
-        inputs: What it measures next: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
-        address: Where the library finds what stays where it is.
+        inputs: Its next inputs: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
+        address: Where the library finds the parts that stay in place.
         arrived_address: Where rows lie of the packets that the last step has delivered.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What runs in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
+"""The code in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
 
 A package with C has a folder ``native`` with its headers and a ``library.c`` that includes them. Nothing here
 knows which packages have one.

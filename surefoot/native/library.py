@@ -50,7 +50,7 @@ class Library(NamedTuple):
         functions: Its functions.
         real: The dtype of its numbers.
         places: Kind, offset and size in bytes of each field, by record and field; of a whole record under "".
-        found: What :meth:`record` has returned so far, by its arguments: an episode asks for the same again.
+        found: Results of :meth:`record` so far, by its arguments: an episode asks for the same again.
     """
 
     functions: Any
@@ -120,7 +120,7 @@ class Native:
     """The library of one package.
 
     Args:
-        sources: What it is compiled from.
+        sources: Its sources.
         signatures: Result (``None`` for none) and arguments of each of its functions, as types of ctypes.
         many: Functions of many robots, which run without the interpreter's lock.
     """
@@ -197,7 +197,7 @@ def require(library: Library | None) -> Library:
 
 @cache
 def say_once(problem: str) -> None:
-    """Say in one line of the log what is slower than it could be, and the way out."""
+    """Log in one line that Python runs in place of the library, and the way out."""
     logging.getLogger("surefoot").warning(
         "surefoot runs in Python, slower: %s; compile it with: %s", problem, _BY_HAND
     )

@@ -1,4 +1,4 @@
-"""What a robot does before an episode: planned, written, read, and played."""
+"""A robot's motion before an episode: planned, written, read, and played."""
 
 import numpy as np
 import pytest

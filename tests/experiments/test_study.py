@@ -122,7 +122,7 @@ def test_a_study_that_is_killed_goes_on(tmp_path: Path) -> None:
         "def slow(i):\n    time.sleep(0.05)\n    return {'rows': [{'i': i}]}\n"
         "if __name__ == '__main__':\n"
         "    store = Store(Path(sys.argv[1]))\n"
-        "    with store.opened(), runner(1) as work:\n"
+        "    with store.open_for(), runner(1) as work:\n"
         "        print(work.run('s', [Case(str(i), slow, (i,)) for i in range(9)], store))\n"
     )
     folder = tmp_path / "results"

@@ -1,4 +1,4 @@
-"""What modules over many robots have in common: who is meant, which step it is, and their records."""
+"""The common part of modules over many robots: who is meant, which step it is, and their records."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -155,7 +155,7 @@ class BatchModule(nn.Module, ABC):
         return {"identity": identity | {"records": kernel.layout}, "last": self._last, **kept}
 
     def _restore(self, kernel: Kernel, saved: dict[str, Any], identity: dict[str, Any]) -> None:
-        """Go on from what :meth:`_state_of` returned.
+        """Go on from a result of :meth:`_state_of`.
 
         Raises:
             ValueError: If it is of another module, with the first difference.
@@ -215,7 +215,7 @@ def views(records: Tensor, layout: np.dtype[Any]) -> dict[str, Tensor]:
 
     Args:
         records: The records in bytes, shape (N, size).
-        layout: What is in one.
+        layout: Columns of one.
     """
     found = {}
     for name, (field, offset, *_) in (layout.fields or {}).items():

@@ -194,7 +194,7 @@ class FootSensorsModule(BatchModule):
                 kept[those] = new.to(self.device)
 
     def newtons(self, counts: Tensor) -> Tensor:
-        """Return counts in N (and N m) by the data sheet: what a robot without a calibrator believes."""
+        """Return counts in N (and N m) by the data sheet, as a robot without a calibrator believes them."""
         return (counts - self.config.zero_code) / self._slope
 
     def true_parameters(self) -> Parameters:
@@ -219,7 +219,7 @@ class FootSensorsModule(BatchModule):
         return self._state_of(self._kernel, self._identity())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from what :meth:`get_extra_state` returned.
+        """Go on, bit for bit, from a result of :meth:`get_extra_state`.
 
         Raises:
             ValueError: If it is of other sensors.
@@ -280,7 +280,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
-    """Make a fault of what a user gives."""
+    """Make a fault of a user's words."""
     if not isinstance(given, str):
         return resolve(given, Fault)
     cells = CELL_NAMES if isinstance(config, LoadCells) else AXES

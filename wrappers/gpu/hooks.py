@@ -39,9 +39,9 @@ def modifier_class(feet: Feet, base: type = object, *, unit: str = "N", fresh: b
     """Make a modifier of an observation that holds the true forces.
 
     Args:
-        feet: The sensors, or what makes them.
+        feet: The sensors, or a function that makes them.
         base: The simulator's base class of modifiers.
-        unit: What comes out, one of :data:`UNITS`.
+        unit: The unit of the result, one of :data:`UNITS`.
         fresh: Whether a robot gets other sensors at each reset.
 
     Returns:
@@ -78,9 +78,9 @@ def noise_model_class(feet: Feet, base: type = object, *, unit: str = "N", fresh
     """Make a noise model of an observation that holds the true forces.
 
     Args:
-        feet: The sensors, or what makes them.
+        feet: The sensors, or a function that makes them.
         base: The simulator's base class of noise models, of which its manager asks for a subclass.
-        unit: What comes out, one of :data:`UNITS`.
+        unit: The unit of the result, one of :data:`UNITS`.
         fresh: Whether a robot gets other sensors at each reset.
 
     Returns:
@@ -132,7 +132,7 @@ def observation_term_class(
     """
 
     class FeetTerm(base):  # type: ignore[misc]
-        """What robots observe of their feet."""
+        """The robots' observations of their feet."""
 
         def __init__(self, cfg: Any, env: Any) -> None:
             # Base classes keep these two and no more, but do not agree on which are handed to them.

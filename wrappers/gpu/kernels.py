@@ -40,12 +40,12 @@ Bytes = wp.array2d[wp.uint8]
 
 
 class Kernel:
-    """What one thread does for one robot.
+    """The work of one thread for one robot.
 
     Args:
         package: Whose headers, a key of :data:`SOURCES`.
         headers: Those that are needed.
-        body: What is done for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
+        body: The work for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
             what :meth:`launch` is given.
         fits: Functions of ``library.c`` that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
@@ -53,7 +53,7 @@ class Kernel:
 
     Attributes:
         library: Where the fields of its records lie, and the functions.
-        layout: What tells this layout from others.
+        layout: The mark of this layout.
     """
 
     library: Library

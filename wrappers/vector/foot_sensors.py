@@ -39,9 +39,9 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
 
     Args:
         env: A vector environment.
-        config: What is under the feet, or all sensors as one value, a
+        config: The instruments under the feet, or all sensors as one value, a
             :class:`~surefoot.wrappers.FootEquipment`.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
         options: Fields of :class:`~surefoot.wrappers.FootEquipment`, as of
             :class:`~surefoot.wrappers.FootSensors`.
 

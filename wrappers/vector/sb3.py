@@ -1,6 +1,6 @@
 """Sensors and calibrators for many robots in Stable-Baselines3, which has vector environments of its own.
 
-Needs the extra ``surefoot[rl]``. What happens to readings is in :mod:`surefoot.wrappers.vector.sensors`
+Needs the extra ``surefoot[rl]``. Readings are treated in :mod:`surefoot.wrappers.vector.sensors`
 and :mod:`surefoot.wrappers.vector.calibration`; here is only how SB3 gathers robots: it resets one in the
 step in which its episode ends, and hands the last observation over as ``infos[i]["terminal_observation"]``.
 """
@@ -35,12 +35,12 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
     Args:
         venv: A vector environment of SB3.
         config: As of :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`, like all others.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
         options: Fields of :class:`~surefoot.wrappers.FootEquipment`.
 
     Attributes:
         sensors: The sensors of all robots.
-        seeds: What each robot was seeded with at the last reset; ``None`` without a seed.
+        seeds: The seed of each robot at the last reset; ``None`` without a seed.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -108,7 +108,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What really happened at the end of the last step, to score against."""
+        """The truth at the end of the last step, to score against."""
         return self.sensors.truth
 
 

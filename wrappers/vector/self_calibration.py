@@ -1,4 +1,4 @@
-"""Self-calibration of many robots while they walk, each with what it knows of itself."""
+"""Self-calibration of many robots while they walk, each with its knowledge of itself."""
 
 from typing import Any
 
@@ -18,13 +18,13 @@ from surefoot.wrappers.vector.truth_row import AnyVectorWrapper
 class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
-    The observation loses ``"foot_raw"`` and gains what ``show`` names, ``infos["surefoot"]`` gains
+    The observation loses ``"foot_raw"`` and gains the parts that ``show`` names, ``infos["surefoot"]`` gains
     ``"parameters"``, ``"covariance"``, ``"flags"``, ``"vgrf"``, ``"reference"`` and ``"lag"``: all as
     :class:`~surefoot.wrappers.SelfCalibration` has it for one robot, in arrays with the robots in front. Each
-    robot has beliefs and a calibrator of its own, and what it learns does not depend on who stands beside
+    robot has beliefs and a calibrator of its own, and its learning does not depend on who stands beside
     it.
 
-    What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
+    The calibration is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
     robots that are not upright (:class:`~surefoot.robot.beliefs.contacts.Upright`). Calibration starts fresh
     at a reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
     ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.

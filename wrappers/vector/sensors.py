@@ -35,7 +35,7 @@ Attribute = Callable[[str], Sequence[Any]]
 
 
 class Planned(NamedTuple):
-    """What a robot plans for its feet, as :class:`~surefoot.envs.Command` has it.
+    """A robot's plan for its feet, as :class:`~surefoot.envs.Command` has it.
 
     Attributes:
         stance: Feet planned to stand, shape (F,).
@@ -47,13 +47,13 @@ class Planned(NamedTuple):
 
 
 class Listener(Protocol):
-    """Who takes in what the sensors read, at the moment at which they do."""
+    """Who takes in the sensors' readings, at the moment of the reading."""
 
     def step(self, starting: Mask | None, fell: Mask | None) -> None:
         """Take in a step, in which some robots were reset instead and some have fallen, shape (N,) each."""
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
-        """Take in robots that were reset, shape (N,), with what."""
+        """Take in robots that were reset, shape (N,), with their seeds and the choice."""
 
 
 class BatchSensors:
@@ -65,15 +65,15 @@ class BatchSensors:
         space: Observation space of one copy.
         attribute: Asks each copy for an attribute.
         given: The sensors that the user put on each.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
 
     Attributes:
         drawing: The robot.
-        equipment: What each is equipped with.
+        equipment: The equipment of each.
         robots: The sensors of each.
-        view: What is seen of them.
-        planned: What each robot plans; ``None`` for one that plans nothing.
-        listeners: Who takes in what they read.
+        view: Their view.
+        planned: The plan of each robot; ``None`` for one that plans nothing.
+        listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
 
     Raises:
@@ -120,7 +120,7 @@ class BatchSensors:
         Args:
             rows: One row of truth a robot, shape (N, R).
             mask: Robots that were reset, shape (N,); ``None`` for all.
-            seed: What they were reset with.
+            seed: The seeds of the reset.
             asked: ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
         """
         count = len(self.robots)
@@ -164,7 +164,7 @@ class BatchSensors:
         Args:
             rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
             mask: These robots, shape (N,).
-            seeds: What each was reset with.
+            seeds: The seed of each.
             asked: As of :meth:`reset`.
         """
         substeps, asked = self._look(rows), asked or {}
@@ -177,22 +177,22 @@ class BatchSensors:
             listener.begin(mask, seeds, asked.get("calibration"))
 
     def show(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Show what the hosts have now; arrays of the environment are not changed."""
+        """Show the hosts' present data; arrays of the environment are not changed."""
         held = np.array([robot.held for robot in self.robots])
         return self.view.show(observations, held, np.array([robot.newest for robot in self.robots]))
 
     def show_one(self, observation: Mapping[str, Any], robot: int) -> dict[str, Any]:
-        """Show what one host has now."""
+        """Show one host's present data."""
         own = self.robots[robot]
         return self.view.show(observation, own.held, own.newest)
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
+        """The truth: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
         return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.true_conditions()
 
     def true_conditions(self) -> dict[str, NDArray[Any]]:
-        """Return what was drawn of the robots' conditions, (N, ...); nothing where these do not differ."""
+        """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
 
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
@@ -241,7 +241,7 @@ class BatchSensors:
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what all robots' hardware keeps, as :meth:`FootSensors.save` does of one.
+        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
 
         Raises:
             RuntimeError: If nothing was drawn yet.
@@ -267,7 +267,7 @@ class BatchSensors:
         return [self.robots[number] for number in numbers]
 
     def _note_conditions(self) -> None:
-        """Keep what was drawn of the robots' conditions, shape (N, ...); nothing where they do not differ."""
+        """Keep the robots' drawn conditions, shape (N, ...); nothing where they do not differ."""
         differ = any(robot.differs for robot in self.robots)
         drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
         self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
@@ -276,7 +276,7 @@ class BatchSensors:
         """Let the library read a control step of all robots for whom it can, in one call.
 
         Args:
-            truth: What the simulator read in each substep, shape (N, S, columns).
+            truth: The simulator's readings in each substep, shape (N, S, columns).
             steps: Robots that have made a step, shape (N,).
 
         Returns:
@@ -296,7 +296,7 @@ class BatchSensors:
         return steps
 
     def _look(self, rows: Floats) -> Floats:
-        """Keep what each robot plans, and return what the simulator read in each substep."""
+        """Keep each robot's plan, and return the simulator's readings in each substep."""
         self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
@@ -306,13 +306,13 @@ class BatchSensors:
         return self._substeps(rows)
 
     def _substeps(self, rows: Floats) -> Floats:
-        """Return what the simulator read in each substep, shape (N, S, columns)."""
+        """Return the simulator's readings in each substep, shape (N, S, columns)."""
         meaning = self._meaning
         return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
 
 
 class SensorsFace:
-    """What wrappers of :class:`BatchSensors` hand on.
+    """The common part of wrappers of :class:`BatchSensors`.
 
     Attributes:
         sensors: The sensors of all robots.
@@ -329,11 +329,11 @@ class SensorsFace:
         self.sensors.set_severity(severity, robots)
 
     def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Change what breaks on robots, as :meth:`BatchSensors.set_faults` does."""
+        """Change the faults of robots, as :meth:`BatchSensors.set_faults` does."""
         self.sensors.set_faults(faults, robots)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""
+        """Write the hardware's lasting state, as :meth:`BatchSensors.save` does."""
         self.sensors.save(path)
 
     def load(self, path: str | PathLike[str]) -> None:
@@ -365,7 +365,7 @@ def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDr
         attribute: Asks each copy for an attribute.
 
     Returns:
-        The robot, and what rows hold.
+        The robot, and the meaning of its rows.
 
     Raises:
         TypeError: If copies have no row of truth.
