@@ -86,7 +86,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     def truth(env):
         return watched(env).force()
 
-    def calibrated(env):
+    def calibrate_feet(env):
         step = env.common_step_counter
         return calibrator(feet(truth(env), step), watched(env).beliefs(), step).force
 
@@ -108,7 +108,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     terms = {
         "true": ObservationTermCfg(truth),
         "read": ObservationTermCfg(truth, noise=FeetCfg(noise_cfg=ConstantNoiseCfg())),
-        "calibrated": ObservationTermCfg(observation_term_class(calibrated, feet, calibrator)),
+        "calibrated": ObservationTermCfg(observation_term_class(calibrate_feet, feet, calibrator)),
     }
     cfg.observations["feet"] = ObservationGroupCfg(terms, concatenate_terms=False, enable_corruption=True)
     env = ManagerBasedRlEnv(cfg, device=device)
