@@ -18,8 +18,8 @@ GLOSSARY = ROOT / "docs" / "glossary.md"
 IRREGULAR = frozenset(
     re.findall(
         r"\w+",
-        "begun bought brought built done drawn driven felt found given grown heard held joined kept known laid "
-        "led left lent lost made met paid seen sent shown sold spent stood taken taught thought thrown told "
+        "begun bought brought built done drawn driven felt found given grown heard held joined kept known "
+        "laid led left lent lost made met paid seen sent shown sold spent stood taken taught thought thrown told "
         "understood walked won worn written",
     )
 )
@@ -83,14 +83,13 @@ class Spoken(NamedTuple):
 @cache
 def spoken() -> Spoken:
     """Read all files."""
-    found = Spoken({package: [] for package in ("", *BUDGETS)}, {})
+    found, texts = Spoken({package: [] for package in ("", *BUDGETS)}, {}), set[str]()
     for file in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
         path = str(file.relative_to(ROOT))
         package = next((name for name in BUDGETS if path.startswith(name)), "")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            place, said = f"{path}:{getattr(node, 'lineno', 1)}", ""
-            for key in ("name", "id", "arg", "attr"):
-                said += f" {getattr(node, key, '')}"
+            place = f"{path}:{getattr(node, 'lineno', 1)}"
+            said = [getattr(node, key) for key in ("name", "id", "arg", "attr") if hasattr(node, key)]
             if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef):
                 docstring, name = ast.get_docstring(node) or "", getattr(node, "name", "")
                 marks = {ast.unparse(mark).split("(")[0] for mark in getattr(node, "decorator_list", [])}
@@ -98,9 +97,12 @@ def spoken() -> Spoken:
                     mark.endswith(("property", "setter")) for mark in marks
                 )
                 found.named[package].append(Named(place, name, is_value, docstring))
-                said += " " + docstring
-            if not package:
-                for word in re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", said).lower()):
+                said.append(docstring)
+            for text in said if not package else ():
+                if text in texts or not isinstance(text, str):
+                    continue
+                texts.add(text)
+                for word in re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", text).lower()):
                     found.words.setdefault(word, place)
     return found
 
