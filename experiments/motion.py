@@ -15,7 +15,7 @@ import numpy as np
 from surefoot.calibration import FeetLayout, Parameters, Reference
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.exercise.motion import motions_offered
+from surefoot.envs.exercise.moves import motions_offered
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working

@@ -12,8 +12,8 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
 from surefoot.native import call_for_many
+from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
-from surefoot.robot.beliefs.references import reference_info
 from surefoot.robot.foot_view import DETERMINED, FootView
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")

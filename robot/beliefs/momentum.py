@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference
+from surefoot.robot.beliefs.believed import Believed
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.references import Beliefs, Believed, Posture
+from surefoot.robot.beliefs.references import Beliefs, Posture
 from surefoot.robot.beliefs.strapdown import Strapdown, StrapdownConstants, touching
 from surefoot.sensors.transport.link import Packets
 

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, require
+from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
-from surefoot.robot.beliefs.references import Beliefs, nothing
+from surefoot.robot.beliefs.references import Beliefs
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 

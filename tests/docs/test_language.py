@@ -19,8 +19,8 @@ IRREGULAR = frozenset(
     re.findall(
         r"\w+",
         "begun bought brought built done drawn driven felt found given grown heard held joined kept known "
-        "laid led left lent lost made met paid seen sent shown sold spent stood taken taught thought thrown told "
-        "understood walked won worn written",
+        "laid led left lent lost made met paid seen sent shown sold spent stood taken taught thought thrown "
+        "told understood walked won worn written",
     )
 )
 """Participles that do not end in -ed."""

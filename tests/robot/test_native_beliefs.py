@@ -18,11 +18,12 @@ from surefoot.calibration.native import NATIVE, Library
 from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.native import Record, compiler
+from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.errors import BeliefErrors
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.references import Beliefs, nothing
+from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.foot_view import CERTAINTY, DETERMINED, PARTS, FootView
 from surefoot.robot.native import view_dtype, view_record
 from surefoot.sensors.telemetry.computer import TelemetryLayout
