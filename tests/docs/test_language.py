@@ -56,6 +56,9 @@ BUDGETS = {
     "benchmarks/in_situ": Budget(13, 28, 0),
 }
 
+OLD_PAGES = ("estimator.md", "in-situ.md", "results.md")
+"""Pages that still have the old language."""
+
 pytestmark = pytest.mark.skipif(not GLOSSARY.exists(), reason="the pages are not part of the wheel")
 
 
@@ -148,6 +151,16 @@ def test_docstrings_open_with_the_verb_or_the_thing() -> None:
     assert not returns_what("")
     found, words = whats("")
     assert 1000 * len(found) < 2 * words, f"{len(found)} in {words} words: {found}"
+
+
+def test_pages_use_few_whats() -> None:
+    texts = [
+        page.read_text(encoding="utf-8")
+        for page in [*ROOT.glob("docs/**/*.md"), ROOT / "CONTRIBUTING.md"]
+        if page.name not in OLD_PAGES
+    ]
+    words = re.findall(r"[A-Za-z']+", " ".join(texts))
+    assert 1000 * sum(word.lower() == "what" for word in words) < 2 * len(words)
 
 
 @pytest.mark.parametrize("package", BUDGETS)
