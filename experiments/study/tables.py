@@ -190,7 +190,7 @@ def _digits(value: float, digits: int) -> str:
     return f"{value:.{decimals}f}"
 
 
-def round_by_deviation(value: float, deviation: float) -> tuple[str, str]:
+def round_to(value: float, deviation: float) -> tuple[str, str]:
     """Return a value and its deviation to the decimal at which the deviation has two significant digits.
 
     >>> rounded(4.75804, 0.1912), rounded(-0.00002, 0.000157), rounded(5231.6, 99.97)
@@ -203,13 +203,13 @@ def round_by_deviation(value: float, deviation: float) -> tuple[str, str]:
 
 
 def with_deviation(value: float, deviation: float) -> str:
-    """Return a value with its deviation, as :func:`round_by_deviation`.
+    """Return a value with its deviation, as :func:`round_to`.
 
     >>> with_deviation(20.91, 0.0312)
     '20.910 ± 0.031'
     """
     both = {"value": value, "plus_minus": deviation}
-    return Valued.of(" ± ".join(round_by_deviation(value, deviation)), both)
+    return Valued.of(" ± ".join(round_to(value, deviation)), both)
 
 
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:
