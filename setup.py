@@ -1,4 +1,4 @@
-"""Compile the libraries in C where there is a C compiler, and say in the wheel's name what is inside."""
+"""Compile the libraries in C where there is a C compiler, and tag the wheel by its contents."""
 
 import os
 import re
@@ -52,7 +52,7 @@ class WheelOfOnePlatform(bdist_wheel):
     """A wheel with libraries serves every Python 3 of one platform; one without serves all platforms."""
 
     def get_tag(self) -> tuple[str, str, str]:
-        """Return what Python, ABI and platform the wheel is for."""
+        """Return Python, ABI and platform of the wheel."""
         if not any(Path(self.bdist_dir, place(sources)).exists() for sources in LIBRARIES):
             return super().get_tag()
         self.root_is_pure = False

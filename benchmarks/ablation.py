@@ -1,4 +1,4 @@
-"""What each part of the moment filter is worth: each switched off in turn, on the same scenes.
+"""The worth of each part of the moment filter: each switched off in turn, on the same scenes.
 
     python benchmarks/ablation.py --out FOLDER --seeds 4
 

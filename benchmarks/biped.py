@@ -145,10 +145,10 @@ class Plan(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What happened on a walk of N moments, :data:`SUBSTEP` apart.
+    """The truth of a walk of N moments, :data:`SUBSTEP` apart.
 
     Attributes:
-        force: What the cells carry in N, the left foot's first, shape (N, 8).
+        force: Loads of the cells in N, the left foot's first, shape (N, 8).
         inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (N, 6).
         joint: Joint angles in rad, shape (N, 12).
         position_sole: Origins of the sole frames in m, shape (N, 2, 3).
@@ -215,7 +215,7 @@ def walk(
 
 
 def _cells(wrench: Floats) -> Floats:
-    """Divide what the plates pass on, without their weight at rest, among the cells, shape (N, 8).
+    """Divide the plates' loads, without their weight at rest, among the cells, shape (N, 8).
 
     A stiff plate that moves by u under its springs, F_i = k_i a_i u with a_i = (1, y_i, -x_i), carries
     (fz, tx, ty) = sum a_i F_i.

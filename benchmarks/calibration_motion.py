@@ -1,4 +1,4 @@
-"""What a motion of its own brings: planned against other motions, and played before walks and exercises.
+"""The worth of a calibration motion: planned against other motions, and played before walks and exercises.
 
     python benchmarks/calibration_motion.py plan                  # bounds of motions of 40 s, NAO
     python benchmarks/calibration_motion.py walk --seeds 20       # NAO: the motion, then 12 s of walking
@@ -51,7 +51,7 @@ class Run(NamedTuple):
 
 
 def run(robot: str, seed: int, prelude: Prelude | None, before: float, enough: float) -> Run:
-    """Play a motion, or do what the robot does anyway for ``before`` s, and score the time after."""
+    """Play a motion, or the robot's usual motion for ``before`` s, and score the time after."""
     if robot == "nao":
         stand = STAND if prelude is not None else STAND_TIME
         length = before + stand + AFTER
@@ -102,7 +102,7 @@ def nees_of(calibration: SelfCalibration, sensors: FootSensors) -> float:
 
 
 def rms(values: Any) -> float:
-    """Root mean square of what is finite."""
+    """Root mean square of finite values."""
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
@@ -211,7 +211,7 @@ def study_plan(budget: float) -> None:
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run the chosen parts."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("study", choices=["plan", "walk", "robots"])

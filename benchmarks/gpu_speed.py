@@ -40,7 +40,7 @@ def time_steps(name: str, call: Callable[[int], object], device: torch.device) -
 
 
 def stepping(robots: int, device: torch.device) -> tuple[torch.Tensor, Reference]:
-    """Let each robot shift its weight: forces (N, 8) of one step, and what it believes."""
+    """Let each robot shift its weight: forces (N, 8) of one step, and its beliefs."""
     share = torch.linspace(0.0, 1.0, robots, device=device)
     force = MASS * GRAVITY / 4 * torch.stack([share, 1.0 - share], dim=1).repeat_interleave(4, dim=1)
     zero = torch.zeros(robots, 3, device=device)

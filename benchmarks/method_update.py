@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/method_update.py
 
-Methods take turns sample by sample in one process, so that what else the machine does hits all of them
+Methods take turns sample by sample in one process, so that other work of the machine hits all of them
 alike. The sliding window solves on every fourth sample (40 samples, 5 iterations, 16 parameters; the CoP
 paper: 2.5 ms), the moment filter on every sixteenth. The moment filter runs in C as well, called by
 ``FootCalibrator``. No test asserts these figures.

@@ -1,4 +1,4 @@
-"""Feet that stand, walk and are held: what the foot calibrators make of single feet and cells.
+"""Feet that stand, walk and are held: errors of single feet and cells by the foot calibrators.
 
     python benchmarks/momentum.py --out FOLDER --scenes nao/walk g1/walk g1/held-20 --seeds 4
 
@@ -57,7 +57,7 @@ HELD_OUT = 100
 
 
 class Scene(NamedTuple):
-    """What a robot does.
+    """A robot's motion.
 
     Attributes:
         robot: Whose environment it is.
@@ -157,7 +157,7 @@ def g1_by_policy(policy: str) -> gym.Env[Any, Any]:
 
 
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
-    """Make a scene's environment, and what acts in it."""
+    """Make a scene's environment, and its controller."""
     if scene.robot.startswith("g1"):
         policy = "fastsac_g1_29dof" if scene.robot.endswith("fastsac") else "ppo_g1_29dof"
         env = g1_by_policy(policy)
@@ -208,14 +208,14 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     raw, accelerations, momenta, true, sole, R = zip(*rows, strict=True)
     return Stream(
         layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
-        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stacked(Reference, accelerations),
-        momenta=_stacked(MomentumReference, momenta), true=_stacked(Parameters, true),
+        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stack(Reference, accelerations),
+        momenta=_stack(MomentumReference, momenta), true=_stack(Parameters, true),
         sole=np.stack(sole), R=np.stack(R), fell=fell,
     )  # fmt: skip
 
 
 def _outside(scene: Scene, time: float, weight: float) -> Floats:
-    """Return what acts on the torso from outside, in N."""
+    """Return the outside force on the torso in N."""
     since, left = time - HELD_FROM, HELD_FROM + HELD_FOR - time
     force = np.zeros(3)
     force[2] = scene.lifted * weight * np.clip(min(since, left) / HELD_RAMP, 0.0, 1.0)
@@ -224,7 +224,7 @@ def _outside(scene: Scene, time: float, weight: float) -> Floats:
     return force
 
 
-def _stacked(kind: Any, rows: Sequence[Any]) -> Any:
+def _stack(kind: Any, rows: Sequence[Any]) -> Any:
     return kind(*(np.stack(part) for part in zip(*rows, strict=True)))
 
 
@@ -331,7 +331,7 @@ def _row(folder: Path, name: str, seed: int, start: str, methods: Sequence[str])
 
 
 def main() -> None:
-    """Record what is missing, and print the table."""
+    """Record the missing walks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the recorded scenes")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))

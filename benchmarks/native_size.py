@@ -1,4 +1,4 @@
-"""What the headers in C take on a robot's own computer: code, state and deepest stack, compiled for it here.
+"""The size of the headers in C on a robot's own computer: code, state and deepest stack, compiled here.
 
     pip install ziglang
     python benchmarks/native_size.py
@@ -83,8 +83,8 @@ def deepest(assembly: str) -> int:
     calls: dict[str, set[str]] = {}
     name, in_sizes = "", False
     for line in assembly.splitlines():
-        if begun := re.match(r"\s+\.type\s+(\w+),\s*[%@]function", line):
-            name = begun[1]
+        if start := re.match(r"\s+\.type\s+(\w+),\s*[%@]function", line):
+            name = start[1]
             calls[name] = set()
         elif call := re.match(r"\s+bl?(?:\.w)?\s+(\w+)$", line):
             calls[name].add(call[1])

@@ -1,11 +1,11 @@
-"""What the native step of everything costs: sensors, telemetry, beliefs, filter and view of a NAO, in C.
+"""The time of the native step of everything: sensors, telemetry, beliefs, filter and view of a NAO, in C.
 
     python benchmarks/native_step.py
     python benchmarks/native_step.py --steps 600 --robots 1 4096 --rounds 1
 
-A walk is recorded once through the wrappers: what the native step reads, and the forces that it makes of
+A walk is recorded once through the wrappers: the inputs of the native step, and the forces that it makes of
 that. A small program is compiled with the headers and the robot's constants, with arrays as large as this
-robot needs. It steps N robots over the recording, each with a state and random numbers of its own, begun at
+robot needs. It steps N robots over the recording, each with a state and random numbers of its own, started at
 other moments so that their blocks do not fill together. First it must make the forces of the recording.
 
 Told are microseconds of a robot's step: means over 16 steps, one block of the filter, of which the middle one
@@ -28,7 +28,7 @@ import surefoot  # noqa: F401
 from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.calibration.native import c_source as of_filter
 from surefoot.calibration.native import installed
-from surefoot.native import c_header, compiler, required
+from surefoot.native import c_header, compiler, require
 from surefoot.native.build import FLAGS, SHARED
 from surefoot.robot.beliefs.native import c_source as of_beliefs
 from surefoot.robot.native import view_record
@@ -175,8 +175,8 @@ int main(int argc, char **argv) {
 
 
 def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
-    """Record a walk: the robot's constants in C, what the native step reads, and the forces it makes."""
-    required(installed())
+    """Record a walk: the robot's constants in C, the inputs of the native step, and its forces."""
+    require(installed())
     options = {"speed": 0.04, "duration": steps / 80.0 + 5.0, "disable_env_checker": True}
     env: Any = gym.make("surefoot/NaoWalk-v0", **options)
     env = SelfCalibration(FootSensors(env, "hx711-load-cells"), "moment")
@@ -197,7 +197,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
 def constants(env: Any, sensors: Any) -> str:
     """Return the robot in C: its constants, and its cells and random numbers as an episode begins."""
     equipment, telemetry = sensors.equipment, sensors.telemetry
-    streams, cells, library = equipment.streams(0), equipment.fitted.native["cells"], required(installed())
+    streams, cells, library = equipment.streams(0), equipment.fitted.native["cells"], require(installed())
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)
     first, *more = equipment.instruments.first_steps(telemetry.dt)
@@ -221,7 +221,7 @@ def constants(env: Any, sensors: Any) -> str:
     return "".join(parts)
 
 
-def compiled(source: str, folder: Path) -> Path:
+def compile_program(source: str, folder: Path) -> Path:
     """Compile the program, and return where it is."""
     program, text = folder / "robot", folder / "robot.c"
     text.write_text(source + PROGRAM)
@@ -257,9 +257,9 @@ def main(given: list[str] | None = None) -> None:
         folder = Path(name)
         data = folder / "walk"
         rows.tofile(data)
-        program = compiled(source, folder)
+        program = compile_program(source, folder)
         check(program, data, forces)
-        # The walk has begun, and 512 moments hold all phases of a block and many of a stride.
+        # The walk goes on, and 512 moments hold all phases of a block and many of a stride.
         before, moments = arguments.steps // 5, min(512, arguments.steps // 4)
         cases = [(robots, swept) for robots in arguments.robots for swept in (True, False)[robots > 1 :]]
         taken: dict[Any, list[Any]] = {}

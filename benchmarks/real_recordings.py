@@ -7,8 +7,8 @@ put onto the recorded cells, and the calibrators are told
 * the centre of pressure of the record before the errors were put in,
 * when nothing stood on the plate.
 
-Scored is as the walks of ``surefoot compare walking`` are, against the record itself, for what no record
-knows better: a plate's own errors are in both.
+Scored is as the walks of ``surefoot compare walking`` are, against the record itself, for truth that no
+record knows better: a plate's own errors are in both.
 
     SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py --seeds 10
 
@@ -36,7 +36,7 @@ from surefoot.experiments.study.tables import Frame, Table, with_interval
 from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
-from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.score import hold_last
 
 Floats = NDArray[np.float64]
 
@@ -50,10 +50,10 @@ _STREAM = 0x5EA2
 
 
 class Recording(NamedTuple):
-    """One plate over time, at the rate of :data:`RATE`; what is put in is not in it yet.
+    """One plate over time, at the rate of :data:`RATE`; errors come later.
 
     Attributes:
-        name: What tables call it.
+        name: Its name in tables.
         layout: One foot of four cells: x ahead (AP), y to the left (ML).
         force: Recorded cells in N, their own zeros taken off where they were seen, shape (N, 4). NaN where
             the recorder left a gap.
@@ -81,7 +81,7 @@ class Recording(NamedTuple):
         return float(self.vgrf[self.loaded].mean()) if self.loaded.any() else 100.0
 
     def reference(self) -> Reference:
-        """Say what the calibrators are told as the beliefs of a robot whose feet stand at one place."""
+        """Return the beliefs that calibrators are given of a robot whose feet stand at one place."""
         samples, feet = len(self.force), len(self.layout.feet)
         zero = np.zeros((samples, 3))
         moving = np.where(self.loaded & self.still, 0.0, 1.0)[:, None]
@@ -131,7 +131,7 @@ def wii_board(folder: Path) -> Recording:
     )
 
 
-def rocked_pole(folder: Path) -> Recording:
+def load_rocked_pole(folder: Path) -> Recording:
     """Load the force plate on which a loaded pole is rocked about a fixed tip."""
     with np.load(folder / "foot" / "caltester_FP1_600hz.npz") as file:
         cells, rate = file["plate0_N"][4:].T.astype(np.float64), float(file["rate_hz"])
@@ -193,14 +193,14 @@ def _cop(layout: FeetLayout, force: Floats) -> Floats:
 
 
 def _resample(values: Floats, rate: float) -> Floats:
-    """Bring an evenly sampled log to :data:`RATE`, what is faster than half of it taken out before."""
+    """Bring an evenly sampled log to :data:`RATE`, faster changes than half of it taken out before."""
     smooth = zero_phase(values, 0.35 * RATE, 1.0 / rate)
     time, even = np.arange(len(values)) / rate, np.arange(0.0, (len(values) - 1) / rate, 1.0 / RATE)
     return np.column_stack([np.interp(even, time, column) for column in smooth.T])
 
 
 def _surely(condition: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
-    """Keep of a condition only what is further than a margin in s from where it does not hold."""
+    """Keep of a condition only moments that are further than a margin in s from where it does not hold."""
     reach = round(margin * RATE)
     broken = np.convolve(~condition, np.ones(2 * reach + 1), mode="same") > 0.5
     return condition & ~broken
@@ -240,7 +240,7 @@ def icub_feet(folder: Path) -> Recording:
 
 RECORDINGS: Mapping[str, tuple[Callable[[Path], Recording], Mapping[str, Any], Mapping[str, Any]]] = {
     "board": (wii_board, {}, {}),
-    "pole": (rocked_pole, {}, _IMPATIENT),
+    "pole": (load_rocked_pole, {}, _IMPATIENT),
     "empty-plate": (drifting_zeros, {}, {}),
     "icub": (icub_feet, _FOOT_LENGTH, {}),
 }
@@ -270,7 +270,7 @@ def spoil(recording: Recording, seed: int) -> Stream:
         lag=0,
         seed=seed,
         truth=LogTruth(
-            force=np.zeros_like(recording.force) if empty else held(recording.force),
+            force=np.zeros_like(recording.force) if empty else hold_last(recording.force),
             position_sole=soles,
             R_world_sole=level,
             scale=np.broadcast_to(1.0 / gain, (samples, channels)),

@@ -28,7 +28,7 @@ def recipe() -> dict[str, Any]:
 
 
 def play(venv: Any, model: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Play one episode a robot, with a model or with nobody; return what was paid, and who fell."""
+    """Play one episode a robot, with a model or with nobody; return the rewards, and who fell."""
     venv.seed(EVALUATION_SEED)
     seen: Any = venv.reset()
     paid, playing = np.zeros(venv.num_envs), np.ones(venv.num_envs, dtype=bool)

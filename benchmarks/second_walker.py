@@ -3,7 +3,7 @@
     python benchmarks/second_walker.py --seeds 4 --out FOLDER
 
 A judge, on which no option of a method is to be tuned. The biped, its gait and its controller are those of
-``biped.py``; what it believes of itself is made here, in another way than the package's wrappers make it:
+``biped.py``; its beliefs are made here, in another way than the package's wrappers make them:
 
 * the upright comes from the accelerometer (Mahony, Hamel and Pflimlin, 2008), not from the soles, so that an
   accelerometer's bias tilts the level frame and the soles do not lie flat in it;
@@ -51,10 +51,10 @@ METHODS = ("none", "tare", "window", "moment")
 
 
 class Start(NamedTuple):
-    """What cells the robot walks on.
+    """The cells that the robot walks on.
 
     Attributes:
-        cells: The cells; their nominal map is what methods start from.
+        cells: The cells; methods start from their nominal map.
         stairs: Whether the servos' commands are stairs.
     """
 
@@ -129,7 +129,7 @@ _STREAM = 0x2B1BED
 
 
 class Telemetry(NamedTuple):
-    """What M packets held and when they came.
+    """M packets and when they came.
 
     Attributes:
         arrival: In s of the host's clock, shape (M,).
@@ -246,7 +246,7 @@ def _rows(telemetry: Telemetry, model: NominalModel) -> Floats:
 def record(
     speed: float, seed: int, duration: float, starts: Sequence[str], *, stairs: bool = True
 ) -> dict[str, Log]:
-    """Walk once, and log what the cells of each start read.
+    """Walk once, and log the readings of each start's cells.
 
     Args:
         speed: In m/s.
@@ -332,7 +332,7 @@ def record_missing(folder: Path, speed: float, seed: int, duration: float, start
 
 
 def stream(path: Path) -> Stream:
-    """Read a log for :func:`~surefoot.experiments.walks.play.play`, and say what is judged."""
+    """Read a log for :func:`~surefoot.experiments.walks.play.play`, and the judged samples."""
     log = read_log(path)
     return Stream(log, log.seed or 0, log.time >= SETTLE, STAND, fell=bool(log.about["fell"]))
 
@@ -344,7 +344,7 @@ def score(path: Path, method: str, **options: Any) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Record what is missing, and print the table."""
+    """Record the missing walks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the logs")
     parser.add_argument("--seeds", type=int, default=4)

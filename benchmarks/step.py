@@ -1,4 +1,4 @@
-"""What a step costs: bare and with each layer around it, by the library and by the specification.
+"""The time of a step: bare and with each layer around it, by the library and by the specification.
 
     python benchmarks/step.py
     python benchmarks/step.py --robots NaoBalance G1 --rounds 400
@@ -9,7 +9,7 @@
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
 the bare step it is, with an interval that holds this median 19 times in 20, and last the time of a reset that
-keeps sensors and what was learnt. Time is that of the process and its children; of many robots also the time
+keeps sensors and calibration. Time is that of the process and its children; of many robots also the time
 that passes. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs
 ``pip install surefoot[robots]``.
 
@@ -47,7 +47,7 @@ CELLS, ANKLES = "hx711-load-cells", "icub-force-torque"
 
 
 class Robot(NamedTuple):
-    """An environment, its options, and what is under the robot's feet."""
+    """An environment, its options, and the instruments under the robot's feet."""
 
     env: str
     options: dict[str, Any]
@@ -67,7 +67,7 @@ RESETS = 40
 
 @contextmanager
 def specification() -> Iterator[None]:
-    """Let Python do what the libraries do."""
+    """Let Python do the work of the libraries."""
     with patch.object(CALIBRATION, "_found", (None,)), patch.object(SENSORS, "_found", (None,)):
         yield
 
@@ -113,12 +113,12 @@ class Stack:
 
 
 def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) -> dict[str, Stack]:
-    """Make what is wrapped around an environment, each layer around one of its own."""
+    """Make the wrappers around an environment, each layer around one of its own."""
 
     def bare() -> gym.Env[Any, Any]:
         return gym.make(robot.env, disable_env_checker=True, **robot.options)
 
-    def sensed() -> gym.Env[Any, Any]:
+    def with_sensors() -> gym.Env[Any, Any]:
         return FootSensors(bare(), robot.config, faults=faults)
 
     found: dict[str, gym.Env[Any, Any]] = {}
@@ -127,9 +127,9 @@ def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) ->
         if not robot.env.startswith("surefoot/"):
             found["InstrumentedEnv"] = InstrumentedEnv(bare())
     with nullcontext() if native else specification():
-        found["FootSensors"] = sensed()
+        found["FootSensors"] = with_sensors()
         for method in methods:
-            found[f"+ SelfCalibration({method})"] = SelfCalibration(sensed(), method)
+            found[f"+ SelfCalibration({method})"] = SelfCalibration(with_sensors(), method)
     return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
 
 
@@ -155,7 +155,7 @@ def many(
             return gym.make_vec(robot.env, count, "vector_entry_point", threads=threads, **robot.options)
         return make_copies(robot, count, gym.vector.SyncVectorEnv, *wrappers)
 
-    def sensed() -> Any:
+    def with_sensors() -> Any:
         feet = VectorFootSensors(bare(TruthRow), robot.config, faults=faults)
         feet.sensors.threads = threads
         return feet
@@ -167,9 +167,9 @@ def many(
     found["bare"] = bare()
     if not robot.batch:
         found["TruthRow"] = bare(TruthRow)
-    found["VectorFootSensors"] = sensed()
+    found["VectorFootSensors"] = with_sensors()
     for method in methods:
-        found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(sensed(), method)
+        found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(with_sensors(), method)
     return {name: Stack(env, True) for name, env in found.items()}
 
 

@@ -6,8 +6,8 @@
 Rounds are interleaved: in each the same episodes are swept by one worker and by two, and the order changes
 from round to round. Workers are up before the clock starts, as for all but the first seconds of a sweep.
 
-Times on the wall are worth something on a machine that does nothing else. What others do takes more from two
-workers than from one, so each round also says what the sweeps cost whatever the load: the processor time of
+Times on the wall are worth something on a machine that does nothing else. Other work takes more from two
+workers than from one, so each round also gives a cost that does not depend on the load: the processor time of
 the episodes, and the share of the workers' time that went into them (the rest is waiting for work). Two cores
 of one's own make the sweep faster by
 

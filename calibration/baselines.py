@@ -55,10 +55,10 @@ class SwingTare:
 
 
 class TareState(NamedTuple):
-    """What the tare remembers.
+    """The state of the tare.
 
     Attributes:
-        front: What the way of a sample remembers.
+        front: The state of the front end.
         airborne: Samples that each channel's foot has been in the air for, shape (K,).
         count: Readings of this swing that were used, shape (K,).
         mean: Their mean in N, shape (K,).
@@ -125,7 +125,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
     return OnlineMethod(init, update, limits=limits)
 
 
-def uncorrected(setup: OnlineSetup) -> OnlineMethod:
+def leave_start(setup: OnlineSetup) -> OnlineMethod:
     """Return the method that leaves the starting map as it is, and readings as they were read.
 
     Args:

@@ -1,4 +1,4 @@
-r"""What the robot's own motion asks of the ground's force: the reference of the calibrators.
+r"""The ground force that the robot's own motion requires: the reference of the calibrators.
 
 Newton and Euler for the whole robot (CoP paper, Eqs. 6, 7), f_i the ground's forces at p_i,
 
@@ -27,7 +27,7 @@ from surefoot.calibration.reference import GRAVITY, Reference
 
 
 class GroundReference(NamedTuple):
-    """What the ground ought to exert.
+    """The ground force that is expected.
 
     Attributes:
         vgrf: Total vertical force in N, shape (...).

@@ -54,7 +54,7 @@ class Certainty:
         self.forget()
 
     def forget(self) -> None:
-        """Start anew: nothing is known."""
+        """Start again: nothing is known."""
         self.std, self.certain = math.inf, False
 
     def update(self, cop_std: ArrayLike) -> bool:

@@ -1,4 +1,4 @@
-"""Checks of arguments: each raises an error that names the argument, the rule and what was given."""
+"""Checks of arguments: each raises an error that names the argument, the rule and the given value."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def check_tail(array: Array, tail: tuple[int | str, ...], what: str) -> None:
     Args:
         array: The array.
         tail: Lengths of its last axes; a word, such as ``"feet"``, stands for any length.
-        what: Its name in the message.
+        what: Name of the value in the message.
 
     Raises:
         ValueError: If the dtype is not floating or the last axes do not match.
@@ -107,7 +107,7 @@ def as_number(name: str, value: Any) -> float:
 
 
 def is_whole(value: Any) -> bool:
-    """Return whether a value is a whole number; infinities, NaN and what is no number are not."""
+    """Return whether a value is a whole number; infinities, NaN and values that are no numbers are not."""
     try:
         return not isinstance(value, bool) and bool(value == int(value))
     except (TypeError, ValueError, OverflowError):

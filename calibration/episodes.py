@@ -1,11 +1,11 @@
-"""Episode starts: what a calibrator drops, and what it keeps.
+"""Episode starts: which state a calibrator drops, and which it keeps.
 
 A state of an online method has two kinds of numbers in it:
 
-* **What was learnt** about the sensors, and which channels are broken (:data:`LEARNT`). It survives the end
+* **The calibration** of the sensors, and which channels are broken (:data:`LEARNT`). It survives the end
   of an episode, as it does on a robot that is carried back to its start.
-* **What belongs to the stream**: the last readings, samples that wait, filters, the count of a swing. After
-  an episode start none of it belongs to what comes next. In particular the forces that wait for their
+* **The state of the stream**: the last readings, samples that wait, filters, the count of a swing. After
+  an episode start none of it belongs to the next samples. In particular the forces that wait for their
   reference (``lag`` samples of them) become *unread*, so that nothing is learnt until the first reference
   of the new episode meets a force of the new episode.
 
@@ -50,7 +50,7 @@ of a user's own method names them itself, in an attribute ``LEARNT``."""
 
 
 def begin_episode(fresh: Tree, state: Tree) -> Tree:
-    """Return a state that begins an episode with what was learnt.
+    """Return a state that begins an episode with the calibration so far.
 
     Args:
         fresh: ``init(raw)`` of the same method.
@@ -72,5 +72,5 @@ def begin_episode(fresh: Tree, state: Tree) -> Tree:
             own[name] = old
         elif isinstance(old, tuple):
             own[name] = begin_episode(getattr(fresh, name), old)
-    begun: Tree = fresh._replace(**own)  # type: ignore[attr-defined]
-    return begun
+    started: Tree = fresh._replace(**own)  # type: ignore[attr-defined]
+    return started

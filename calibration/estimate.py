@@ -1,4 +1,4 @@
-"""What an online calibrator hands back for every sample."""
+"""The result of an online calibrator for every sample."""
 
 from enum import IntFlag
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from surefoot.calibration.arrays import Array
 
 
 class Flag(IntFlag):
-    """What a channel of an estimate should be read with; bits that add up.
+    """Doubts about a channel of an estimate; bits that add up.
 
     >>> Flag(3)
     <Flag.MISSING|OUT_OF_RANGE: 3>

@@ -91,7 +91,7 @@ class FootCalibrator:
         self._begin()
 
     def _begin(self) -> None:
-        """Build what follows from the setup and the options."""
+        """Build the method from the setup and the options."""
         self._pure = online_method(self.method, self.setup, **self._options)
         self._native: NativeFilter | None = native_filter(installed(), self.method, self.setup, self._options)
 
@@ -116,7 +116,7 @@ class FootCalibrator:
 
     @property
     def limits(self) -> Mapping[str, tuple[Any, Any]]:
-        """Least and greatest values of the state's leaves: what :meth:`load` accepts."""
+        """Least and greatest values of the state's leaves that :meth:`load` accepts."""
         return self._pure.limits
 
     def update(
@@ -153,7 +153,7 @@ class FootCalibrator:
         return estimate
 
     def native(self) -> tuple[NativeFilter, NativeState] | None:
-        """Return the library's filter and its state, begun if there was no sample; ``None`` in Python."""
+        """Return the library's filter and its state, started if there was no sample; ``None`` in Python."""
         native, state = self._native, self._state
         if native is None:
             return None
@@ -165,11 +165,11 @@ class FootCalibrator:
         return native, state
 
     def is_in(self, state: NativeState) -> bool:
-        """Return whether this state, and no copy of it, is what it goes on with."""
+        """Return whether this state, and no copy of it, is the one it goes on with."""
         return self._state is state
 
     def retract(self) -> None:
-        """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.
+        """Take back the learning of the last seconds, for a robot that has fallen or was seized.
 
         Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
         new before it has learnt for 1.5 s again; other methods go on as they are.
@@ -188,8 +188,8 @@ class FootCalibrator:
 
         Raises:
             RuntimeError: If no sample came yet.
-            ValueError: If the state holds what :meth:`load` would refuse, or something else than a regular
-                file bears the name; what is there is left as it is.
+            ValueError: If the state holds values that :meth:`load` would refuse, or something else than a
+                regular file bears the name; the old file is left as it is.
         """
         if self._state is None:
             raise RuntimeError("There is nothing to save before the first update().")
@@ -201,7 +201,7 @@ class FootCalibrator:
         Raises:
             FileNotFoundError: If there is no such file.
             ValueError: If the file is not from this method and setup, its arrays do not fit, or they hold
-                what no state can; what was learnt is as it was.
+                impossible values; the calibration stays as it was.
         """
         fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
         self._state = load_state(path, fresh, self.limits, **self._notes())
@@ -218,7 +218,7 @@ class FootCalibrator:
         return state
 
     def _notes(self) -> dict[str, str]:
-        """Name what a saved state belongs to."""
+        """Name the setup that a saved state belongs to."""
         setup = self.setup
         # Adding zero makes -0.0 the 0.0 that it equals.
         wrench_map = np.asarray(setup.layout.wrench_map, dtype=np.float64) + 0.0

@@ -1,4 +1,4 @@
-r"""Plans of what a robot should do to calibrate its feet: the motions that lower the bound most per second.
+r"""Plans of a robot's motions to calibrate its feet: the motions that lower the bound most per second.
 
 The posterior bound (:mod:`surefoot.calibration.moment.bound`) of a motion needs no estimate and no drawn
 error: the covariance after it follows from the covariance before it, the motion, and the model that the
@@ -41,8 +41,8 @@ class FootMotion(NamedTuple):
     """One motion that a robot can do, n samples long.
 
     Attributes:
-        force: What the feet's channels would read without errors in N (or the channel's unit), shape (n, K).
-        reference: What the robot would believe at those samples, less the lag.
+        force: Readings of the feet's channels without errors in N (or the channel's unit), shape (n, K).
+        reference: The robot's beliefs at those samples, less the lag.
     """
 
     force: Floats
@@ -68,15 +68,15 @@ class MovingRobot:
 
 @dataclass(frozen=True, eq=False)
 class FootExcitation:
-    """Motions to do, and what they will bring.
+    """Motions to do, and their gain.
 
     Attributes:
-        goal: What is lowered.
+        goal: The quantity to lower.
         motions: Their names, in order.
         time: Time after each in s, shape (S,).
         before: The goal's standard deviation before, in m for the centre of pressure and N for a channel.
         std: That after each motion, shape (S,).
-        rates: What each motion that can be done would bring first, in nats per second: the logarithm of
+        rates: Information per second that each possible motion would bring first, in nats: the logarithm of
             standard deviation before by after, over its duration.
         covariance_before: Of (a, b) of all channels before, shape (2K, 2K).
         covariance: That after the last.
@@ -106,12 +106,12 @@ def plan_foot_excitation(
 
     Args:
         layout: How the channels make up the feet's wrenches.
-        robot: The robot and what it can do.
+        robot: The robot and its motions.
         budget: Most time in s.
         goal: ``"cop"``: the root mean square of the centre of pressure's standard deviation over all samples
             of all motions, in m; ``"channel"``: that of the worst channel's force in N.
         enough: The standard deviation of the goal at which the plan ends early.
-        motions: Motions to do in this order in place of a choice, to learn what they bring.
+        motions: Motions to do in this order in place of a choice, to learn their gain.
         **options: Fields of :class:`~surefoot.calibration.OnlineSetup` and of the moment filter.
 
     Raises:
@@ -165,8 +165,8 @@ class _Choice:
     """Motions to choose among.
 
     Args:
-        aim: What is lowered.
-        passages: What each motion makes of a covariance.
+        aim: The quantity to lower.
+        passages: The effect of each motion on a covariance.
         length: How long each takes in s.
         start: Covariance before, shape (N, N).
     """
@@ -208,7 +208,7 @@ class _Choice:
 
 
 class _Way(NamedTuple):
-    """Some motions one after the other, and what is known then."""
+    """Some motions one after the other, and the knowledge after them."""
 
     std: float
     time: float
@@ -217,7 +217,7 @@ class _Way(NamedTuple):
 
 
 class _Aim:
-    """What a covariance means for the goal: the largest of some traces, trace(W S)."""
+    """The value of a covariance for the goal: the largest of some traces, trace(W S)."""
 
     def __init__(self, goal: str, logs: Mapping[str, LogPassages]) -> None:
         weights = []

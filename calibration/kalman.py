@@ -18,7 +18,7 @@ from surefoot.calibration.arrays import Array
 
 
 class KalmanStep(NamedTuple):
-    """What came of one step; N unknowns.
+    """The result of one step; N unknowns.
 
     Attributes:
         mean: x, shape (N,).

@@ -1,6 +1,6 @@
 """How the calibrated channels of a foot add up to the wrench on its sole.
 
-Every foot sensor is an affine map from raw channels to forces; what distinguishes four load cells
+Every foot sensor is an affine map from raw channels to forces; the difference between four load cells
 from a six-axis sensor at the ankle is only how those forces add up. That is a 6 x k matrix, and it is
 all that a calibrator knows of a foot's hardware.
 
@@ -27,10 +27,11 @@ FORCE_TORQUE_NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 @dataclass(frozen=True, eq=False)
 class FootSensor:
-    """One instrument of a foot: which channels are its own, and what hangs beyond it.
+    """One instrument of a foot: which channels are its own, and which mass hangs beyond it.
 
-    What is beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves with
-    the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the offset.
+    The mass beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves
+    with the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the
+    offset.
 
     Attributes:
         channels: Its channels within the foot.
@@ -54,7 +55,7 @@ class FootLayout:
     """One foot: its channels and the wrench that they make up.
 
     Attributes:
-        name: What messages and logs call the foot, such as ``"left"``.
+        name: The foot's name in messages and logs, such as ``"left"``.
         wrench_map: Sole wrench per unit of each calibrated channel, shape (6, k).
         channel_names: k names, such as ``"front-left"``.
         position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None``
@@ -107,7 +108,7 @@ class FootLayout:
         (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay 0.
 
         Args:
-            name: What messages and logs call the foot.
+            name: The foot's name in messages and logs.
             position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3);
                 four cells are ordered (front-left, front-right, rear-left, rear-right).
             channel_names: Names of the cells; four cells need none.
@@ -164,7 +165,7 @@ class FootLayout:
         The channels are (fx, fy, fz, tx, ty, tz) of the ground on the robot, at and in the sensor's frame.
 
         Args:
-            name: What messages and logs call the foot.
+            name: The foot's name in messages and logs.
             position_sensor_sole: Origin of the sensor's frame in the sole frame in m, shape (3,).
             R_sole_sensor: Rotation from the sensor's frame to the sole frame, shape (3, 3); by default they
                 are parallel.
@@ -193,7 +194,7 @@ class FootLayout:
         Its channels are forces there. Of its centre of pressure nothing needs to be measured.
 
         Args:
-            name: What messages and logs call the foot.
+            name: The foot's name in messages and logs.
             axes: Which forces are measured: ``"z"`` alone, or any of ``"xyz"`` in this order.
             R_sole_sensor: Rotation from the sensor's axes to those of the foot, shape (3, 3); by default they
                 are parallel.
@@ -219,7 +220,7 @@ class FootLayout:
         axis at all. Calibrators that know of it hold the instruments against each other.
 
         Args:
-            name: What messages and logs call the foot.
+            name: The foot's name in messages and logs.
             feet: The same foot with each of its instruments alone; their channels follow each other.
 
         Raises:
@@ -249,8 +250,9 @@ class FootLayout:
 class FeetLayout:
     """Both feet, ordered (left, right); their channels follow each other in one flat array.
 
-    There may be any number of feet. A force plate or a balance board is one, a quadruped has four. What is
-    documented with a 2 for the feet then has their number: of four, positions of the soles have shape (4, 3).
+    There may be any number of feet. A force plate or a balance board is one, a quadruped has four. All that
+    is documented with a 2 for the feet then has their number: of four, positions of the soles have shape (4,
+    3).
 
     Attributes:
         feet: The layouts of the feet.

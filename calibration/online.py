@@ -5,12 +5,12 @@ An online method is a set of pure functions over a state that is a value,
     init, update, retract = online_method("moment", setup)
     state = init(raw)                                       # of one robot
     state, estimate = update(state, raw, reference, dt)     # one sample
-    state = retract(state)                                  # what the robot learnt as it began to fall
+    state = retract(state)                                  # the learning while the robot began to fall
 
 of NumPy's arrays in float64, for one robot. A state is a ``NamedTuple`` of arrays and numbers: keeping one,
 copying one, and :func:`surefoot.calibration.state.save_state` lose nothing.
 
-Methods differ in what they learn from. What they share (checks, the delay of the reference, what an
+Methods differ in their data. The common part (checks, the delay of the reference, what an
 estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 
 | name | learns | from |
@@ -29,7 +29,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from surefoot.calibration.baselines import SwingTare, tare, uncorrected
+from surefoot.calibration.baselines import SwingTare, leave_start, tare
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import moment_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
@@ -64,7 +64,7 @@ class MethodEntry(NamedTuple):
         certain: Whether it reports a covariance.
         momentum: Whether it would rather learn from a
             :class:`~surefoot.calibration.reference.MomentumReference`.
-        contact: Whether it reports how likely feet bear load, and what it could not determine.
+        contact: Whether it reports how likely feet bear load, and how much is undetermined.
     """
 
     build: Callable[..., OnlineMethod]
@@ -79,7 +79,7 @@ _METHODS = {
     "window": MethodEntry(window, Window),
     "quasi-static": MethodEntry(quasi_static, Window),
     "tare": MethodEntry(tare, SwingTare),
-    "none": MethodEntry(uncorrected),
+    "none": MethodEntry(leave_start),
 }
 
 METHODS = MappingProxyType(_METHODS)

@@ -1,4 +1,4 @@
-"""What a robot believes about itself at one sample: the side that sensors are held against.
+"""A robot's beliefs about itself at one sample: the side that sensors are held against.
 
 Everything here comes from encoders, an IMU and a model of the robot; nothing comes from the feet's
 sensors. Positions are given in any *level* frame: z against gravity, the origin and the heading as the
@@ -45,7 +45,7 @@ class MomentumReference(NamedTuple):
 
     A robot measures velocities, not accelerations. All fields are of the *end* of the interval that the
     reading covers, in one level frame that neither turns nor moves with the robot: a sole that stands stays
-    where it is. That frame may drift, as odometry does, by what the noise of the velocity allows.
+    where it is. That frame may drift, as odometry does, as far as the noise of the velocity allows.
 
     Attributes:
         com: Centre of mass in m, shape (3,).

@@ -1,6 +1,6 @@
 """Run an online method over a log: as the robot would have, or with hindsight.
 
-Causal replay is the stream itself, sample by sample: what comes out is what the robot would have known.
+Causal replay is the stream itself, sample by sample: it gives the robot's knowledge at each moment.
 With ``zero_phase`` the forces and the accelerations pass the CoP paper's zero-phase filter of 10 Hz first,
 which no robot could do, and the method then filters nothing; use that to compare with the paper, never to
 judge a controller.
@@ -137,6 +137,6 @@ def _row(reference: Any, k: int) -> Any:
 
 
 def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:
-    """Filter what is plausible; the rest stays as it is, for the method to flag, and touches no neighbour."""
+    """Filter plausible readings; others stay as they are, for the method to flag, and change no neighbour."""
     plausible = (values >= low) & (values <= high)
     return np.where(plausible, filter_zero_phase(np.where(plausible, values, np.nan), cutoff, dt), values)

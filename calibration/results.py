@@ -1,4 +1,4 @@
-"""What an offline fit returns besides its value, and the error if it cannot."""
+"""The result of an offline fit besides its value, and the error if there is none."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,8 +29,8 @@ class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error 
     """Raised by a fit that the data do not determine.
 
     Attributes:
-        reason: What is missing.
-        cure: What to do about it.
+        reason: The missing data.
+        cure: The cure.
 
     >>> raise CalibrationRefused("Only one load was seen.", "Add a reading without load.")
     Traceback (most recent call last):
@@ -77,7 +77,7 @@ class FitStats:
         samples: Samples that were used.
         dropped: Samples left out because a value was missing or not finite.
         gated: Samples left out by the method's own gates (too little force, too much motion).
-        residual_rms: Root mean square of what the fit leaves, in the unit of what was fitted.
+        residual_rms: Root mean square of the residual, in the unit of the fitted data.
         rank: Number of unknown directions that the data determined.
         unknowns: Number of unknowns.
         condition: Condition number of the scaled least-squares matrix, infinite where the rank is short; for

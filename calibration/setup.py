@@ -1,4 +1,4 @@
-"""What an online method is, and what it is given about the robot."""
+"""An online method, and its setup: the facts about the robot."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -57,8 +57,8 @@ class OnlineMethod(_Functions):
     Attributes:
         init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading whose values do not matter.
         update: ``update(state, raw, reference, dt) -> (state, Estimate)``; the reference is a
-            :class:`~surefoot.calibration.reference.Reference`, or what else the method takes.
-        retract: ``retract(state) -> state`` takes back what was learnt in the last seconds, as something
+            :class:`~surefoot.calibration.reference.Reference`, or another that the method takes.
+        retract: ``retract(state) -> state`` takes back the learning of the last seconds, as something
             happened to the robot that began before it was noticed, such as a fall. Methods that remember no
             earlier state leave theirs as it is.
         limits: Least and greatest value that leaves of the state can have, by the last part of their names; a
@@ -82,7 +82,7 @@ class OnlineMethod(_Functions):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OnlineSetup:
-    """What every online method is given about the robot."""
+    """The facts about the robot that every online method is given."""
 
     layout: FeetLayout
     """How the channels make up the feet's wrenches."""

@@ -1,4 +1,4 @@
-r"""Starting values from quiet standing: what a robot at rest shows of its load cells, and what not.
+r"""Starting values from quiet standing: how much of its load cells a robot at rest shows.
 
 A robot at rest presses with M g below its centre of mass (x, y), so that over the cells of both feet
 (CoP paper, Eqs. 12, 13), per sample k,
@@ -19,8 +19,8 @@ force by the starting map,
     min  sum_k |r_k(a, b) - e|^2 / s^2  +  |a - 1|^2 / s_a^2  +  |b|^2 / s_b^2  +  |e|^2 / s_e^2
 
 where e is the error that all samples share because the believed mass and centre of mass are wrong, which
-averaging does not remove. The minimum changes only what the samples determine, and its covariance says how
-well they do. Moments are taken about the centre of mass, which is Eq. 12 less (x, y) times its first
+averaging does not remove. The minimum changes only the parts that the samples determine, and its covariance
+says how well they do. Moments are taken about the centre of mass, which is Eq. 12 less (x, y) times its first
 row. With s_e = 0 and s small against s_a and s_b it is the paper's solution of least change.
 """
 
@@ -53,7 +53,7 @@ PLAUSIBLE_WEIGHTS = 20.0
 
 
 class StandingState(NamedTuple):
-    """What has been seen so far.
+    """The samples so far.
 
     Attributes:
         time: Time since the start in s.
@@ -82,7 +82,7 @@ class StandingEstimate(NamedTuple):
         correction: The same as (a, b) of F = a F0 + b, shape (K,) each.
         covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K).
         rank: Directions of (a, b) whose variance the samples at least halved.
-        residual_rms: Of what is left, in multiples of the noise that was assumed.
+        residual_rms: Root mean square of the residual, in multiples of the noise that was assumed.
         condition: Ratio of the most to the least constrained direction's standard deviation.
         ready: Whether enough samples came over enough time.
     """
@@ -179,7 +179,7 @@ class QuietStanding:
         """Take in one sample; one that is not finite, in contact and still is only counted.
 
         Args:
-            state: What has been seen so far.
+            state: The samples so far.
             raw: Readings, shape (K,).
             reference: The robot's beliefs at the same time.
             dt: Time to the next sample in s.

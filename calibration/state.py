@@ -3,9 +3,9 @@
 A state is a tree of tuples, mostly named, with arrays and numbers at its leaves. The file is a plain
 ``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
 
-A state is checked on both ways by the same rules, so that what diverged replaces no good file and what was
-edited reaches no robot: shapes and dtypes, finite numbers, covariances that can be some, and the limits that
-a method states of its numbers.
+A state is checked on both ways by the same rules, so that no diverged state replaces a good file and no
+edited one reaches a robot: shapes and dtypes, finite numbers, covariances that can be some, and the limits
+that a method sets on its numbers.
 """
 
 from collections.abc import Mapping
@@ -45,8 +45,8 @@ def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **note
         notes: Texts to keep with it, checked again by :func:`load_state`.
 
     Raises:
-        ValueError: If the state holds what :func:`load_state` would refuse, or something else than a regular
-            file bears the name; a file that is there is left as it is.
+        ValueError: If the state holds values that :func:`load_state` would refuse, or something else than a
+            regular file bears the name; a file that is there is left as it is.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
     check_leaves(leaves, limits, f"Nothing was written to '{path}'")
@@ -61,8 +61,8 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
 
     Args:
         path: A file that :func:`save_state` wrote.
-        like: A state of the same method and setup, such as a fresh one, which says what must fit. It is
-            not changed.
+        like: A state of the same method and setup, such as a fresh one, which sets the shapes that must fit.
+            It is not changed.
         limits: As of :func:`save_state`.
         notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 
@@ -119,7 +119,7 @@ def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: st
     Args:
         leaves: Arrays by their names; those of many robots have these first.
         limits: As of :func:`save_state`.
-        refusal: What the message begins with.
+        refusal: The beginning of the message.
     """
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:
@@ -149,7 +149,7 @@ def _covariance_problem(matrix: NDArray[Any]) -> str:
 
 
 def _branches(state: Any) -> dict[str, Any] | None:
-    """Name what a tuple or a ``NamedTuple`` holds; ``None`` for a leaf."""
+    """Name the parts of a tuple or a ``NamedTuple``; ``None`` for a leaf."""
     if not isinstance(state, tuple):
         return None
     names = getattr(state, "_fields", range(len(state)))
@@ -157,7 +157,7 @@ def _branches(state: Any) -> dict[str, Any] | None:
 
 
 def _leaves(state: Any, path: str = "") -> dict[str, Any]:
-    """List the leaves of a state by their paths; what is ``None`` is none."""
+    """List the leaves of a state by their paths; ``None`` is no leaf."""
     branches = _branches(state)
     if branches is None:
         return {} if state is None else {path: state}

@@ -1,6 +1,6 @@
 """Controllers: an observation in, an action out, NumPy alone.
 
-A controller sees what the observation holds and nothing else. The same one therefore walks on true, drifting
+A controller sees the observation and nothing else. The same one therefore walks on true, drifting
 or calibrated readings: the wrapper around the environment decides which.
 """
 

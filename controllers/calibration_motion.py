@@ -13,7 +13,7 @@ __all__ = ["CalibrationMotion"]
 
 
 class CalibrationMotion:
-    """Plays what ``surefoot calibrate motion`` wrote, a row a call, and stops at a rest when certain.
+    """Plays a file of ``surefoot calibrate motion``, a row a call, and stops at a rest when certain.
 
     Reads of an observation ``"cop_std"``, as :class:`~surefoot.wrappers.SelfCalibration` shows it, or a
     robot's own loop from the estimate: the root of the diagonal of ``cop_covariance``. Without it the motion
@@ -116,7 +116,7 @@ class CalibrationMotion:
         """Return the next targets, the last ones again once it is done.
 
         Args:
-            observation: What the robot observes; it is not changed.
+            observation: The robot's observation; it is not changed.
 
         Returns:
             Targets of the motors in rad, shape (M,).

@@ -1,6 +1,6 @@
 r"""A trained policy in NumPy: a small network behind an integrator, from a file that holds numbers only.
 
-A Stable-Baselines3 zip is opened by unpickling, and what is unpickled runs: a policy file from a stranger
+A Stable-Baselines3 zip is opened by unpickling, which runs its code: a policy file from a stranger
 would be a program from a stranger. The files of this module are NumPy archives of plain arrays, read with
 ``allow_pickle=False``; :func:`surefoot.experiments.policy.view.export_zip` writes them.
 
@@ -47,7 +47,7 @@ _REQUIRED = (
 
 
 class PolicyFileError(ValueError):
-    """A file is no policy, or one for another robot; the message says which, and what to do."""
+    """A file is no policy, or one for another robot; the message says which, and names the cure."""
 
 
 class PolicyNetwork:

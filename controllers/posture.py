@@ -1,4 +1,4 @@
-"""Four ways to shift a standing biped's posture, and how fast: what a balance policy commands."""
+"""Four ways to shift a standing biped's posture, and how fast: the commands of a balance policy."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

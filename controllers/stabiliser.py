@@ -20,8 +20,8 @@ gives way. Both ankles turn alike, which keeps the soles parallel, and to first 
 mass by :math:`\ell \delta` over the foot that carries it. The lean itself is read off the torso's tilt,
 :math:`\Delta = \ell\, \theta`, for the other joints are stiff.
 
-**What an error of the sensors does.** At rest :math:`\Delta = p - p^{ref}`, so that a bias :math:`b` of the
-measured centre of pressure makes the body lean by :math:`b / (k_1 - 1)`. A small :math:`k_1` is gentle on
+**The effect of an error of the sensors.** At rest :math:`\Delta = p - p^{ref}`, so that a bias :math:`b` of
+the measured centre of pressure makes the body lean by :math:`b / (k_1 - 1)`. A small :math:`k_1` is gentle on
 impacts and noise, and hard on a miscalibrated foot: with :math:`k_1 = 1.3`, a bias of 15 mm comes to 50 mm,
 as much as a sole has to its side. ``benchmarks/walking.py`` compares gains, pushes and biases.
 """
@@ -62,7 +62,7 @@ class Stabiliser:
         dt: Time from one observation to the next in s.
 
     Attributes:
-        angle: What the ankles add to the pattern in rad, shape (2,), positive to lean forward and to the
+        angle: The ankles' correction of the pattern in rad, shape (2,), positive to lean forward and to the
         left.
 
     Raises:

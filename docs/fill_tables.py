@@ -3,8 +3,8 @@
     python docs/fill_tables.py docs/results.md
 
 A page marks where a table goes: ``<!-- table out/results/walking/tables/overview.csv -->``, later
-``<!-- end -->``. What stands between them is replaced by that table and a line that says how and with which
-code it was made. Where there is no such file, what stands there stays.
+``<!-- end -->``. The text between them is replaced by that table and a line that says how and with which
+code it was made. Where there is no such file, the text stays.
 """
 
 import csv
@@ -26,7 +26,7 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
     return "\n".join([first, "|" + "---|" * len(lines[0]), *others])
 
 
-def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
+def refresh(text: str, root: Path) -> tuple[str, list[str]]:
     """Return a page's text with new tables, and the files that were not there, looked for under ``root``."""
     missing: list[str] = []
 
@@ -47,7 +47,7 @@ def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
 def main(pages: list[str]) -> None:
     """Refresh pages in place, and say which tables are not there."""
     for page in map(Path, pages):
-        text, missing = refreshed(page.read_text(encoding="utf-8"), Path())
+        text, missing = refresh(page.read_text(encoding="utf-8"), Path())
         write_text(page, text)
         print(f"{page}: {text.count('<!-- table ') - len(missing)} tables put in.")
         for path in missing:

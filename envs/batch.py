@@ -1,6 +1,6 @@
 """Many robots of a task at once, stepped by MuJoCo's own threads.
 
-What a robot draws at an episode start it draws in an environment of its own. From there on all robots
+A robot's draws at an episode start come from an environment of its own. From there on all robots
 together are one more environment of the task: its functions serve arrays with the robots in front, and
 :class:`mujoco.batch.Batch` takes the place of ``mj_step``.
 """
@@ -35,10 +35,10 @@ RECORD = ("sensordata", "qvel")
 
 
 class BatchVectorEnv(SyncVectorEnv):
-    """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
+    """N robots of one task: like ``SyncVectorEnv`` of its environments, bit for bit, in less time.
 
     Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in each of its autoreset modes.
-    What a robot's own environment has can be asked for by ``get_attr``, as it is now; what is set there by
+    Attributes of a robot's own environment can be asked for by ``get_attr``; a value that is set there by
     ``set_attr`` counts from its next episode on.
 
     A robot whose simulation diverges stands still until its step is over, where a lone one would start again
@@ -54,7 +54,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
     Attributes:
         robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
-        mean_truth: Of what is shown now (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
+        mean_truth: Means of the present truth (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
         ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
@@ -132,7 +132,7 @@ class BatchVectorEnv(SyncVectorEnv):
             )
         starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
         stepping = ~starting
-        residual = robots._checked(actions, (self.num_envs,))
+        residual = robots._check_action(actions, (self.num_envs,))
         prepares = np.array([env.prelude.playing for env in self.envs])
         residual[(robots._tick < robots._quiet_ticks) & ~prepares] = 0.0
         robots._tick += ~prepares
@@ -165,12 +165,18 @@ class BatchVectorEnv(SyncVectorEnv):
             for i in np.flatnonzero(done).tolist():
                 finals[i] = {key: part[i].copy() for key, part in observation.items()}
                 self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
-            last = {"final_obs": finals, "final_info": _told(truth, terms, done, done)}
-            infos, stepping = _masked(last, done), ~done
+            last = {"final_obs": finals, "final_info": _gather_infos(truth, terms, done, done)}
+            infos, stepping = _add_masks(last, done), ~done
             self._restart(done)
             observation, *_, truth = self._observe()
         everyone = np.ones(self.num_envs, dtype=bool)
-        return observation, rewards, terminated, truncated, infos | _told(truth, terms, everyone, stepping)
+        return (
+            observation,
+            rewards,
+            terminated,
+            truncated,
+            infos | _gather_infos(truth, terms, everyone, stepping),
+        )
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
@@ -248,17 +254,17 @@ class BatchVectorEnv(SyncVectorEnv):
         return self.envs[robot]._read(self._rows[robot].copy())
 
 
-def _told(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
+def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
     """Gather infos of robots as Gymnasium does.
 
     Args:
-        truth: What happened, with all robots in front.
+        truth: The truth, with all robots in front.
         terms: Terms of the reward, likewise.
         seen: Robots whose truth is told, shape (N,).
         paid: Robots whose terms are, shape (N,).
     """
-    told = _masked({"surefoot": _masked({"truth": _masked(_of(truth, seen), seen)}, seen)}, seen)
-    return told | (_masked(_of(terms, paid), paid) if paid.any() else {})
+    told = _add_masks({"surefoot": _add_masks({"truth": _add_masks(_of(truth, seen), seen)}, seen)}, seen)
+    return told | (_add_masks(_of(terms, paid), paid) if paid.any() else {})
 
 
 def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -270,7 +276,7 @@ def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, N
     return kept
 
 
-def _masked(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
+def _add_masks(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Put beside each part which robots it is of, as Gymnasium's infos do."""
     return parts | {f"_{name}": mask for name in parts}
 

@@ -1,4 +1,4 @@
-"""A biped under position control that follows what it commands itself: what all its tasks have in common."""
+"""A biped under position control that follows its own commands: the common part of all its tasks."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -14,7 +14,7 @@ from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import FeetObserver, Observation, Places
-from surefoot.envs.options import checked_action, positive
+from surefoot.envs.options import check_action, positive
 from surefoot.envs.prelude import Player, Prelude
 
 
@@ -29,8 +29,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         leg_motors: Their names.
         force_bound: Largest force of a cell that is shown, in N.
         duration: Length of an episode in s, or ``None`` for no end.
-        action_scale: What a full action adds to a target, in rad.
-        prelude: What the robot does before each episode, or the path of its file.
+        action_scale: The change of a target by a full action, in rad.
+        prelude: The robot's motion before each episode, or the path of its file.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
@@ -93,7 +93,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _command(self, tick: Any) -> Command:
         """Return the command at control step ``tick`` of this episode, 0 at its start.
 
-        During a step the targets move to the ``joint_target`` of its end. What an episode draws is
+        During a step the targets move to the ``joint_target`` of its end. The chance of an episode is
         drawn in :meth:`_start`. Steps may exceed the pattern's length.
         """
         raise NotImplementedError
@@ -102,11 +102,11 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
 
     def _place(self) -> None:
-        """Put the robot where an episode begins; what it commands is known."""
+        """Put the robot where an episode begins; its command is known."""
         raise NotImplementedError
 
     def _join(self, robots: Sequence[Any]) -> None:
-        """Take over what the episodes of robots have drawn, for :meth:`_command` to command all of them."""
+        """Take over the draws of robots' episodes, for :meth:`_command` to command all of them."""
 
     def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
         """Disturb one robot before the step that leads to ``tick``; return whether its model has changed."""
@@ -132,7 +132,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return whether the robot has fallen."""
         raise NotImplementedError
 
-    def _paid_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
+    def _reward_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
         """Return exp(-(e / width)^2), e the distance of the CoP from its reference in m; 0 without a CoP."""
         m = self._numbers
         (x, y), (reference_x, reference_y) = m.parts(pressed["cop_world"]), m.parts(self.command.cop)
@@ -143,8 +143,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Return the cost of an action: -0.1 times its mean square."""
         return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
 
-    def _checked(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
-        return checked_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
+    def _check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
+        return check_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
 
     def _targets(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
@@ -205,7 +205,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         if self._tick is None:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = self._checked(action)
+        residual = self._check_action(action)
         prepares = self.prelude.playing
         if self._tick < self._quiet_ticks and not prepares:
             residual = np.zeros_like(residual)

@@ -1,4 +1,4 @@
-"""What the robot commands itself at one control tick."""
+"""The robot's command to itself at one control tick."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from surefoot.envs.numbers import ONE, Number, Numbers
 
 
 class Command(NamedTuple):
-    """One tick of a pattern: what the robot knows because it asked for it, and no truth.
+    """One tick of a pattern: the robot knows it because it asked for it; it is no truth.
 
     Positions are in the world of the pattern: z up, the ground at z = 0.
 
@@ -51,16 +51,16 @@ def command_state(command: Command, m: Numbers = ONE) -> list[Number]:
     com, velocity, cop = m.parts(command.com), m.parts(command.com_velocity), m.parts(command.cop)
     angle = 2.0 * np.pi * command.phase
     return [
-        *turned(com[0] - middle_x, com[1] - middle_y, heading, m),
-        *turned(velocity[0], velocity[1], heading, m),
-        *turned(cop[0] - middle_x, cop[1] - middle_y, heading, m),
+        *rotate_level(com[0] - middle_x, com[1] - middle_y, heading, m),
+        *rotate_level(velocity[0], velocity[1], heading, m),
+        *rotate_level(cop[0] - middle_x, cop[1] - middle_y, heading, m),
         *m.parts(command.stance),
         m.sin(angle),
         m.cos(angle),
     ]
 
 
-def turned(x: Number, y: Number, heading: Number, m: Numbers = ONE) -> list[Number]:
+def rotate_level(x: Number, y: Number, heading: Number, m: Numbers = ONE) -> list[Number]:
     """Return a vector of the world, turned about the vertical into a frame with a heading in rad."""
     c, s = m.cos(heading), m.sin(heading)
     return [c * x + s * y, c * y - s * x]

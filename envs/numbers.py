@@ -1,7 +1,7 @@
 """Arithmetic that is written once, for one robot and for many.
 
 The few numbers of one robot are fastest as plain floats, those of many as columns: arrays with a number of
-each robot. Sums and products read alike for both. What does not is here, with the same bits for both: a sine
+each robot. Sums and products read alike for both. Others are here, with the same bits for both: a sine
 is Python's own for each robot, since NumPy's differs from it in the last digit.
 """
 

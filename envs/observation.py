@@ -1,4 +1,4 @@
-"""What a robot on two feet shows that follows a pattern: its state and the true forces under its feet.
+"""The observation of a robot on two feet that follows a pattern: its state and the forces under its feet.
 
 Everything is made from the last row of the control step's sensor data, for one robot or for many.
 """
@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, command_state, turned
+from surefoot.envs.command import Command, command_state, rotate_level
 from surefoot.envs.instrumentation.means import FootPlaces
-from surefoot.envs.instrumentation.truth import centres, pressed
+from surefoot.envs.instrumentation.truth import centres, ground_at_feet
 from surefoot.envs.numbers import ONE, Number, Numbers
 
 Observation = dict[str, NDArray[Any]]
@@ -27,7 +27,7 @@ class Places(NamedTuple):
     """Where in a row of sensor data things are that are shown: of each, the first of its numbers.
 
     Attributes:
-        feet: What the feet feel.
+        feet: The loads of the feet.
         axes_torso: The torso's axes one after another (9).
         position_torso: Its origin (3).
         gyroscope: Its angular velocity in its own axes (3).
@@ -106,7 +106,7 @@ class FeetObserver:
             last: The row, shape (..., columns).
             row: Its parts.
             qvel: MuJoCo's velocities at that instant, shape (..., nv).
-            command: What the robot commands at its end.
+            command: The robot's command at its end.
 
         Returns:
             The observation, and the centre of pressure of that instant, of which rewards are made:
@@ -117,10 +117,10 @@ class FeetObserver:
             [*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]]
             for i, j, k in zip(places.contact, places.position_sole, places.axes_sole, strict=True)
         ]
-        wrench, common = pressed(feet, places.up)
+        wrench, common = ground_at_feet(feet, places.up)
         (x, y), *cop_foot, valid = centres(wrench, common, places.flat, m)
         middle_x, middle_y, heading = places.level(row, m)
-        level = turned(x - middle_x, y - middle_y, heading, m)
+        level = rotate_level(x - middle_x, y - middle_y, heading, m)
         for there, place, held in zip(valid, (level, *cop_foot), self._cop, strict=True):
             held[0], held[1] = m.where(there, place[0], held[0]), m.where(there, place[1], held[1])
 
@@ -132,8 +132,8 @@ class FeetObserver:
         return {
             "state": self._state(last, row, qvel, command),
             "foot_force": force,
-            "cop_foot": m.array([_bounded(place, m) for place in self._cop[1:]], dtype=np.float32),
-            "cop": m.array(_bounded(self._cop[0], m), dtype=np.float32),
+            "cop_foot": m.array([_clip_cop(place, m) for place in self._cop[1:]], dtype=np.float32),
+            "cop": m.array(_clip_cop(self._cop[0], m), dtype=np.float32),
             "cop_valid": m.array(valid, dtype=np.float32),
         }, {"cop_world": m.array([x, y]), "cop_valid": m.array(valid)}
 
@@ -159,6 +159,6 @@ class FeetObserver:
         return state
 
 
-def _bounded(place: list[Number], m: Numbers) -> list[Number]:
+def _clip_cop(place: list[Number], m: Numbers) -> list[Number]:
     """Bring the coordinates of a centre of pressure in m into their bounds."""
     return [m.clip(part, -COP_BOUND, COP_BOUND) for part in place]

@@ -1,4 +1,4 @@
-"""Checks of the environments' options: each message names the option, the rule and what was given."""
+"""Checks of the environments' options: each message names the option, the rule and the given value."""
 
 from collections.abc import Sequence
 from math import isfinite, nan
@@ -17,7 +17,7 @@ def positive(name: str, value: float, *, or_zero: bool = False) -> float:
     return number
 
 
-def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
+def check_range(name: str, value: Sequence[float]) -> tuple[float, float]:
     """Return (lowest, highest), or raise ValueError unless 0 <= lowest <= highest."""
     numbers = numbers_of(value)
     if len(numbers) != 2 or not all(map(isfinite, numbers)) or not 0.0 <= numbers[0] <= numbers[1]:
@@ -28,7 +28,7 @@ def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
     return numbers[0], numbers[1]
 
 
-def checked_time_constant(name: str, value: float) -> float:
+def check_time_constant(name: str, value: float) -> float:
     """Return a contact's time constant in s, or raise ValueError if steps of 1.25 ms cannot follow it."""
     number = number_of(value)
     if not 0.005 <= number <= 0.1:
@@ -36,7 +36,7 @@ def checked_time_constant(name: str, value: float) -> float:
     return number
 
 
-def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
+def check_stiffness(value: Sequence[float]) -> tuple[float, ...]:
     """Return eight stiffnesses, or raise ValueError if they are not eight or not positive."""
     numbers = numbers_of(value)
     if len(numbers) != 8 or not all(isfinite(number) and number > 0.0 for number in numbers):
@@ -47,16 +47,16 @@ def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
     return numbers
 
 
-def checked_action(
+def check_action(
     action: Any, names: tuple[str, ...], each: str, cure: str, robots: tuple[int, ...] = ()
 ) -> NDArray[np.float64]:
     """Return an action, clipped to -1 ... 1.
 
     Args:
-        action: What was given.
-        names: What it moves.
-        each: What it has for each, for the message.
-        cure: What to do about one that is not finite, for the message.
+        action: The action.
+        names: The joints that it moves.
+        each: The name of one of its numbers, for the message.
+        cure: The way out of one that is not finite, for the message.
         robots: (N,) for the actions of N robots.
 
     Raises:
@@ -77,7 +77,7 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
 
 
 def number_of(value: Any) -> float:
-    """Return a number as a float, NaN for what is none."""
+    """Return a number as a float, NaN for other values."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -85,7 +85,7 @@ def number_of(value: Any) -> float:
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:
-    """Return a sequence of numbers: NaN for what is none, empty for what is no sequence."""
+    """Return a sequence of numbers: NaN for other values, empty for no sequence."""
     try:
         return tuple(number_of(number) for number in value)
     except TypeError:

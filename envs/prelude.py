@@ -1,4 +1,4 @@
-"""What a robot does before an episode: commands over time, planned once, that a file can hold."""
+"""A robot's motion before an episode: commands over time, planned once, that a file can hold."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -95,7 +95,7 @@ class Prelude(NamedTuple):
 
     @classmethod
     def read(cls, path: AnyPath) -> "Prelude":
-        """Read what :meth:`write` wrote.
+        """Read a file of :meth:`write`.
 
         Raises:
             ValueError: If it is no such table, a column is missing, a number is not finite, or the times are
@@ -201,7 +201,7 @@ class Player:
         assert self._prelude is not None
         low = min(max(int(row), 0), len(self._prelude.rest) - 1)
         high = min(low + 1, len(self._prelude.rest) - 1)
-        return _mixed(self._prelude.command(low), self._prelude.command(high), min(max(row - low, 0.0), 1.0))
+        return _mix(self._prelude.command(low), self._prelude.command(high), min(max(row - low, 0.0), 1.0))
 
     def _blend(self, start: Command, end: Command) -> list[Command]:
         """Go from one posture to another with least jerk."""
@@ -210,14 +210,14 @@ class Player:
         t = np.arange(1, round(BLEND_TIME / self._dt) + 1) * self._dt / BLEND_TIME
         shares = t**3 * (10.0 + t * (6.0 * t - 15.0))
         still: dict[str, Any] = {"com_velocity": np.zeros(3), "com_acceleration": np.zeros(3)}
-        return [_mixed(start, end, float(share))._replace(**still) for share in shares]
+        return [_mix(start, end, float(share))._replace(**still) for share in shares]
 
 
 def _names() -> list[str]:
     return [f"{field}_{axis}_{unit}" for field, unit, axes in _COLUMNS for axis in axes]
 
 
-def _mixed(start: Command, end: Command, share: float) -> Command:
+def _mix(start: Command, end: Command, share: float) -> Command:
     parts: dict[str, Any] = {
         name: (1.0 - share) * getattr(start, name) + share * getattr(end, name)
         for name in Command._fields

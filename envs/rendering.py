@@ -21,7 +21,7 @@ class SceneRenderer:
     """Gymnasium's MuJoCo renderer, made when the first frame is wanted.
 
     Args:
-        model: What to draw.
+        model: The model to draw.
         data: Its state.
         camera: A camera of the model; a window follows the torso instead, and the mouse turns it.
         width: Width in pixels.

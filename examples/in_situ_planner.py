@@ -1,8 +1,8 @@
 """Calibrate the F/T sensor in a leg with poses that a planner proposes, and with those of a raster sweep.
 
-The planner starts from the maker's matrix, drives the hip of ``surefoot/LegRig-v0`` to what it proposes,
-waits until the leg hangs still, reads, fits and plans again, also which mass to hang.
-Run with ``python examples/in_situ_planner.py``.
+The planner starts from the maker's matrix, drives the hip of ``surefoot/LegRig-v0`` to the postures it
+proposes, waits until the leg hangs still, reads, fits and plans again, also which mass to hang. Run with
+``python examples/in_situ_planner.py``.
 """
 
 import gymnasium as gym

@@ -33,7 +33,7 @@ UPRIGHT = 0.5  # height in m of the centre of mass above the soles of who stands
 
 
 class Robots:
-    """What the simulator knows of the robots' feet, and what these believe of themselves."""
+    """The simulator's truth of the robots' feet, and the robots' own beliefs."""
 
     def __init__(self, env):
         self.env, self.robot = env, env.scene["robot"]
@@ -59,7 +59,7 @@ class Robots:
         return torch.where(contact.found[..., None] > 0, wrench @ self.spread.T, 0.0).flatten(1)
 
     def beliefs(self):
-        """Return the reference: kinematics whose centre of mass is off, and what the robots' momentum is."""
+        """Return the reference: kinematics whose centre of mass is off, and the robots' momentum."""
         data, (place, axes) = self.robot.data, self.soles()
         low = place[..., 2] < GROUNDED
         com = torch.einsum("b,nbi->ni", self.share, data.body_com_pos_w) + ERROR
@@ -86,7 +86,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     def truth(env):
         return watched(env).force()
 
-    def calibrated(env):
+    def calibrate_feet(env):
         step = env.common_step_counter
         return calibrator(feet(truth(env), step), watched(env).beliefs(), step).force
 
@@ -108,7 +108,7 @@ def main(robots: int = 2, steps: int = 300, device: str = "cpu") -> tuple[float,
     terms = {
         "true": ObservationTermCfg(truth),
         "read": ObservationTermCfg(truth, noise=FeetCfg(noise_cfg=ConstantNoiseCfg())),
-        "calibrated": ObservationTermCfg(observation_term_class(calibrated, feet, calibrator)),
+        "calibrated": ObservationTermCfg(observation_term_class(calibrate_feet, feet, calibrator)),
     }
     cfg.observations["feet"] = ObservationGroupCfg(terms, concatenate_terms=False, enable_corruption=True)
     env = ManagerBasedRlEnv(cfg, device=device)

@@ -3,7 +3,7 @@
     python examples/send_log.py walk.parquet tcp:9760 [--fast]
     python examples/send_log.py walk.parquet file:stream.jsonl [--fast]
 
-Needs the extra ``[experiments]``; what receives it does not.
+Needs the extra ``[experiments]``; the receiver does not.
 """
 
 import argparse

@@ -1,7 +1,8 @@
-"""Wrap, train and compare with the stock Stable-Baselines3 API: does a policy feel what its feet say?
+"""Wrap, train and compare with the stock Stable-Baselines3 API: does a policy use its feet?
 
 Run with ``python examples/train_balance.py``; a few minutes of training already show the difference, and
-``--steps 160000`` is what the shipped policy got. ``surefoot train`` does the same with checkpoints.
+``--steps 160000`` is the length of the shipped policy's training. ``surefoot train`` does the same with
+checkpoints.
 """
 
 import argparse

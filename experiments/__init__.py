@@ -1,4 +1,4 @@
-"""What the ``surefoot`` command runs: logs, simulated walks, studies, policies and pages.
+"""The parts of the ``surefoot`` command: logs, simulated walks, studies, policies and pages.
 
 * :func:`read_log` and :func:`write_log` for logs of simulated and real robots (docs/log-format.md).
 * :func:`record_walk`, :func:`replay_logs` and :func:`score_forces`: a walk, the same stream through every

@@ -15,7 +15,7 @@ import numpy as np
 from surefoot.calibration import FeetLayout, Parameters, Reference
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.exercise.motion import motions_offered
+from surefoot.envs.exercise.moves import motions_offered
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working
@@ -31,7 +31,7 @@ BEARS = 0.1  # share of the weight that a foot bears if the place of its centre 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a motion must keep to."""
+    """The limits of a motion."""
 
     torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
     margin: float = 0.12
@@ -121,7 +121,7 @@ def _limits(limited: Any, ranges: Any) -> Any:
 def rehearse(
     rehearsal: Rehearsal, names: Sequence[str] | None = None, limits: Limits | None = None
 ) -> tuple[MovingRobot, dict[str, str]]:
-    """Return a robot with what it can do, the farthest of each kind by default, and why not the others."""
+    """Return a robot with its possible motions, by default the farthest of each kind, and why not others."""
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
@@ -144,7 +144,7 @@ def rehearse(
 
 
 class PlannedMotion(NamedTuple):
-    """A motion, and what it will bring: tables of its parts, of single motions, and of those refused."""
+    """A motion, and its gain: tables of its parts, of single motions, and of those refused."""
 
     plan: FootExcitation
     prelude: Prelude
@@ -180,7 +180,7 @@ def plan_motion(
         raise ValueError(
             f"Played together, the motions do not keep to the limits: {reason}. Ask for more margin."
         )
-    tables = [_segments(plan, prelude), _single(plan), _refused(refused)]
+    tables = [_segments(plan, prelude), _single(plan), _reasons(refused)]
     return PlannedMotion(plan, prelude, tables)
 
 
@@ -205,6 +205,6 @@ def _single(plan: FootExcitation) -> Table:
     return Table("rates", "What each motion would bring first", ("motion", "nats per second"), rows)
 
 
-def _refused(refused: dict[str, str]) -> Table:
+def _reasons(refused: dict[str, str]) -> Table:
     rows = tuple(refused.items()) or (("none", ""),)
     return Table("refused", "What the robot must not do", ("motion", "because"), rows)

@@ -5,7 +5,7 @@ into counts and packets of telemetry, :class:`Beliefs` (:mod:`surefoot.robot.bel
 packets, and :class:`RobotCalibration` holds the counts against them. Wrappers of one robot and of many are
 made of it.
 
-Modules are loaded when something of theirs is asked for: what serves GPU simulators needs no MuJoCo.
+Modules are loaded when something of theirs is asked for: code that serves GPU simulators needs no MuJoCo.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The calibration of one robot's feet over all its episodes, with what it knows of itself.
+"""The calibration of one robot's feet over all its episodes, with its knowledge of itself.
 
 Wrappers of one robot and of many are made of it.
 """
@@ -19,7 +19,7 @@ from surefoot.calibration.online import MethodOptions, method_entry, resolve_met
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
-from surefoot.robot.beliefs.lag import check_lag, joined_packets, usual_lag, waiting_samples
+from surefoot.robot.beliefs.lag import check_lag, packets_per_join, usual_lag, waiting_samples
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, Touching
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
@@ -43,12 +43,12 @@ from surefoot.sensors.presets import REFERENCE_WEIGHT
 
 
 class Learnt(NamedTuple):
-    """What a robot takes with it from episode to episode.
+    """The memory that a robot keeps from episode to episode.
 
     Attributes:
         state: State of the calibrator.
         initial: The map that it began from.
-        masses: What the robot believes of its bodies.
+        masses: The robot's beliefs of its bodies.
     """
 
     state: Any
@@ -74,10 +74,10 @@ class CalibrationSetup:
 
     Args:
         owner: The wrapper that asks, for messages.
-        equipment: What each is equipped with.
+        equipment: The equipment of each.
         method: As of :class:`~surefoot.wrappers.SelfCalibration`, like all that follow.
         initial: The map to start from.
-        show: What is observed; ``None`` for forces and the centres of pressure that there are.
+        show: Parts of the observation; ``None`` for forces and the centres of pressure that there are.
         lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robots are about themselves.
@@ -91,7 +91,7 @@ class CalibrationSetup:
         layout: The feet and their channels.
         ages: How old readings of each channel are on average when they are taken, in s, shape (K,).
         errors: How wrong the robots are about themselves.
-        touching: What of the feet may touch the ground.
+        touching: The parts of the feet that may touch the ground.
         by_momentum: Whether the method learns from momentum.
 
     Raises:
@@ -151,7 +151,7 @@ class CalibrationSetup:
         return FootCalibrator(self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **options)
 
     def view(self) -> FootView:
-        """Make what shows the feet of one robot."""
+        """Make the view of one robot's feet."""
         drawing, rolls = self.drawing, self.touching.rolls
         return FootView(self.show, self.layout, self.mass, drawing.flaw, drawing.gravity, rolls)
 
@@ -194,10 +194,10 @@ class RobotCalibration:
         """Warn, before a reset, if nothing was learnt for long; return whether that was done."""
         if not self.made or self.frozen or self._setup.method == "none":
             return False
-        return self._chances.judge(self._moved(), self._sensors.telemetry.dt)
+        return self._chances.judge(self._map_has_moved(), self._sensors.telemetry.dt)
 
     def reset(self, seed: int | None = None, choice: str | None = None) -> bool:
-        """Start an episode, after the sensors did; what was learnt is kept, or calibration starts fresh.
+        """Start an episode, after the sensors did; results are kept, or calibration starts fresh.
 
         Args:
             seed: Of the reset.
@@ -215,7 +215,7 @@ class RobotCalibration:
         else:
             self._wait_out()
         if self._timing == (telemetry, self.late):
-            self.beliefs = self.beliefs.begun()
+            self.beliefs = self.beliefs.begin_episode()
         else:
             self._timing = telemetry, self.late
             beliefs = Beliefs(
@@ -226,7 +226,7 @@ class RobotCalibration:
                 telemetry.averaged,
                 lag=self.late,
                 dt=telemetry.dt,
-                joined=joined_packets(telemetry),
+                joined=packets_per_join(telemetry),
                 touching=setup.touching.round,
             )
             if setup.by_momentum:
@@ -238,7 +238,7 @@ class RobotCalibration:
         return fresh
 
     def by_library(self) -> NativeSample | None:
-        """Return what takes in a whole sample in one call; ``None`` where Python does it, or its parts."""
+        """Return the library's object for whole samples in one call; ``None`` where Python does them."""
         own, beliefs, calibrator = self._native, self.beliefs, self.calibrator
         if own is not None and own.goes_on(beliefs, calibrator):
             return own
@@ -249,12 +249,12 @@ class RobotCalibration:
         return self._native
 
     def put(self, native: NativeSample, command: Any) -> Sample:
-        """Put one sample where :meth:`by_library` finds it; return what it is asked.
+        """Put one sample where :meth:`by_library` finds it; return the request.
 
         The packets that have arrived belong to it. :meth:`note` has to follow.
         """
         sensors, hold = self._sensors, self._next()
-        arrived = sensors.arrived()
+        arrived = sensors.packet_rows()
         if arrived is None:
             self.beliefs.update(sensors.packets)
         self._estimate = None  # made of the library's record when somebody asks
@@ -263,12 +263,12 @@ class RobotCalibration:
         return Sample(rows, packets, self.reference_time, sensors.time, how)
 
     def note(self) -> None:
-        """Note what the last sample gave to learn from."""
+        """Count the last sample for the chances to learn."""
         self._chances.add(self.beliefs.known, self.beliefs.standing)
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.arrived()
+        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.packet_rows()
         if arrived is not None and isinstance(beliefs, NativeBeliefs):
             beliefs.update_rows(*arrived)
         else:
@@ -278,17 +278,17 @@ class RobotCalibration:
         return fell
 
     def sample(self, command: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Take in one sample; return what an agent is shown and what ``info`` holds, as fresh arrays."""
+        """Take in one sample; return the observation and the ``info``, as fresh arrays."""
         native = self.by_library()
         if native is not None:
             native.feed(self.put(native, command))
             self.note()
-            shown, told = native.told()
+            shown, told = native.outputs()
         else:
             if self.believe(command):
                 self.calibrator.retract()
             self._estimate = estimate = self.calibrator.update(self._sensors.raw, self.beliefs.believed)
-            shown, told = self._view.show(estimate, self.soles()), told_of(estimate, self.beliefs.info())
+            shown, told = self._view.show(estimate, self.soles()), info_of(estimate, self.beliefs.info())
         told["lag"] = self.late
         return shown, told
 
@@ -297,7 +297,7 @@ class RobotCalibration:
         return self.beliefs.soles(self._sensors.time)
 
     def retract(self) -> None:
-        """Take back what was learnt of late by a robot that has fallen; the estimate is of before."""
+        """Take back the latest learning of a robot that has fallen; the estimate is of before."""
         self._estimate = self.estimate
         self.calibrator.retract()
 
@@ -317,7 +317,7 @@ class RobotCalibration:
         return believed.reference() if isinstance(believed, ReferenceRecord) else believed
 
     def learnt(self) -> Learnt:
-        """Return what the robot takes with it.
+        """Return the robot's memory.
 
         Raises:
             RuntimeError: If there was no reset.
@@ -328,14 +328,14 @@ class RobotCalibration:
         return Learnt(self.calibrator.state, initial, self.model.masses)
 
     def take_over(self, learnt: Learnt) -> None:
-        """Go on with what was learnt."""
+        """Go on with a saved memory."""
         self.model.masses, self.initial = learnt.masses, learnt.initial
         self._make()
         self.calibrator.state = learnt.state
         self._wait_out()
 
     def limits(self) -> dict[str, tuple[Any, Any]]:
-        """Return least and greatest values of what is saved: start and body are somewhat like its own."""
+        """Return the least and greatest values of saved numbers: start and body are somewhat like its own."""
         setup, (mass, inertia, com) = self.calibrator.setup, self.model.masses
         most, (scale, offset) = setup.plausible_weights, setup.initial
         ends = np.sort([scale / most, scale * most], axis=0)
@@ -350,7 +350,7 @@ class RobotCalibration:
         }
 
     def notes(self) -> dict[str, str]:
-        """Return what something that is saved belongs to."""
+        """Name the robot and the sensors that a saved state belongs to."""
         setup, equipment = self._setup, self._sensors.equipment
         return {
             "method": f"{plain_name(setup.method)} {setup.options}",
@@ -363,7 +363,7 @@ class RobotCalibration:
         # The library's record, of which an estimate is made, stays behind.
         return {**vars(self), "_estimate": self.estimate if self.made else None}
 
-    def _moved(self) -> bool:
+    def _map_has_moved(self) -> bool:
         """Return whether the map is no longer the starting map."""
         start, now = self.calibrator.setup.initial, self.estimate
         return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
@@ -381,7 +381,7 @@ class RobotCalibration:
         self._waiting = waiting_samples(self.late, self._setup.age, self._sensors.telemetry.dt)
 
     def _start_fresh(self) -> None:
-        """Draw what the robot is wrong about, and start from the starting map."""
+        """Draw the robot's errors about itself, and start from the starting map."""
         setup, telemetry, rng = self._setup, self._sensors.telemetry, self._rng
         self.model.draw(rng)
         self.initial = self._first_map(rng)
@@ -406,8 +406,8 @@ class RobotCalibration:
         return start.off(self._sensors.true_parameters(), drawn)
 
 
-def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
-    """Return what ``info`` holds of an estimate, which may hold arrays of the one before, as copies."""
+def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
+    """Return the ``info`` of an estimate, which may hold arrays of the one before, as copies."""
     told = {
         "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
         "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
@@ -420,7 +420,7 @@ def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
 
 
 def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
-    """Write what robots have learnt, and the masses that it rests on, to an ``.npz`` without pickles.
+    """Write the calibration of robots, and the masses that it rests on, to an ``.npz`` without pickles.
 
     Raises:
         RuntimeError: If they have not been reset.
@@ -429,7 +429,7 @@ def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
 
 
 def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
-    """Go on with what a file of :func:`save_learnt` has of as many robots.
+    """Go on with a file of :func:`save_learnt` of as many robots.
 
     Raises:
         RuntimeError: If they have not been reset.
@@ -442,6 +442,6 @@ def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -
 
 
 def _side_by_side(robots: Sequence[RobotCalibration]) -> Any:
-    """Return what one robot has learnt as it is, and of many side by side."""
+    """Return the memory of one robot as it is, and of many side by side."""
     found = tuple(robot.learnt() for robot in robots)
     return found[0] if len(found) == 1 else found

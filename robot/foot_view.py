@@ -1,4 +1,4 @@
-"""What an agent is shown of calibrated feet: which parts, in which bounds, and what is held when."""
+"""The observation of calibrated feet: its parts, their bounds, and when old values are held."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -53,7 +53,7 @@ def flaw_of(layout: FeetLayout, flaw: str) -> str:
 
     Args:
         layout: The feet and their channels.
-        flaw: What the robot's drawing says of their areas.
+        flaw: Why the robot's drawing gives them no areas.
     """
     blind = [foot.name for foot in layout.feet if np.linalg.matrix_rank(foot.wrench_map[2:5]) < 3]
     if blind and not flaw:
@@ -62,12 +62,12 @@ def flaw_of(layout: FeetLayout, flaw: str) -> str:
 
 
 def default_parts(flaw: str) -> tuple[str, ...]:
-    """Return what is shown by default of feet, which may have no centres of pressure of their own."""
+    """Return the default parts for feet, which may have no centres of pressure of their own."""
     return tuple(part for part in DEFAULT if not (flaw and part == "cop_foot"))
 
 
-def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
-    """Return what stays of the sensors' observation, or of its space: without counts nobody asks for."""
+def drop_counts(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
+    """Drop counts that nobody asks for from the sensors' observation, or from its space."""
     return {key: part for key, part in observed.items() if key != RAW or RAW in parts}
 
 
@@ -102,7 +102,7 @@ class FootView:
         flawed: Whether the feet have no centres of pressure of their own.
         held: The last ones that were defined, of each foot and of all, and its deviation in m, (2 F + 4,).
         force_bound: Largest force that is shown in N.
-        weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
+        weight: The robot's believed weight in N: the unit of ``"foot_load"``.
 
     Raises:
         ValueError: If a part does not exist, is named twice, or there is none of such feet.
@@ -201,10 +201,10 @@ class FootView:
             case "contact_probability" | "undetermined":
                 return np.array(getattr(estimate, part), dtype=np.float32)
             case "foot_load":
-                return self._limited(estimate.force, self.weight)
-        return self._limited(getattr(estimate, part.removeprefix("foot_")), 1.0)
+                return self._clip(estimate.force, self.weight)
+        return self._clip(getattr(estimate, part.removeprefix("foot_")), 1.0)
 
-    def _limited(self, force: Any, unit: float) -> NDArray[np.float32]:
+    def _clip(self, force: Any, unit: float) -> NDArray[np.float32]:
         bound = self.force_bound
         limited: NDArray[np.float32] = (np.minimum(np.maximum(force, -bound), bound) / unit).astype(
             np.float32

@@ -1,4 +1,4 @@
-"""All of one sample of one robot by the library, in one call: beliefs, filter and what an agent is shown."""
+"""All of one sample of one robot by the library, in one call: beliefs, filter and observation."""
 
 from collections.abc import Sequence
 from operator import itemgetter
@@ -12,8 +12,8 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
 from surefoot.native import call_for_many
+from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
-from surefoot.robot.beliefs.references import reference_info
 from surefoot.robot.foot_view import DETERMINED, FootView
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
@@ -24,12 +24,12 @@ NOTHING = None, 0
 
 
 class Sample(NamedTuple):
-    """What the library is asked of one sample.
+    """The request to the library for one sample.
 
     Attributes:
         rows: Where rows of packets lie that have arrived before it; ``None`` for nowhere.
         packets: Their number.
-        then: What the sample is about, in s on the host's clock.
+        then: The moment of the sample, in s on the host's clock.
         now: The host's clock in s.
         how: 1 if there is a plan, plus 2 to learn nothing.
     """
@@ -42,13 +42,13 @@ class Sample(NamedTuple):
 
 
 class NativeSample:
-    """The library for one robot; its beliefs, its filter and what is held stay those of the objects.
+    """The library for one robot; its beliefs, its filter and the held values stay those of the objects.
 
     Args:
         beliefs: The robot's.
         native: Its filter.
         state: The filter's state.
-        view: What is shown.
+        view: The view of the feet.
         dt: Time between samples in s.
 
     Attributes:
@@ -63,13 +63,13 @@ class NativeSample:
         self._of = beliefs, state, beliefs.model.revision
         self._filter, self._raw, self.sampled = native, native.raw, False
         config = view_record(library, view)
-        told = _told(library, beliefs, native, view)
+        told = _output_dtype(library, beliefs, native, view)
         self._dtype, self._memory = told, np.zeros(library.places["told"][""][2], np.uint8)
         # What comes after the last number is room that this robot has no use for.
         self._part = self._memory[: told.itemsize]
         self._parts, self._believed = view.parts, ("known", *beliefs.believed.kind._fields)
         self._fields = itemgetter(*(told.names or ()))
-        records = library.filled(
+        records = library.record_of(
             "sample_records",
             {
                 **beliefs.addresses(),
@@ -100,7 +100,7 @@ class NativeSample:
 
         Args:
             raw: Counts, shape (K,).
-            command: What the robot commands itself, if anything.
+            command: The robot's command to itself, if any.
             hold: Whether nothing is learnt of it.
         """
         self._raw[...] = raw
@@ -111,15 +111,15 @@ class NativeSample:
         self.tell(self._sample(self._at, *sample))
 
     def tell(self, found: int) -> None:
-        """Learn what the library found of a sample."""
+        """Take over the library's results of a sample."""
         beliefs, state, _ = self._of
         beliefs.tell(found)
         self.sampled = True
         if found & 9:
-            state.changed()
+            state.drop_published()
 
-    def told(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return what an agent is shown of the last sample, and what ``info`` holds of the estimate.
+    def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the observation of the last sample, and the ``info`` of the estimate.
 
         All arrays are fresh.
         """
@@ -129,7 +129,7 @@ class NativeSample:
             told["reference"] = beliefs.info()
         return shown, told
 
-    def told_by(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs_of(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the same of robots of this one's kind, with the robots in front of each array."""
         memory = np.array([robot._part for robot in robots])
         shown, told = self._read(np.ndarray(len(robots), self._dtype, memory), np.ones(len(robots), bool))
@@ -186,8 +186,8 @@ def feed_many(natives: Sequence[NativeSample], samples: Sequence[Sample], thread
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:
-    """Return the bounds of what is shown, as the library wants them."""
-    config = library.filled(
+    """Return the bounds of the observation, as the library wants them."""
+    config = library.record_of(
         "view",
         {
             "force_bound": view.force_bound,
@@ -200,15 +200,17 @@ def view_record(library: Library, view: FootView) -> NDArray[Any]:
     return config
 
 
-def shown_dtype(library: Library, view: FootView) -> np.dtype[Any]:
-    """Return the dtype of what the library can show."""
+def view_dtype(library: Library, view: FootView) -> np.dtype[Any]:
+    """Return the dtype of the library's observation."""
     dtype = library.record("shown", {name: space.shape or () for name, space in view.every.items()})
     assert dtype is not None
     return dtype
 
 
-def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: FootView) -> np.dtype[Any]:
-    """Return the dtype of what a sample tells, up to the last number.
+def _output_dtype(
+    library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: FootView
+) -> np.dtype[Any]:
+    """Return the dtype of a sample's outputs, up to the last number.
 
     Its names come in the order in which :meth:`NativeSample._read` takes them.
     """
@@ -218,7 +220,7 @@ def _told(library: Library, beliefs: NativeBeliefs, native: NativeFilter, view: 
             native.estimate.now.dtype,
             _OF_ESTIMATE + DETERMINED * native.constants.contact,
         ),
-        "shown": (shown_dtype(library, view), view.parts),
+        "shown": (view_dtype(library, view), view.parts),
         "belief": (beliefs.believed.dtype, beliefs.believed.kind._fields),
     }
     # Names alone would not do: an estimate's are shown as well.

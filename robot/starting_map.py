@@ -11,7 +11,7 @@ from surefoot.robot.beliefs.errors import BeliefErrors
 
 
 class StartingMap:
-    """A known map, the data sheet's, or that of a calibrated start: what known weights would have given.
+    """A known map, the data sheet's, or that of a calibrated start, as known weights would give it.
 
     Args:
         initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset a channel, as
@@ -22,7 +22,7 @@ class StartingMap:
     Attributes:
         given: Whether it was given as numbers.
         calibrated: Whether it is a calibrated start.
-        known: What is known of it beforehand: the map as given, or else the data sheet's, shape (K,).
+        known: The map as it is known beforehand: the map as given, or else the data sheet's, shape (K,).
 
     Raises:
         ValueError: If it is none of these.
@@ -35,8 +35,8 @@ class StartingMap:
         self.known = read if isinstance(read, Parameters) else nominal
         self._errors = errors
 
-    def recorded(self) -> str | dict[str, list[float]]:
-        """Return what was given as plain words and numbers."""
+    def as_plain(self) -> str | dict[str, list[float]]:
+        """Return the argument as plain words and numbers."""
         if self.given:
             return {name: part.tolist() for name, part in self.known._asdict().items()}
         return "calibrated" if self.calibrated else "nominal"

@@ -1,4 +1,4 @@
-"""What one robot draws its devices and its beliefs from, and when a reset draws anew."""
+"""The random streams of one robot's devices and beliefs, and when a reset draws fresh ones."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool)
     A seed names one course of events, so that it draws; without one hardware is kept.
 
     Args:
-        choice: What the reset's options ask for.
+        choice: The choice of the reset's options.
         seed: Of the reset.
         always: Whether every reset draws fresh hardware.
         drawn: Whether there is anything to keep.

@@ -1,8 +1,9 @@
 """Honest models of foot sensors, IMUs and encoders: NumPy arrays in, NumPy arrays out.
 
 The top level has configurations, presets, builders of devices, faults, and the simplest stages. All other
-stages are in :mod:`surefoot.sensors.stages` and :mod:`surefoot.sensors.transport`, states beside what makes
-them. What the robot's own computer makes of encoders and IMU is in :mod:`surefoot.sensors.telemetry`.
+stages are in :mod:`surefoot.sensors.stages` and :mod:`surefoot.sensors.transport`, states beside the
+functions that make them. The work of the robot's own computer on encoders and IMU is in
+:mod:`surefoot.sensors.telemetry`.
 """
 
 from surefoot.sensors.corruption import Corruption, chain

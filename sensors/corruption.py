@@ -1,8 +1,8 @@
 """A sensor is a chain of small corruptions, each a pair of pure functions.
 
-``init`` draws what a device keeps from power-up on (its scale, its offset, the phase of its clock), and
+``init`` draws the constants of a device from power-up on (its scale, its offset, the phase of its clock), and
 ``apply`` passes one reading on. State is a value and randomness an argument: an old state stays as it was,
-and what is constant over an episode cannot become a random walk over episodes.
+and a constant over an episode cannot become a random walk over episodes.
 
 A device is that of one robot, and its readings are one row, shape (K,), for K channels. A stage reckons in
 float64 and writes into none of its arguments.
@@ -44,15 +44,15 @@ class Corruption(NamedTuple, Generic[State]):
 
 
 def device(build: Callable[Arguments, Corruption[State]]) -> Callable[Arguments, Corruption[State]]:
-    """Let what a function of configurations builds be pickled: as that function and its arguments."""
+    """Let the result of a function of configurations be pickled: as that function and its arguments."""
 
     @wraps(build)
-    def built(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Corruption[State]:
+    def make(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Corruption[State]:
         corruption = build(*args, **kwargs)
-        corruption.init.built_by = partial(built, **kwargs), args  # type: ignore[attr-defined]
+        corruption.init.built_by = partial(make, **kwargs), args  # type: ignore[attr-defined]
         return corruption
 
-    return built
+    return make
 
 
 def limit(reading: ArrayLike, low: Any, high: Any) -> Array:
@@ -91,8 +91,8 @@ def parts(kind: type[State], on: Mapping[str, Corruption[Any]]) -> Corruption[St
     off: Any = kind(*((),) * len(kind._fields))  # type: ignore[attr-defined]
 
     def init(shape: tuple[int, ...], rng: Rng) -> State:
-        begun: State = off._replace(**{name: part.init(shape, rng) for name, part in on.items()})
-        return begun
+        started: State = off._replace(**{name: part.init(shape, rng) for name, part in on.items()})
+        return started
 
     def apply(reading: Array, state: State, rng: Rng, dt: float) -> tuple[Array, State]:
         after = {}

@@ -286,7 +286,7 @@ def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore
             :class:`StrainGauges`, :class:`Imu`, :class:`Encoders` or :class:`Link`.
 
     Raises:
-        ValueError: If there is none of that name, the message lists what there is; or if its module cannot
+        ValueError: If there is none of that name, the message lists them; or if its module cannot
             be imported.
 
     >>> preset("hx711-load-cells").adc_bits
@@ -320,7 +320,7 @@ def sized(config: LoadCells, weight: float) -> LoadCells:
     """Choose cells of the same kind for a robot of another weight.
 
     All that is given in newtons goes with the weight: capacity, offsets with their drift and temperature
-    coefficient, what impacts do to them, and the change of load that counts as an impact. What is relative
+    coefficient, their change by impacts, and the change of load that counts as an impact. A relative number
     stays; noise and rounding are shares of the range, so they go along.
 
     Args:

@@ -8,7 +8,7 @@ robot's device draws the same wherever the robot stands. Its words a, b, c, d gi
 
 and the same of c and d, and two normal ones by Box and Muller,
 :math:`\sqrt{-2 \log(1 - u_1)}\, (\cos 2 \pi u_2, \sin 2 \pi u_2)`. A draw of n numbers takes
-:math:`\lceil n / 2 \rceil` blocks; what is left of the last one is dropped.
+:math:`\lceil n / 2 \rceil` blocks; the rest of the last one is dropped.
 ``sensors/native/surefoot_random.h`` is the same in C, and draws here where it is compiled.
 """
 
@@ -87,7 +87,7 @@ class Stream:
 
     @classmethod
     def of(cls, *numbers: int) -> Self:
-        """Return a stream by what its key is made of.
+        """Return the stream of a key's parts.
 
         Args:
             *numbers: Such as a seed and the device's number; without, nobody knows.

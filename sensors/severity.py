@@ -1,9 +1,9 @@
 """One number for how bad an instrument is, for sweeps: 0 is perfect, 1 its configuration, 2 twice as bad.
 
-The *errors* grow in proportion: spreads, noises, drifts, coefficients, shares, delays. What the instrument
-*is* stays: its number of channels, their ranges, resolution, rate and coding, the law by which it warms up.
-An instrument of severity 0 therefore still rounds, clips and has a clock of its own. :data:`ERRORS` and
-:data:`IDENTITY` list the fields of both kinds.
+The *errors* grow in proportion: spreads, noises, drifts, coefficients, shares, delays. The parts that the
+instrument *is* stays: its number of channels, their ranges, resolution, rate and coding, the law by which it
+warms up. An instrument of severity 0 therefore still rounds, clips and has a clock of its own. :data:`ERRORS`
+and :data:`IDENTITY` list the fields of both kinds.
 
 Some errors have a largest value: no wire repeats more than all of its readings. Severities above 1 take these
 up to :data:`LIMITS` and no further, while all others go on.
@@ -202,7 +202,7 @@ def scaled(config: Config, severity: float) -> Config:
         raise TypeError(f"{kind.__name__} has no severity; {[known.__name__ for known in ERRORS]} have.")
     errors = {name: _times(getattr(config, name), severity) for name in ERRORS[kind]}
     if severity > 1.0:
-        errors |= _limited(config, errors, severity)
+        errors |= _at_limit(config, errors, severity)
     try:
         worse: Config = replace(config, **errors)  # type: ignore[type-var]
     except ValueError as refused:
@@ -218,7 +218,7 @@ def _times(value: Any, factor: float) -> Any:
     return tuple(factor * part for part in value) if isinstance(value, tuple) else factor * value
 
 
-def _limited(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
+def _at_limit(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
     """Return the values of the errors that reach a limit."""
     limits = LIMITS.get(type(config), {})
     found = {name: min(errors[name], max(most, getattr(config, name))) for name, most in limits.items()}

@@ -19,7 +19,7 @@ NEEDED = (
 
 
 def main() -> None:
-    """Run the command, or say what to install for it."""
+    """Run the command, or name the missing package."""
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         print(

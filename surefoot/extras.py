@@ -1,4 +1,4 @@
-"""What an extra of the package brings is asked for by its name."""
+"""Names that an extra of the package brings, loaded when asked for."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def not_installed(name: str, missing: ImportError, extra: str) -> ImportError:
-    """Return the error that says what to install for a module or function; one that says so already stays."""
+    """Return the error that names the package to install for a module or function; one that does so stays."""
     if "surefoot" in str(missing):
         return missing
     return ModuleNotFoundError(
@@ -24,7 +24,7 @@ def names_of(
     Args:
         package: Name of the package.
         modules: The module of each name.
-        extra: The extra that brings what they need.
+        extra: The extra that brings the packages they need.
     """
 
     def get(name: str) -> Any:

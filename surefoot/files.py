@@ -5,7 +5,7 @@ full disk or a killed process costs the new file and never the old one. A rename
 name, a device as well as a file: only regular files are replaced. The file beside the target is locked while
 it is written; one that nobody holds was left by a killed process, and the next save to the target removes it.
 
-The readers look at sizes before contents: of a file, of what an archive unpacks to, of what an array says of
+The readers look at sizes before contents: of a file, of an unpacked archive, of an array's own words about
 itself.
 """
 
@@ -53,9 +53,9 @@ _OWN = 50
 
 @contextmanager
 def atomic_path(path: AnyPath) -> Iterator[Path]:
-    """Lend a name beside a file, and rename what was written into place, or remove it.
+    """Lend a name beside a file, and rename the finished file into place, or remove it.
 
-    Folders are made. A link is followed: what it leads to is replaced.
+    Folders are made. A link is followed: its target is replaced.
 
     Args:
         path: The file.
@@ -99,7 +99,7 @@ def write_text(path: AnyPath, text: str) -> None:
 
 
 @contextmanager
-def locked(folder: Path, refusal: Exception) -> Iterator[None]:
+def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
     """Keep others, who get ``refusal``, out of a folder while this process lives, where the system can."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -157,7 +157,7 @@ def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueEr
 
     Args:
         text: The text.
-        name: What messages call it.
+        name: Its name in messages.
         refusal: The error to raise.
 
     Raises:
@@ -187,7 +187,7 @@ def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str,
     Args:
         path: The file.
         wanted: Names of columns that must be there.
-        cure: What messages advise, such as ``"write it with ..."``.
+        cure: The advice of messages, such as ``"write it with ..."``.
 
     Raises:
         ValueError: As of :func:`read_text`; if a column is missing or there twice, a row is longer or
@@ -251,7 +251,7 @@ def names_in_archive(path: AnyPath) -> list[str]:
 
 @contextmanager
 def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
-    """Open an archive; what goes wrong inside is a ValueError that names it."""
+    """Open an archive; an error inside is a ValueError that names it."""
     target = Path(_as_path(path))
     if stat_of_file(path) is None:
         raise FileNotFoundError(f"{path}: no such file.")
@@ -278,7 +278,7 @@ def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> N
 
 
 def _as_path(path: Any) -> str:
-    """Return a path as a str; TypeError for what is none, such as an int: the number of an open file."""
+    """Return a path as a str; TypeError for no path, such as an int: the number of an open file."""
     if not isinstance(path, str | PathLike):
         raise TypeError(f"A path must be a str or a Path, got {path!r} of {type(path).__name__}.")
     if "\0" in (text := os.fspath(path)):

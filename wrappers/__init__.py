@@ -1,6 +1,6 @@
 """Sensors and calibrators around an environment: faces of :mod:`surefoot.robot`.
 
-Modules are loaded when something of theirs is asked for: what serves GPU simulators
+Modules are loaded when something of theirs is asked for: code that serves GPU simulators
 (:mod:`surefoot.wrappers.gpu`) needs no MuJoCo.
 """
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from surefoot.robot.beliefs.errors import BeliefErrors
     from surefoot.robot.beliefs.nominal import NominalModel
     from surefoot.robot.beliefs.references import Beliefs
+    from surefoot.robot.sensing.foot_equipment import FootEquipment
     from surefoot.wrappers.calibrate_first import CalibrateFirst
     from surefoot.wrappers.foot_sensors import FootSensors
     from surefoot.wrappers.history import SampleHistory
@@ -24,6 +25,7 @@ __all__ = [
     "BeliefErrors",
     "Beliefs",
     "CalibrateFirst",
+    "FootEquipment",
     "FootSensors",
     "NominalModel",
     "SampleHistory",
@@ -37,6 +39,7 @@ _MODULES = {
     "BeliefErrors": "surefoot.robot.beliefs.errors",
     "Beliefs": "surefoot.robot.beliefs.references",
     "CalibrateFirst": "surefoot.wrappers.calibrate_first",
+    "FootEquipment": "surefoot.robot.sensing.foot_equipment",
     "FootSensors": "surefoot.wrappers.foot_sensors",
     "NominalModel": "surefoot.robot.beliefs.nominal",
     "SampleHistory": "surefoot.wrappers.history",

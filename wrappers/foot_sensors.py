@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.equipment import Equipment
+from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.robot.streams import SENSOR_STREAM
-from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
 from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
@@ -24,7 +23,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
     Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in
-    memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with what the
+    memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with all that the
     environment showed as ``"state"`` unless it was a ``Dict`` already, and gains
 
     | Key | Observation | Min | Max | Unit |
@@ -32,7 +31,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     | ``"foot_raw"`` (K) | cells, left then right: FL, FR, RL, RR; ankles: fx to tz | 0 | 2^24 - 1 | count |
 
     (the range is the configuration's; where no reading arrives the last one is held, and before the first
-    that of an unloaded sensor). It loses what only truth has (``"foot_force"``, ``"cop"``,
+    that of an unloaded sensor). It loses the true (``"foot_force"``, ``"cop"``,
     ``"cop_foot"`` and ``"cop_valid"``), and where the environment has a ``state_layout``, ``joint_position``,
     ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
     arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
@@ -46,40 +45,27 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     ``options={"surefoot": {"sensors": "fresh"}}`` draws
     fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
-    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` holds what
-    was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the place
-    of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a policy.
+    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` also holds
+    the was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the
+    place of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a
+    policy.
 
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
-        config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` of four
-            channels a foot, or of one for feet that touch at a point, or a
-            :class:`~surefoot.sensors.ForceTorque`, or a mapping of the fields of either. ``None`` for the
-            cells of ``"hx711-load-cells"``, or larger ones of their kind for a robot that is too heavy for
-            these (:func:`~surefoot.sensors.sized`).
-        ankles: Six-axis sensors besides load cells, likewise; ``None`` for none.
-        imu: The IMU, likewise; ``None`` for what suits the robot: ``"nao-imu"`` if one of its joints is a
-            NAO's ``"LHipYawPitch"``, else ``"onboard-imu"``.
-        encoders: The joint encoders, likewise: ``"nao-encoders"`` or ``"onboard-encoders"``.
-        link: The link over which encoders and IMU reach the host, likewise: ``"nao-wlan"``, 100 packets/s
-            20 ms late, or ``"onboard-500hz"``, 2 ms late.
-        severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`; or a tuple
-            (lowest, highest), of which fresh sensors draw one.
-        faults: What breaks when, on the clock of the power-up: words such as ``"at t=12 s cell left/2 dies"``
-            (:func:`~surefoot.sensors.parse_fault`), :class:`~surefoot.sensors.Fault` or mappings of its
-            fields. Or the probability of what happens to a channel in an episode, drawn at each reset:
-            ``{"dies": 0.02, "within 20 s drops 30 %": 0.05}`` (:mod:`surefoot.sensors.faults.chances`).
-        fresh: Whether every reset draws fresh sensors.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        config: The instruments under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells`,
+            a :class:`~surefoot.sensors.ForceTorque`, a mapping of the fields of either; or all sensors as one
+            value, a :class:`~surefoot.wrappers.FootEquipment`.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
         cells: Places of the cells, see :class:`~surefoot.envs.InstrumentedEnv`.
         soles: Flat soles for feet without area, likewise; they change how the robot moves.
-        stream: Number of the random stream, for independent sensors on the same episode.
+        options: Fields of :class:`~surefoot.wrappers.FootEquipment`: ``ankles``, ``imu``, ``encoders``,
+            ``link``, ``severity``, ``faults``, ``fresh`` and ``stream``.
 
     Attributes:
-        source: What records the truth.
+        source: The environment or wrapper that records the truth.
         robot: The sensors, which outlive episodes.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, or is wrapped already.
@@ -89,41 +75,24 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        config: str | Mapping[str, Any] | FootDevice | None = None,
+        config: str | Mapping[str, Any] | FootDevice | FootEquipment | None = None,
         *,
-        ankles: str | Mapping[str, Any] | FootDevice | None = None,
-        imu: str | Mapping[str, Any] | Imu | None = None,
-        encoders: str | Mapping[str, Any] | Encoders | None = None,
-        link: str | Mapping[str, Any] | Link | None = None,
-        severity: Severity = 1.0,
-        faults: Faults = (),
-        fresh: bool = False,
         measure_state: bool = True,
         feet: Sequence[str] | None = None,
         cells: Mapping[str, ArrayLike] | None = None,
         soles: bool | Mapping[str, Sequence[float]] | None = None,
-        stream: int = SENSOR_STREAM,
+        **options: Unpack[FootOptions],
     ) -> None:
-        options: dict[str, Any] = {
-            "config": config,
-            "ankles": ankles,
-            "imu": imu,
-            "encoders": encoders,
-            "link": link,
-            "severity": severity,
-            "faults": faults,
-            "fresh": fresh,
-            "stream": stream,
-        }
+        given = equip(config, **options)
         # Where the sensors are is recorded by InstrumentedEnv, which a spec brings back first.
-        gym.utils.RecordConstructorArgs.__init__(self, measure_state=measure_state, **options)
+        gym.utils.RecordConstructorArgs.__init__(self, measure_state=measure_state, **given.options)
         gym.Wrapper.__init__(self, with_source(env, feet=feet, cells=cells, soles=soles))
         source = find_source(self.env)
         assert source is not None
         self.source: Source = source
         dt, joints = float(source.dt), source.joint_names
         seldom = getattr(source, "seldom", False)
-        equipment = Equipment("FootSensors", source.drawing, joints, dt, **options, seldom=seldom)
+        equipment = Equipment("FootSensors", source.drawing, joints, dt, given, seldom)
         self.instruments = equipment.instruments
         check_order("FootSensors", self.env, source)
         shown: Any = self.env.observation_space
@@ -197,7 +166,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     @property
     def telemetry(self) -> Telemetry:
-        """What the packets hold (``telemetry.layout``) and how often they are sent."""
+        """The layout of the packets (``telemetry.layout``) and their rate."""
         return self.robot.telemetry
 
     def set_severity(self, severity: Severity) -> None:
@@ -230,7 +199,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return scale, offset
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what the hardware keeps while the power is on, its scales and offsets, to an ``.npz``.
+        """Write the hardware's lasting state, its scales and offsets, to an ``.npz``.
 
         Raises:
             RuntimeError: If nothing was drawn yet.

@@ -1,4 +1,4 @@
-"""What was observed some moments ago: a stack that counts in seconds and not in steps."""
+"""Observations of some moments ago: a stack that counts in seconds and not in steps."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Self-calibration of a robot while it walks, with what it knows of itself."""
+"""Self-calibration of a robot while it walks, with its knowledge of itself."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -12,7 +12,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import RAW, seen_below
+from surefoot.robot.foot_view import RAW, drop_counts
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
@@ -21,8 +21,8 @@ from surefoot.wrappers.source import check_clock, find_sensors, split_options
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
-    The observation gains, from the counts alone, what ``show`` names, and loses ``"foot_raw"`` unless that is
-    named as well: counts are millions, which saturate a policy.
+    The observation gains, from the counts alone, the parts that ``show`` names, and loses ``"foot_raw"``
+    unless that is named as well: counts are millions, which saturate a policy.
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
@@ -46,7 +46,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against
     is made of the robot's beliefs (telemetry and a nominal model with wrong masses, see
     :mod:`surefoot.robot.beliefs`), never of truth.
-    Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
+    Which feet stand and swing is planned by the environment's ``command``, or else found by kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
@@ -55,17 +55,17 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
     how many samples the reference is late.
 
-    What was learnt is kept over resets, as the sensors are. Calibration starts fresh at a reset with a seed
+    The calibration is kept over resets, as the sensors are. Calibration starts fresh at a reset with a seed
     or with fresh sensors, and with ``fresh=True`` at each; ``options={"surefoot": {"calibration": choice}}``,
     ``"fresh"`` or ``"keep"``, decides for one.
 
     Args:
         env: An environment with :class:`FootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, what a
+        initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, the map that a
             calibration from known weights would have found just before the episode; or
             :class:`~surefoot.calibration.Parameters` (also as a mapping).
-        show: What is observed; ``None`` for the first four. For a policy that scales nothing itself,
+        show: Parts of the observation; ``None`` for the first four. For a policy that scales nothing itself,
             ``("foot_load", "cop_foot", "cop", "cop_valid")``: none of it exceeds the order of one.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
@@ -114,7 +114,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=setup.method,
-            initial=setup.start.recorded(),
+            initial=setup.start.as_plain(),
             show=list(setup.show),
             lag=lag,
             fresh=fresh,
@@ -133,12 +133,12 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         sensors.listen()
         self.robot, self.layout = RobotCalibration(setup, sensors.robot), setup.layout
         self._shows_raw = RAW in setup.show
-        self.observation_space = spaces.Dict(seen_below(space.spaces, setup.show) | setup.spaces)
+        self.observation_space = spaces.Dict(drop_counts(space.spaces, setup.show) | setup.spaces)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment; what was learnt is kept, or calibration starts fresh.
+        """Reset the environment; the calibration is kept, or calibration starts fresh.
 
         Args:
             seed: Seeds the environment, the sensors and the errors of the beliefs; calibration starts fresh.
@@ -196,14 +196,15 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return self.robot.frozen
 
     def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again: readings are corrected by what was learnt so far.
+        """Learn nothing from now on, or learn again: readings are corrected by the calibration so far.
 
-        What was measured by now still counts, so that estimates may move for another fraction of a second.
+        Samples that were measured by now still count, so that estimates may move for another fraction of a
+        second.
         """
         self.robot.frozen = frozen
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what was learnt, and the masses that it rests on, to an ``.npz`` without pickles.
+        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
 
         Raises:
             RuntimeError: If the environment has not been reset.
@@ -211,7 +212,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         save_learnt(path, [self.robot])
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with what a file of :meth:`save` has learnt; a reset without a seed keeps it.
+        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
 
         Raises:
             RuntimeError: If the environment has not been reset.

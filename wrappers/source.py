@@ -33,7 +33,7 @@ class Source(Protocol):
 
     Attributes:
         truth: The last control step, such as :class:`~surefoot.envs.Truth`.
-        drawing: What the robot's maker hands out.
+        drawing: The drawing by the robot's maker.
         joint_names: The J hinge joints.
         dt: Duration of a control step in s.
         model: The simulated robot.
@@ -68,10 +68,10 @@ def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -
     """Find the sensors whose counts a wrapper calibrates, among the wrappers below it.
 
     Args:
-        env: What is to be wrapped.
+        env: The environment to wrap.
         owner: The class of the wrapper that calibrates, of which one is enough.
         sensors: The class of the wrapper that has the sensors.
-        wrapper: What all wrappers are.
+        wrapper: The base class of all wrappers.
 
     Raises:
         TypeError: If there are none, or are calibrated already.
@@ -101,7 +101,7 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
-        ValueError: If its feet cannot be found or have no place for what is asked.
+        ValueError: If its feet cannot be found or have no place for the sensors.
     """
     given = {name: value for name, value in options.items() if value is not None}
     if find_source(env) is None:
@@ -115,14 +115,14 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
 
 
 def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
-    """Raise TypeError if truth was mixed with what may be seen before it is taken out.
+    """Raise TypeError if truth was mixed with observations before it is taken out.
 
     Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
     observation is handed on, whatever was made of it.
 
     Args:
         owner: The wrapper that takes it out, for messages.
-        env: What it goes around.
+        env: The environment that it goes around.
         source: The environment.
     """
     below: Any = env
@@ -149,10 +149,10 @@ def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = No
 
     Args:
         owner: The wrapper that reads one sample a step, for messages.
-        env: What it goes around.
+        env: The environment that it goes around.
         passed: By how much simulated time went on in s.
         dt: Duration of a step in s.
-        source: What simulates the robot.
+        source: The simulation of the robot.
 
     Returns:
         Whether the simulation blew up.
@@ -176,7 +176,7 @@ def split_options(
 
     Args:
         options: Of the reset; it is not changed.
-        *kinds: What may be chosen: ``"sensors"``, ``"calibration"``.
+        *kinds: The choices: ``"sensors"``, ``"calibration"``.
 
     Returns:
         The environment's options, and ``"fresh"`` or ``"keep"`` by kind.

@@ -1,1 +1,1 @@
-"""What every method does to readings before it learns from them: checks, averages, alignment in time."""
+"""The treatment of readings before any method learns from them: checks, averages, alignment in time."""

@@ -7,7 +7,7 @@ with the slope that it had over the last :math:`n = 3` samples,
 .. math:: \delta_i = \alpha_i \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
 
 The feet's vertical force stays as it was read. While a robot shifts its weight the sum hardly changes, and
-what slope it has is mostly that chips are read at different moments. With :math:`v_i` what a newton on a
+its slope is mostly that chips are read at different moments. With :math:`v_i` the share of a newton on a
 channel adds to the vertical force, least squares relative to the :math:`\delta` themselves give
 
 .. math:: \delta_i \leftarrow \delta_i - v_i \delta_i^2 \frac{\sum_j v_j \delta_j}{\sum_j v_j^2 \delta_j^2} .
@@ -28,7 +28,7 @@ _LONGEST = 4.0
 """Samples by which a force is carried on at most: that it helps for longer has not been seen."""
 
 
-def carried_time(setup: OnlineSetup) -> NDArray[np.float64]:
+def extrapolation_time(setup: OnlineSetup) -> NDArray[np.float64]:
     """Return by how long each channel is carried on in s, shape (K,)."""
     age = np.asarray(setup.age, dtype=np.float64)
     return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
@@ -39,7 +39,7 @@ def as_read(setup: OnlineSetup) -> OnlineSetup:
     return replace(setup, age=0.0)
 
 
-def expected_change(history: Array, clean: int, time: Array, interval: float) -> Array:
+def change_since_reading(history: Array, clean: int, time: Array, interval: float) -> Array:
     """Return by how much forces are expected to have changed since they were read, in N, shape (K,).
 
     That is nothing where a reading at an end of the slope did not come, or a sample between was not good.
@@ -64,7 +64,7 @@ def with_total_kept(change: Array, up: Array) -> Array:
 
     Args:
         change: Changes in N, shape (K,).
-        up: What a newton on each channel adds to the vertical force, shape (K,).
+        up: The vertical force of a newton on each channel, shape (K,).
     """
     by = up * change * change
     room = (by * up).sum()

@@ -1,4 +1,4 @@
-"""A robot's beliefs as flat numbers, and what they ask of the ground.
+"""A robot's beliefs as flat numbers, and the ground force that they require.
 
 A reference is laid out flat because a control loop pays for every operation: one check, one choice between
 the new and the last good one. The equations are those of :mod:`surefoot.calibration.cop` and
@@ -65,7 +65,7 @@ class Motions:
     Args:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
-        imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
+        imu: Whether accelerometer and gyroscope are used; unused ones need not be sound.
         momentum: Whether a :class:`~surefoot.calibration.reference.MomentumReference` is taken as well; its
             velocity and momentum stand in the columns of their rates.
 

@@ -21,8 +21,8 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import (
     SLOPE_SAMPLES,
-    carried_time,
-    expected_change,
+    change_since_reading,
+    extrapolation_time,
     with_total_kept,
 )
 from surefoot.calibration.front_end.centres import centres
@@ -35,7 +35,7 @@ LONGEST_GAP = 5.0
 
 
 class FrontState(NamedTuple):
-    """What the way of a sample remembers.
+    """The state of the front end.
 
     Attributes:
         raw: Last good reading of each channel, shape (K,).
@@ -69,7 +69,7 @@ class Sample(NamedTuple):
         stance: Feet surely on the ground by a reference that is good (bool), shape (F,).
         swing: Feet surely in the air by a reference that is good (bool), shape (F,).
         known: Whether any reference was good so far.
-        flags: What is wrong with the newest readings and the reference, shape (K,).
+        flags: Flaws of the newest readings and the reference, shape (K,).
         gap: Whether the clock jumped, so that the last sample and this one do not belong together.
     """
 
@@ -95,7 +95,7 @@ class FrontEnd:
     Args:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out: Fz = M g at (x, y).
-        imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
+        imu: Whether accelerometer and gyroscope are used; unused ones need not be sound.
         momentum: Whether references may hold momentum instead of accelerations.
 
     Attributes:
@@ -125,7 +125,7 @@ class FrontEnd:
             "history": (-made, made),
             "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
         }
-        self.carried = carried_time(setup)
+        self.carried = extrapolation_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
 
@@ -171,7 +171,7 @@ class FrontEnd:
         """Check one sample, align it with its reference and write its rows.
 
         Args:
-            state: What the way of a sample remembers.
+            state: The state of the front end.
             raw: Readings, shape (K,).
             reference: The robot's beliefs ``lag`` samples ago.
             dt: Time since the last sample in s.
@@ -205,7 +205,7 @@ class FrontEnd:
         ahead = None
         if self._aged:
             # Samples that come late are further apart than they should be.
-            ahead = force + expected_change(history, clean, self.carried, max(dt, self.setup.dt))
+            ahead = force + change_since_reading(history, clean, self.carried, max(dt, self.setup.dt))
 
         flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
         flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)

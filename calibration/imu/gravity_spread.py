@@ -43,8 +43,8 @@ def check_gravity_spread(
         centred: As for :func:`gravity_spread`.
         size: As for :func:`gravity_spread`.
         minimum: Share of gravity's size by which it must have spread along its least seen direction.
-        sought: What is to be found, for the message.
-        cure: What to do.
+        sought: The unknown, for the message.
+        cure: The cure, for the message.
 
     Raises:
         CalibrationRefused: If it did not spread that far.

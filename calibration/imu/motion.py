@@ -1,10 +1,10 @@
-"""From an IMU somewhere on the limb to what an F/T sensor feels.
+"""From an IMU somewhere on the limb to the load of an F/T sensor.
 
 An IMU at p in the sensor's frame reads the specific force f = a_imu - g, and for a rigid limb
 
     a_imu = a + alpha x p + omega x (omega x p)
 
-with the acceleration a of the sensor's origin. What the limb weighs at the sensor follows g - a, so that
+with the acceleration a of the sensor's origin. The limb's weight at the sensor follows g - a, so that
 
     g - a = -R_sensor_imu f + alpha x p + omega x (omega x p).
 
@@ -49,8 +49,8 @@ def gravity_from_imu(
     """Transfer an IMU's log to the sensor's origin.
 
     Args:
-        specific_force: What the accelerometer reads, calibrated, in the IMU's frame in m/s^2, shape (n, 3).
-        angular_velocity: What the gyroscope reads less its bias, in the IMU's frame in rad/s, shape (n, 3).
+        specific_force: The accelerometer's readings, calibrated, in the IMU's frame in m/s^2, shape (n, 3).
+        angular_velocity: The gyroscope's readings less its bias, in the IMU's frame in rad/s, shape (n, 3).
         dt: Time between samples in s, the same for all.
         position_imu: Of the accelerometer in the sensor's frame in m, shape (3,).
         R_sensor_imu: Turns vectors of the IMU's frame into the sensor's, shape (3, 3); else the identity.

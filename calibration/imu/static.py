@@ -97,7 +97,7 @@ def static_samples(
         angular_velocity: From a gyroscope, in rad/s, shape (n, 3), or None.
         dt: Time between samples in s. Without it and without a gyroscope only the size is looked at.
         tolerance: Largest deviation of the size from its median, over the median. 2 % lets the noise of cheap
-            accelerometers pass; what stops it is a knock or a touch.
+            accelerometers pass; a knock or a touch stops it.
         maximum_rate: In rad/s. At 0.1 rad/s (6 degrees a second) half a metre from the axis the centripetal
             acceleration is 0.005 m/s^2, 0.05 % of gravity.
         window: Of the filter that the rate is taken with, in samples; only used without a gyroscope.

@@ -1,6 +1,6 @@
 """The moment filter in C: headers for a robot's own controller, and their use from here; see docs/native.md.
 
-The Python in :mod:`surefoot.calibration.moment` is the specification, and what runs where no library is. The
+The Python in :mod:`surefoot.calibration.moment` is the specification, and runs where no library is. The
 library also makes the references, for :mod:`surefoot.robot`.
 """
 

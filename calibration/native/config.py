@@ -19,7 +19,7 @@ from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
 from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
-from surefoot.native import Library, c_header, required
+from surefoot.native import Library, c_header, require
 
 _METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
 """Numbers of methods in ``library.c``."""
@@ -40,7 +40,7 @@ class Constants(NamedTuple):
         like: A state of the method's Python, before any sample.
         front: The way of a sample.
         covariance: Name of the state's leaf that is the covariance of an estimate; or ``None``.
-        contact: Whether it says how likely feet bear load, and what it could not determine.
+        contact: Whether it says how likely feet bear load, and how much is undetermined.
     """
 
     number: int
@@ -55,7 +55,7 @@ class Constants(NamedTuple):
     def filter(self, library: Library) -> NDArray[Any]:
         """Return the record that the library is called with; it holds addresses of these."""
         own = 0 if self.own is None else self.own.ctypes.data
-        record = library.filled(
+        record = library.record_of(
             "filter", {"config": self.config.ctypes.data, "own": own, "method": self.number}
         )
         assert record is not None
@@ -91,8 +91,8 @@ def constants_of(
                 "spread": config.spread * setup.weight,
                 "limit": config.offset_range * setup.weight,
             }
-    record, name = library.filled("config", _robot(front, faults)), _OWN[number]
-    of_method = library.filled(name, own) if name else None
+    record, name = library.record_of("config", _robot(front, faults)), _OWN[number]
+    of_method = library.record_of(name, own) if name else None
     if record is None or (name and of_method is None):
         return None
     contact = method == "moment"
@@ -116,7 +116,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    found = constants_of(required(installed()), method, setup, options)
+    found = constants_of(require(installed()), method, setup, options)
     if found is None:
         raise ValueError(f"The library is not made for such a robot; {page('native')} has its limits.")
     record, own, name = found.config, found.own, _OWN[found.number]

@@ -69,8 +69,8 @@ class NativeState:
             self._covariance = self.record[self._name].copy()
         return self._covariance
 
-    def changed(self) -> None:
-        """Forget what was handed out."""
+    def drop_published(self) -> None:
+        """Forget the published record."""
         self._covariance = None
 
 
@@ -84,8 +84,8 @@ class NativeFilter:
     Attributes:
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
-        raw: What it reads, shape (K,).
-        references: Records of what the robot believes, one for each kind of reference that is taken.
+        raw: Its readings, shape (K,).
+        references: Records of the robot's beliefs, one for each kind of reference that is taken.
         estimate: The record of the last estimate.
         addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
     """
@@ -129,7 +129,7 @@ class NativeFilter:
         return NativeState(record, self.constants.covariance)
 
     def state(self, state: Any) -> NativeState | None:
-        """Return any state as the library's, begun if it is ``None``; ``None`` if it is of another kind."""
+        """Return any state as the library's, started if it is ``None``; ``None`` if it is of another kind."""
         if isinstance(state, NativeState):
             return state
         return self.init() if state is None else self.pack(state)
@@ -160,7 +160,7 @@ class NativeFilter:
         return rebuilt(self._template, own)
 
     def takes(self, raw: Array, reference: Reference | MomentumReference | ReferenceRecord, dt: Any) -> bool:
-        """Return whether arguments are as the library wants them; of others Python says what is wrong."""
+        """Return whether arguments are as the library wants them; of others Python names the flaw."""
         if not (
             type(raw) is np.ndarray
             and raw.dtype == self._real
@@ -196,7 +196,7 @@ class NativeFilter:
             for place, part in zip(given.places, reference, strict=False):
                 place[...] = part
         if self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out):
-            state.changed()
+            state.drop_published()
         return self.read(state)
 
     def read(self, state: NativeState) -> Estimate:
@@ -220,9 +220,9 @@ class NativeFilter:
         )
 
     def retract(self, state: NativeState) -> None:
-        """Take back what was learnt in the last seconds."""
+        """Take back the learning of the last seconds."""
         self._functions.surefoot_retract(self._addresses[0], state.address)
-        state.changed()
+        state.drop_published()
 
 
 def native_filter(

@@ -58,7 +58,7 @@ class ReferenceRecord:
         self.address = self._record.address
 
     def fill(self, reference: Reference | MomentumReference) -> None:
-        """Take over what it is."""
+        """Take over its values."""
         for name, part in reference._asdict().items():
             self._record.now[name] = part
 

@@ -2,8 +2,8 @@
 
 Known loads on one cell and its readings give F = c S + d (CoP paper, Eqs. 1, 2; Table 2) by linear regression
 of the *load on the reading*. The noise is in the readings, so that this regression shrinks c by the noise's
-share of the readings' variance: some 1e-9 for a 24-bit converter under kilograms, and it is what the paper
-prints.
+share of the readings' variance: some 1e-9 for a 24-bit converter under kilograms, and it is the noise that
+the paper prints.
 
 The correction of a whole foot's centre of pressure follows in
 :mod:`surefoot.calibration.weights.cop_correction`.
@@ -47,9 +47,9 @@ def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] |
 
     Args:
         raw: Readings, shape (n, K). A NaN or infinite reading leaves that sample out for that channel.
-        load: What rested on the channel, shape (n,) if all cells bore the same loads, else (n, K), in N or in
+        load: The load on the channel, shape (n,) if all cells bore the same loads, else (n, K), in N or in
             any unit that the result is to have.
-        channel_names: What messages call the channels.
+        channel_names: The channels' names in messages.
 
     Returns:
         The maps of all channels.

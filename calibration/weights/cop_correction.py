@@ -98,7 +98,7 @@ class CopCorrectionFit:
             position_weight: Where they stood in the sole frame in m, shape (n, 2).
 
         Returns:
-            The errors; what is not finite is left out.
+            The errors; those that are not finite are left out.
         """
         cell_force, hole = np.asarray(force, dtype=np.float64), np.asarray(position_weight, dtype=np.float64)
         raw_cop = cop_of_cells(cell_force, self.position_cell_sole, self.threshold)
@@ -238,7 +238,7 @@ def _check_shapes(
 def _check_placements(
     load: NDArray[np.float64], hole: NDArray[np.float64], unknowns: int, gated: int, threshold: float
 ) -> None:
-    """Raise CalibrationRefused if the placements do not determine the coefficients, with what is missing."""
+    """Raise CalibrationRefused if the placements do not determine the coefficients, with the missing data."""
     if len(load) < unknowns:
         raise CalibrationRefused(
             f"Only {len(load)} usable placements for {unknowns} coefficients "

@@ -176,8 +176,8 @@ def confidence_from_standing(
 ) -> tuple[float, float]:
     """Estimate delta_F and delta_P from a recording of quiet standing, as the paper does.
 
-    Both are standard deviations of what the feet measure against what the motion asks for, over a recording
-    that has passed the initial calibration. Standing shows noise and sway but not what walking adds (the
+    Both are standard deviations of the feet's forces against those that the motion requires, over a recording
+    that has passed the initial calibration. Standing shows noise and sway but not the errors of walking (the
     errors of the centre of mass and of its acceleration), so that delta_P comes out as a lower bound.
 
     Args:

@@ -25,7 +25,7 @@ _MEDIAN_OF_SQUARE = 0.79
 
 
 class Weights(NamedTuple):
-    """What residuals are measured in.
+    """The unit of residuals.
 
     Attributes:
         force: sqrt(w_F) / (M g), per N.
@@ -60,7 +60,7 @@ def linearise(
         phi: Rows of (Fz, n_x, n_y), shape (N, 3, 2K).
         vgrf: Fz_ref in N, shape (N,).
         use: Weight of each sample, 0 or 1, shape (N,).
-        weights: What residuals are measured in.
+        weights: The unit of residuals.
         spread: Unit of each parameter in the derivative, shape (2K,).
     """
     moment, scaled = phi @ theta, phi * spread
@@ -77,7 +77,7 @@ def linearise(
 
 
 class WindowSolution(NamedTuple):
-    """What came of the iterations.
+    """The result of the iterations.
 
     Attributes:
         theta: Parameters, shape (2K,).
@@ -110,7 +110,7 @@ def gauss_newton(
         phi: Rows, shape (N, 3, 2K).
         vgrf: Fz_ref in N, shape (N,).
         use: Weight of each sample, 0 or 1, shape (N,).
-        weights: What residuals are measured in.
+        weights: The unit of residuals.
         spread: s, shape (2K,).
         bound: Largest change of each parameter in one iteration, shape (2K,).
         iterations: How many steps to take.

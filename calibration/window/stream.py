@@ -49,10 +49,10 @@ class SampleColumns(NamedTuple):
 
 
 class WindowState(NamedTuple):
-    """What the sliding window remembers; F feet.
+    """The state of the sliding window; F feet.
 
     Attributes:
-        front: What the way of a sample remembers.
+        front: The state of the front end.
         step: Samples seen.
         pending: Samples since the last update, oldest first: F0, the flat reference, which feet surely
             stand, which surely stand or swing, whether the sample may be learnt from, whether it has
@@ -67,7 +67,7 @@ class WindowState(NamedTuple):
             (N, C + 2); see :class:`SampleColumns`.
         theta: (a, b / (M g)), shape (2K,).
         status: Flags of the last update.
-        standing: What the standing start has seen.
+        standing: The samples of the standing start.
         walking: Whether the standing start is over.
         all_walking: The same, 0 or 1, as saved states have it.
     """
@@ -143,7 +143,7 @@ class SlidingWindow:
 
     @property
     def method(self) -> OnlineMethod:
-        """The functions, and the limits of what they remember."""
+        """The functions, and the limits of their state."""
         limits = self._front_end.limits | {"theta": (self._lowest, self._highest)}
         return OnlineMethod(self.init, self.update, limits=limits)
 
@@ -288,7 +288,7 @@ class SlidingWindow:
 
 
 def _without_samples(state: WindowState) -> WindowState:
-    """Return the state without samples, as what comes next does not belong to them."""
+    """Return the state without samples, as the next ones do not belong to them."""
     pending, samples = np.zeros_like(state.pending), np.zeros_like(state.samples)
     return state._replace(pending=pending, samples=samples, started=False)
 

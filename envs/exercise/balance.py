@@ -1,8 +1,8 @@
 r"""Keeping the centre of mass over its plan with the ankles.
 
-What tips is the capture point :math:`\xi = c + \dot c \sqrt{h / g}` (c centre of mass, h its height). Motors
-alone hold it against gravity with the ankle's stiffness less what soft contacts and the other joints take
-away, which may be too little on one foot; so the ankles push the ground's reaction beyond its error,
+The capture point :math:`\xi = c + \dot c \sqrt{h / g}` tips (c centre of mass, h its height). Motors alone
+hold it against gravity with the ankle's stiffness less the loss in soft contacts and the other joints, which
+may be too little on one foot; so the ankles push the ground's reaction beyond its error,
 :math:`\Delta p = k (\xi - \xi_{plan})`, within the sole.
 """
 
@@ -23,7 +23,7 @@ GAIN: Final = 1.0
 
 
 class AnkleBalance:
-    """Turns an error of the capture point into what is added to the motors' targets.
+    """Turns an error of the capture point into a correction of the motors' targets.
 
     Args:
         robot: The robot.
@@ -55,10 +55,10 @@ class AnkleBalance:
 
         Args:
             truth: The last control step, of one robot or with many in front.
-            command: What was planned for its end.
+            command: The plan for its end.
 
         Returns:
-            What to add to the targets of the leg motors in rad, shape (..., L).
+            The correction of the leg motors' targets in rad, shape (..., L).
         """
         share = self._motion.shares(command)
         left, right = share[..., :1], share[..., 1:]

@@ -1,4 +1,4 @@
-"""A humanoid with flat feet sways, squats and lifts its feet: what a robot does to calibrate them."""
+"""A humanoid with flat feet sways, squats and lifts its feet: a robot's motions to calibrate them."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -21,7 +21,7 @@ from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation, Places
-from surefoot.envs.options import check_render_mode, checked_range, positive
+from surefoot.envs.options import check_range, check_render_mode, positive
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import check_size
 
@@ -63,9 +63,9 @@ class ExerciseEnv(BipedEnv):
         duration: Length of an episode in s, or ``None`` for no end.
         amplitude: Least and largest share of each sway and squat that an episode draws, at most 1.
         tempo: Least and largest factor on all speeds that it draws, at most 1.5.
-        prelude: What the robot does before each episode, or the path of its file, which ``surefoot calibrate
+        prelude: The robot's motion before each episode, or the path of its file, which ``surefoot calibrate
             motion`` writes; ``None`` for nothing. ``duration`` begins after it.
-        action_scale: What a full action adds to a target, in rad.
+        action_scale: The change of a target by a full action, in rad.
         joint_noise: Largest initial error of a joint in rad.
         velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
         render_mode: ``"rgb_array"`` or ``None``.
@@ -75,11 +75,11 @@ class ExerciseEnv(BipedEnv):
     Attributes:
         model: The MuJoCo model.
         data: Its state.
-        truth: What really happened during the last step, at every substep.
-        drawing: What the robot's maker hands out.
-        command: What the robot commands itself now; its targets are of all M motors in model order.
-        motion: What it can do.
-        prelude: Plays what comes before the episode (:class:`~surefoot.envs.prelude.Player`).
+        truth: The truth of the last step, at every substep.
+        drawing: The drawing by the robot's maker.
+        command: The robot's present command to itself; its targets are of all M motors in model order.
+        motion: Its possible motions.
+        prelude: Plays the motion before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
         leg_motor_names: The L motors of an action.
         state_layout: Where each part lies in ``observation["state"]``.
@@ -188,7 +188,7 @@ class ExerciseEnv(BipedEnv):
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(pressed, self._cop_width),
+            "reward_cop": self._reward_cop(pressed, self._cop_width),
             "reward_action": self._effort(action),
         }
 
@@ -218,7 +218,7 @@ class ExerciseEnv(BipedEnv):
         return frame
 
     def close(self) -> None:
-        """Close what was drawn on; the next frame opens another."""
+        """Close the renderer; the next frame opens another."""
         if self._renderer is not None:
             self._renderer.close()  # type: ignore[no-untyped-call]
             self._renderer = None
@@ -241,7 +241,7 @@ def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:
     """Return a range of positive numbers, or raise ValueError if it is none or exceeds ``highest``."""
-    low, high = checked_range(name, value)
+    low, high = check_range(name, value)
     if not 0.0 < low <= high <= highest:
         raise ValueError(f"'{name}' must be (lowest, highest) in (0, {highest}], got {value!r}.")
     return low, high

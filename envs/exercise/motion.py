@@ -6,10 +6,10 @@ targets tabulated along each; a *move* runs along a path from one place to anoth
 fit any extent of a move, which an episode draws.
 
 A cycle lifts one foot and then the other, shortly at first and then longer, with sways and a squat in
-between; or motions are played by their names, see :func:`motions_of`. Distances are shares of the soles'
-size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass), the time
-scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of pressure that
-leads by at most 0.29 :math:`A`.
+between; or motions are played by their names (:mod:`surefoot.envs.exercise.moves`). Distances are shares of
+the soles' size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass),
+the time scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of
+pressure that leads by at most 0.29 :math:`A`.
 """
 
 from collections.abc import Sequence
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from surefoot.envs.command import Command
+from surefoot.envs.exercise.moves import SWAYS, Move, Schedule, motions_of, one_leg
 from surefoot.envs.exercise.postures import Postures, UnreachableError
 from surefoot.envs.exercise.robot import ExerciseRobot, prepare_robot
 from surefoot.envs.prelude import Prelude
@@ -70,16 +71,6 @@ SURELY_UP: Final = 0.5
 REACH: Final = 1.6
 """How far paths go on beyond their end where the legs can, for motions that are played by name."""
 
-SWAYS: Final = ("forward", "left", "forward left", "forward right")
-"""Lines of the sways over both feet, there and back."""
-
-EXTENTS: Final = (1.4, 1.0, 0.5)
-"""Extents of the motions that are offered, as shares of a path: the first that a robot can do."""
-
-TEMPOS: Final = (0.5, 1.0, 1.4)
-"""Tempos that they are offered with: factors on all speeds."""
-
-
 MOST_KEPT: Final = 4
 """Robots whose exercise is kept for more environments of the same."""
 
@@ -106,24 +97,6 @@ class Path(NamedTuple):
     target: CubicSpline
     first: float
     last: float
-
-
-class Move(NamedTuple):
-    """A run along a path.
-
-    Attributes:
-        path: Name of the path.
-        start: Where it starts, s.
-        end: Where it ends, s.
-        time: Duration in multiples of that of a sway.
-        ends: Whether a motion ends with it: the robot is back in its first posture.
-    """
-
-    path: str
-    start: float
-    end: float
-    time: float
-    ends: bool = False
 
 
 class Paths(NamedTuple):
@@ -158,106 +131,6 @@ class Paths(NamedTuple):
         )
         com, along, lift, rise, first = map(np.array, lines)
         return cls(com, along, lift, rise, first, pieces, piece)
-
-
-class Schedule(NamedTuple):
-    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots.
-
-    Attributes:
-        end: When each ends in s; infinite after the last.
-        total: When the last one ends.
-        path: Number of its path.
-        start: Where on it the move starts.
-        way: How far it goes.
-        length: How long it takes in s.
-    """
-
-    end: NDArray[np.float64]
-    total: Any
-    path: NDArray[np.intp]
-    start: NDArray[np.float64]
-    way: NDArray[np.float64]
-    length: NDArray[np.float64]
-
-
-def motions_of(name: str) -> list[Move]:
-    """Return the moves of a motion that starts and ends in the middle, on both feet.
-
-    Args:
-        name: What, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
-            "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot
-            and sway about it), "step" (in place, one foot after the other) or "march" (twice that, without
-            a halt in the middle).
-
-    Raises:
-        ValueError: If there is no such motion.
-    """
-    what, _, tempo = name.partition("@")
-    words = what.split()
-    try:
-        scale = 1.0 / float(tempo or 1.0)
-        extent = float(words.pop()) if words[-1][-1].isdigit() else 1.0
-    except (IndexError, ValueError, ZeroDivisionError):
-        words, scale, extent = [], 1.0, 1.0
-    kind, of = words[0] if words else "", " ".join(words[1:])
-    feet = {"left": 0, "right": 1}
-    if kind == "sway" and of in SWAYS:
-        moves = [Move(of, 0.0, extent, 1.0), Move(of, extent, -extent, 1.6), Move(of, -extent, 0.0, 1.0)]
-    elif kind == "squat" and not of:
-        moves = [Move("squat", 0.0, extent, 1.0), Move("squat", extent, 0.0, 1.0)]
-    elif kind == "shift" and of in feet:
-        moves = [Move(f"shift {feet[of]}", *ends, 1.6) for ends in ((0.0, 1.0), (1.0, 0.0))]
-    elif kind in ("stand", "lean") and of in feet:
-        turns = {} if kind == "stand" else {"pitch": extent, "roll": extent}
-        moves = one_leg(feet[of], turns)
-    elif kind == "step" and not of:
-        moves = [*one_leg(0, {}, 0.6), *one_leg(1, {}, 0.6)]
-    elif kind == "march" and not of:
-        # From foot to foot without a halt in the middle: two steps with each.
-        moves = []
-        for k in range(4):
-            over = one_leg(k % 2, {}, 0.6)
-            middle = [Move("across", float(k % 2), float(1 - k % 2), 2.4)]
-            moves += [*over[: 1 if k == 0 else 0], *over[1:-1], *(over[-1:] if k == 3 else middle)]
-    else:
-        raise ValueError(
-            f"There is no motion '{name}'. There are 'sway' with one of {SWAYS}, 'squat', 'step', 'march', "
-            "and 'shift', 'stand' and 'lean' with 'left' or 'right'; then an extent such as 1.5, and a tempo "
-            "such as '@ 0.5'."
-        )
-    moves = [move._replace(time=move.time * scale) for move in moves]
-    return [*moves[:-1], moves[-1]._replace(ends=True)]
-
-
-def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move]:
-    """Return the moves by which a robot stands on one foot.
-
-    Args:
-        foot: The foot that bears it.
-        turns: How far it sways about it, by "pitch" and "roll".
-        pause: Factor on the time that it waits between moves, and that a lift takes.
-    """
-    moves = [Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause)]
-    moves += [Move(f"lift {foot}", 0.0, 1.0, pause), Move(f"lift {foot}", 1.0, 1.0, 0.3 * pause)]
-    for turn, s in turns.items():
-        path = f"{turn} {foot}"
-        moves += [Move(path, 0.0, s, 0.8), Move(path, s, -s, 1.2), Move(path, -s, 0.0, 0.8)]
-    moves.append(Move(f"lift {foot}", 1.0, 0.0, pause))
-    moves += [Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause), Move(f"shift {foot}", 1.0, 0.0, 1.6)]
-    return moves
-
-
-def motions_offered() -> list[list[str]]:
-    """Return names of motions to choose among, of every kind, direction and tempo: farther ones first."""
-    fixed = [
-        "squat",
-        "step",
-        "march",
-        *(f"{kind} {foot}" for kind in ("shift", "stand") for foot in ("left", "right")),
-    ]
-    scaled = [*(f"sway {way}" for way in SWAYS), "lean left", "lean right"]
-    kinds = [[kind] for kind in fixed] + [[f"{kind} {extent:g}" for extent in EXTENTS] for kind in scaled]
-    return [[f"{name} @ {tempo:g}" for name in names] for names in kinds for tempo in TEMPOS]
 
 
 def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Motion":
@@ -418,7 +291,7 @@ class Motion:
         """Draw an episode: its tempo, which foot is lifted first, the sways' order and every extent.
 
         Args:
-            rng: What to draw from.
+            rng: The source of chance.
             amplitude: Least and largest share of a path that is used.
             tempo: Least and largest factor on all speeds.
         """
@@ -450,7 +323,7 @@ class Motion:
         """Plan motions one after another.
 
         Args:
-            names: Of motions, see :func:`motions_of`.
+            names: Of motions, see :func:`~surefoot.envs.exercise.moves.motions_of`.
             dt: Time between two rows in s.
 
         Raises:

@@ -168,7 +168,7 @@ class Postures:
             share: Shares of the load on the soles, shape (2,).
 
         Returns:
-            The targets at rest, and what to add to them per unit of the parameter's speed and acceleration
+            The targets at rest, and their change per unit of the parameter's speed and acceleration
             against damping and inertia, in rad, rad s and rad s^2, shape (M,) each.
         """
         model, data = self.robot.model, self._data

@@ -150,7 +150,7 @@ def _leg(model: mujoco.MjModel, foot: int, torso: int) -> NDArray[np.intp]:
 
 
 def _motors(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Find what moves the legs."""
+    """Find the motors of the legs."""
     data = standing_pose(model)
     mujoco.mj_forward(model, data)
     arms = motor_moments(model, data)[:, model.jnt_dofadr[joints]]

@@ -1,4 +1,4 @@
-"""What a planned motion of the whole robot asks of the ground and of its motors.
+"""The ground forces and motor torques that a planned motion of the whole robot requires.
 
 Newton and Euler for the whole body, with the centre of mass c, the angular momentum L about it and the ground
 at height zero, give the centre of pressure:
@@ -126,7 +126,7 @@ def motor_targets(
     qvel: NDArray[np.float64],
     torque: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Lead a motion by what its position servos give way and lag behind.
+    """Lead a motion to make up for servos that give way and lag behind.
 
     A servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp.
 

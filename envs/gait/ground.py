@@ -1,4 +1,4 @@
-"""What happens on the ground during a walk: where the soles are and where the centre of pressure is to be."""
+"""The ground plan of a walk: where the soles are and where the centre of pressure is to be."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""From where the feet and the centre of mass should be to what the joints have to do.
+"""From where the feet and the centre of mass should be to the joints' angles.
 
 Newton's method on the errors and Jacobians of :mod:`mink`. Two legs with one common hip-yaw-pitch motor have
 eleven degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright

@@ -9,7 +9,7 @@ The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propos
 the planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
 difference to the reference, corrects the motion of the centre of mass.
 
-The motors' targets lead the posture by what is known to hold it back: the servos give way under their
+The motors' targets lead the posture by its known delays: the servos give way under their
 load and lag behind by kv / kp, and the ground gives way under a foot.
 """
 
@@ -28,7 +28,7 @@ from surefoot.envs.gait.ground import Walk, lay_out
 from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
-from surefoot.envs.gait.swing import checked_roll
+from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.numbers import MANY, ONE, Numbers
 from surefoot.envs.robots.nao import nao_model
 
@@ -92,7 +92,7 @@ class Pattern:
         return len(self.com)
 
     def command(self, tick: Any, m: Numbers = ONE) -> Command:
-        """What the robot commands at a control step; before the first and after the last, it stands there.
+        """The robot's command at a control step; before the first and after the last, it stands there.
 
         Control steps of many robots, shape (N,), give a command with the robots in front of each field.
         """
@@ -124,7 +124,7 @@ class Patterns:
         self._which = np.array(which), np.arange(len(patterns))
 
     def command(self, ticks: NDArray[np.int_], m: Numbers = MANY) -> Command:
-        """What the robots command at a control step each; see :meth:`Pattern.command`."""
+        """The robots' commands at a control step each; see :meth:`Pattern.command`."""
         commands = [pattern.command(ticks, m) for pattern in self._distinct]
         return Command(*(np.array(parts)[self._which] for parts in zip(*commands, strict=True)))
 
@@ -173,7 +173,7 @@ def plan_walk(
     if com_height is None:
         com_height = _com_height(speed, timing)
     walks = (Walk(timing.stand_ticks, footsteps),)
-    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
 
 
 def plan_route(
@@ -192,9 +192,9 @@ def plan_route(
     its last. A walk takes whole steps, so that it may stand up to a step before its time is over.
 
     Args:
-        legs: The legs, from :func:`~surefoot.envs.gait.route.checked_route`.
-        duration: Duration of all of it in s, the stands before and after the route included; what the route
-            leaves over is stood. ``None`` for as long as it takes.
+        legs: The legs, from :func:`~surefoot.envs.gait.route.parse_route`.
+        duration: Duration of all of it in s, the stands before and after the route included; the time that
+            the route leaves over is stood. ``None`` for as long as it takes.
         timing: Duration of a step and of its parts.
         lift_height: How high a foot is lifted, in m.
         com_height: Height of the centre of mass in m; as low as the longest steps need, when not given.
@@ -218,7 +218,7 @@ def plan_route(
         )
     if com_height is None:
         com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
-    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
 
 
 def _ticks_of(duration: float) -> int:

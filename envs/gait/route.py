@@ -41,8 +41,8 @@ class Leg(NamedTuple):
         return self.speed == 0.0 and self.turn_rate == 0.0
 
 
-def checked_route(route: Any) -> tuple[Leg, ...]:
-    """Make legs of what an option holds.
+def parse_route(route: Any) -> tuple[Leg, ...]:
+    """Make legs of an option's value.
 
     Args:
         route: Legs (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.

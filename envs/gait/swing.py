@@ -3,7 +3,7 @@
 Both the way along the ground and the lift are polynomials of the phase of the swing, with zero velocity and
 acceleration at either end, so that a foot leaves and lands without a jolt. A foot that rolls lifts its heel
 before it leaves while its toe stays where it is, and lands on its heel before it lays its toe down. While it
-does, it touches the ground with one edge only, where it then carries what load it has: its centre of pressure
+does, it touches the ground with one edge only, where it then carries its load: its centre of pressure
 leaves the middle of the sole.
 """
 
@@ -70,7 +70,7 @@ def lift(phase: ArrayLike, height: float) -> NDArray[np.float64]:
     return height * 64.0 * (s * (1.0 - s)) ** 3
 
 
-def checked_roll(angle: float) -> float:
+def check_roll(angle: float) -> float:
     """Return a pitch as a number, or raise ValueError if it is negative, too large or no number."""
     try:
         number = float(angle)

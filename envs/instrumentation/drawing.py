@@ -1,4 +1,4 @@
-"""What the maker of a robot hands out: bodies, joints and masses, where its sensors sit, and no truth."""
+"""The drawing by a robot's maker: bodies, joints and masses, where its sensors sit, and no truth."""
 
 import functools
 from collections.abc import Iterable, Mapping
@@ -25,7 +25,7 @@ _JOINTS = {
 
 
 class BelowSensor(NamedTuple):
-    """What hangs below a sensor of each foot, (left, right), in the sole frames.
+    """The mass below a sensor of each foot, (left, right), in the sole frames.
 
     Attributes:
         position_sensor_sole: Origins of the sensors' frames in m, shape (2, 3).
@@ -54,14 +54,14 @@ class RobotDrawing:
         imu: Name of the IMU's site, which sits on the torso.
         soles: Names of the F soles' sites, the left one first.
         feet: Names of the feet's bodies.
-        sides: What channels and messages call the feet.
+        sides: The feet's names in channels and messages.
         joint_names: The J hinge joints of the skeleton in model order.
         position_cell_sole: Places of the load cells in the sole frames in m, shape (F, 4, 3); None without.
         flaw: Why there are no cells, or empty.
-        below_cells: What the load cells carry besides the ground's force; None without cells.
-        below_ankle: What hangs below the sensors at the ankles.
-        touching: What of each foot may touch: centres in the sole's frame and radii in m, 0 of a point, shape
-            (F, n, 4). Of a foot with an area these are its cells' places.
+        below_cells: The mass on the load cells besides the ground's force; None without cells.
+        below_ankle: The mass below the sensors at the ankles.
+        touching: The parts of each foot that may touch: centres in the sole's frame and radii in m, 0 of a
+            point, shape (F, n, 4). Of a foot with an area these are its cells' places.
     """
 
     xml: str
@@ -128,7 +128,7 @@ def draw_robot(
         data: The pose in which it stands, of which the kinematics were evaluated.
         layout: Its feet.
         imu: Name of its own IMU's site; empty for one at the torso's origin, in the torso's axes.
-        prefix: What the names of other sites begin with.
+        prefix: The beginning of other sites' names.
     """
     upright, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = model.site(imu).pos.copy() if imu else none
@@ -170,7 +170,7 @@ def draw_robot(
 
 
 def _touching(layout: MeasuredRobot) -> NDArray[np.float64]:
-    """Return what of each foot may touch, (F, n, 4); feet of fewer points have their last one again."""
+    """Return the parts of each foot that may touch, (F, n, 4); feet of fewer parts repeat their last one."""
     parts = [
         foot.round if cells is None else np.pad(cells, ((0, 0), (0, 2)))
         for foot, cells in zip(layout.feet, layout.cells, strict=True)
@@ -196,7 +196,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
 
     def lines(body: int, indent: str) -> Iterable[str]:
         pose = _attributes(pos=model.body_pos[body], quat=model.body_quat[body])
-        yield f"{indent}<body{_named(names[body])}{pose}>"
+        yield f"{indent}<body{_plain(names[body])}{pose}>"
         deeper = indent + "  "
         if model.body_mass[body] > 0.0:
             inertial = _attributes(
@@ -214,7 +214,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
                 yield f"{deeper}<joint{_joint(model, joint)}/>"
         for name, (carrier, position, quaternion) in sites.items():
             if carrier == names[body]:
-                yield f"{deeper}<site{_named(name)}{_attributes(pos=position, quat=quaternion)}/>"
+                yield f"{deeper}<site{_plain(name)}{_attributes(pos=position, quat=quaternion)}/>"
         for child in np.flatnonzero(inside & (model.body_parentid == body)):
             if child != body:
                 yield from lines(int(child), deeper)
@@ -227,7 +227,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
 
 def _joint(model: mujoco.MjModel, joint: int) -> str:
     kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
-    text = _named(joint_name(model, joint)) + f' type="{_JOINTS[kind]}"'
+    text = _plain(joint_name(model, joint)) + f' type="{_JOINTS[kind]}"'
     text += _attributes(pos=model.jnt_pos[joint])
     if kind == mujoco.mjtJoint.mjJNT_BALL:
         return text
@@ -235,7 +235,7 @@ def _joint(model: mujoco.MjModel, joint: int) -> str:
     return text + _attributes(axis=model.jnt_axis[joint], ref=ref)
 
 
-def _named(name: str) -> str:
+def _plain(name: str) -> str:
     return f" name={quoteattr(name)}" if name else ""
 
 
@@ -251,12 +251,12 @@ def _physical(inertia: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def below_ankle(model: mujoco.MjModel) -> BelowSensor:
-    """Describe what a six-axis sensor at the ankle carries: the foot with its sole plate."""
+    """Describe the load of a six-axis sensor at the ankle: the foot with its sole plate."""
     return _below(model, [f"{foot}_ankle_ft" for foot in FEET])
 
 
 def below_cells(model: mujoco.MjModel) -> BelowSensor:
-    """Describe what the load cells carry: the sole plate; their common frame is the sole's."""
+    """Describe the mass on the load cells: the sole plate; their common frame is the sole's."""
     return _below(model, [f"{foot}_sole" for foot in FEET])
 
 

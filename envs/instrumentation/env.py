@@ -49,13 +49,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         in_place: Whether to put sensors into the environment's model; None to decide.
         visuals: Whether meshes that are only seen stay. They take most of a humanoid's memory; without them
             boxes of their size are drawn. None for those that the environment draws (``render_mode``).
-        prefix: What the names of added sites and sensors begin with.
+        prefix: The beginning of the names of added sites and sensors.
 
     Attributes:
-        truth: What the feet felt in each of the S substeps of the last control step, a row each; a single row
+        truth: The feet's loads in each of the S substeps of the last control step, a row each; a single row
             where it is computed beside the environment. After a reset all are of the state that it chose.
         tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
-        drawing: What the robot's maker hands out.
+        drawing: The drawing by the robot's maker.
         joint_names: The hinge joints that encoders measure.
         instrumentation: The instrumented description, which copies share; None for a model that was left
             alone.
@@ -140,11 +140,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
             holder = find_holder(env)
             if holder and forced:
-                raise ValueError(f"The environment's model cannot be replaced: {_held(holder)}.")
+                raise ValueError(
+                    f"The environment's model cannot be replaced: {_find_view_of_model(holder)}."
+                )
             if made.model is None:
                 self.untouched = f"its file is of another robot: {made.different}"
             elif holder:
-                self.untouched = _held(holder)
+                self.untouched = _find_view_of_model(holder)
             else:
                 self.untouched = "" if forced else find_notice(env, made.model)
                 self.instrumentation = None if self.untouched else made.instrumentation
@@ -161,7 +163,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self.drawing = self._reader.drawing
             self.seldom = count_substeps(base) > 1
             if self.seldom and in_place is not False:
-                warnings.warn(_aliased(env, self.untouched, count_substeps(base)), stacklevel=2)
+                warnings.warn(_warn_of_aliasing(env, self.untouched, count_substeps(base)), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
@@ -215,7 +217,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return observation, self._with_truth(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment, and read what happened."""
+        """Step the environment, and read the truth."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._base.data is not self._data:
             self._refuse_another()
@@ -246,7 +248,7 @@ def count_substeps(base: Any) -> int:
     return max(1, round(step_duration(base) / float(base.model.opt.timestep)))
 
 
-def _aliased(env: Any, reason: str, substeps: int) -> str:
+def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:
     """Say that feet are read too seldom."""
     return (
         f"The feet of {env} are read once a control step, at its end, and not in each of its {substeps} "
@@ -317,6 +319,6 @@ def _refuse(env: gym.Env[Any, Any], base: Any, prefix: str) -> None:
     refuse_taken({mujoco.mj_id2name(model, kind, i) or "" for kind, n in kinds for i in range(n)}, prefix)
 
 
-def _held(holder: str) -> str:
+def _find_view_of_model(holder: str) -> str:
     """Return why a model cannot be replaced of which an attribute holds a view."""
     return f"{holder} holds a view of it, which would go on showing the old one"

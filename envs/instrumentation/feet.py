@@ -132,7 +132,7 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
         near = SAME_HEIGHT * max(float(torso - lowest.min()), 1e-3)
         low = lowest < lowest.min() + near
         pair = [body for body, is_low in zip(feet, low, strict=True) if is_low and model.body_parentid[body]]
-        ordered = _left_first(model, data, pair) if len(pair) == 2 else ()
+        ordered = _order_left_right(model, data, pair) if len(pair) == 2 else ()
         why = _doubt(model, data, pair, ordered, height, near)
         if not why:
             _check_weight(model, data, ordered, height)
@@ -231,7 +231,7 @@ def _vertical_joint(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> in
 def _floor(
     model: mujoco.MjModel, data: mujoco.MjData, robot: NDArray[np.bool_], place: NDArray[np.float64]
 ) -> float | None:
-    """Find the height in m of the highest fixed horizontal plane, or of what else lies below a place."""
+    """Find the height in m of the highest fixed horizontal plane, or of another thing below a place."""
     fixed = colliding(model) & (model.body_weldid[model.geom_bodyid] == 0) & ~robot[model.geom_bodyid]
     planes = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (data.geom_xmat[:, 8] > 0.99)
     if planes.any():
@@ -251,7 +251,7 @@ def _doubt(
     height: NDArray[np.float64],
     near: float,
 ) -> str:
-    """Return why the lowest leaves are not the two feet of a robot that stands, and what to do."""
+    """Return why the lowest leaves are not the two feet of a robot that stands, and the way out."""
     name_them = "If they are its feet, name them: feet=(left, right)."
     if not pair:
         return "they are whole robots, or lie about: a foot hangs on another body."
@@ -317,7 +317,7 @@ def pose_name(model: mujoco.MjModel) -> str:
     return next((f"keyframe '{name}'" for name in STANDING if name in named), "zero pose")
 
 
-def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
+def _order_left_right(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
     """Order a pair as left and right, by names before places; empty if neither decides."""
     names = [model.body(body).name for body in pair]
     sides = [_side(name) for name in names]

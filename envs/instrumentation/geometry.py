@@ -1,7 +1,7 @@
-r"""What of a foot meets the ground: the sole's frame, its support polygon, and where four cells would lie.
+r"""The part of a foot that meets the ground: its frame, its support polygon, and places for four cells.
 
 The geoms that can touch are reduced to the points that can bear on a flat floor: the corners of boxes, the
-vertices of meshes, the rims of cylinders, and the lowest points of what is round. The sole is the largest
+vertices of meshes, the rims of cylinders, and the lowest points of round parts. The sole is the largest
 face of their convex hull among those that look down, to within 30 degrees, in the pose in which the robot
 stands. Its frame has z up out of the ground and x to the toes; its origin lies in that face, straight below
 the ankle.
@@ -55,8 +55,8 @@ class FootGeometry:
         polygon: Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2);
             n = 0 for a foot with a flaw.
         flaw: Why the foot has no polygon, or empty.
-        round: Of a foot with a flaw, centres in the sole's frame and radii in m of what may touch: spheres,
-            ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others.
+        round: Of a foot with a flaw, centres in the sole's frame and radii in m of the parts that may touch:
+            spheres, ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others.
     """
 
     body: str
@@ -191,7 +191,7 @@ def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return hangs
 
 
-def checked_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
+def check_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
     """Return four places of cells, or raise ValueError if they are not four or not finite."""
     places = np.asarray(cells, dtype=np.float64)
     if places.shape != (4, 2) or not np.isfinite(places).all():
@@ -246,7 +246,7 @@ def _round_parts(
     origin: NDArray[np.float64],
     R_world_sole: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return centres and radii of what may touch, of spheres and capsules if any, shape (m, 4)."""
+    """Return centres and radii of the parts that may touch, of spheres and capsules if any, shape (m, 4)."""
     round_kinds = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
     radius = np.where(np.isin(model.geom_type[geoms], round_kinds), model.geom_size[geoms, 0], 0.0)
     parts = []

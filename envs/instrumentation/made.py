@@ -35,7 +35,7 @@ class Made:
     Attributes:
         different: Why the description is of another robot; empty if it is not.
         model: The instrumented robot.
-        instrumentation: What was added.
+        instrumentation: The added sensors.
         boxed: The bare robot with boxes for meshes, if it has any that are only seen.
     """
 

@@ -1,4 +1,4 @@
-"""Means over a control step of what feet feel, as ideal cells give them: the truth in ``info``."""
+"""Means over a control step of the feet's loads, as ideal cells give them: the truth in ``info``."""
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import turned
+from surefoot.envs.command import rotate_level
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
 from surefoot.envs.instrumentation.truth import centres
 from surefoot.envs.numbers import ONE, Number, Numbers
@@ -59,10 +59,10 @@ def _columns(places: FootPlaces) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _add_up(substeps: Sequence[Any]) -> tuple[list[Number], Number, Number]:
-    """Add up what one foot feels in all substeps, of 21 numbers each.
+    """Add up one foot's loads in all substeps, of 21 numbers each.
 
-    It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which says what they are, and
-    :func:`~surefoot.envs.instrumentation.truth.pressed` in one loop, which is several times faster.
+    It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which explains them, and
+    :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop, which is several times faster.
 
     Returns:
         The wrench at and in the sole's frame, and the moments about the world's x and y at the height of the
@@ -91,7 +91,7 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
 
     Args:
         rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
-        places: What the columns are.
+        places: The meaning of the columns.
         m: Whether there is one robot, or many.
 
     Returns:
@@ -117,7 +117,7 @@ def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, N
         load = load + part
     (x, y), *cop_foot, valid = centres(wrench, (load, moment_x, moment_y), places.flat, m)
     middle_x, middle_y, heading = places.level(own, m)
-    level = [m.where(valid[0], p, 0.0) for p in turned(x - middle_x, y - middle_y, heading, m)]
+    level = [m.where(valid[0], p, 0.0) for p in rotate_level(x - middle_x, y - middle_y, heading, m)]
     # One array is faster than many.
     numbers = m.array([*vgrf, x, y, *level, *chain.from_iterable(cop_foot), *chain.from_iterable(wrench)])
     split = 3 * feet + 4

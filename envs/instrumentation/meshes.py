@@ -12,7 +12,7 @@ THINNEST = 1e-4
 
 
 def box_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Replace meshes that are only seen by boxes around them, and leave what they weigh to their bodies.
+    """Replace meshes that are only seen by boxes around them, and leave their mass to their bodies.
 
     Geoms, bodies and meshes keep their numbers and names. A mesh that something may collide with stays, and
     so does one whose shape, or whose flex or skin, is needed for anything else.

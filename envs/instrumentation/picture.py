@@ -1,4 +1,4 @@
-"""What is known of a robot's feet before anything runs: in words, and drawn with its instrumented soles."""
+"""A robot's feet before anything runs: in words, and drawn with its instrumented soles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +47,7 @@ class FeetDrawing:
         self.cells = self.layout.cells if cells is None else tuple(cells[..., :2])
 
     def words(self) -> list[str]:
-        """Return lines that tell which bodies are the feet, and what is under them."""
+        """Return lines that tell which bodies are the feet, and which parts are under them."""
         bodies = ", ".join(f"'{foot.body}'" for foot in self.layout.feet)
         how = "guessed" if self._guessed else "as named"
         lines = [

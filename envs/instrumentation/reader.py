@@ -32,7 +32,7 @@ class SensorReader:
     Args:
         model: The instrumented robot.
         data: Its state.
-        instrumentation: What was added.
+        instrumentation: The added sensors.
         samples: Number S of substeps in a control step.
     """
 
@@ -120,7 +120,7 @@ class SensorReader:
         return FeetTruth(rows, self._layout)
 
     def now(self) -> FeetTruth:
-        """Read what is in the present state, of which a copy is evaluated, in each of S equal rows."""
+        """Read the present state, of which a copy is evaluated, in each of S equal rows."""
         mujoco.mj_getState(self._model, self._data, self._state, _STATE)
         mujoco.mj_setState(self._model, self._scratch, self._state, _STATE)
         mujoco.mj_forward(self._model, self._scratch)
@@ -146,11 +146,11 @@ class FeetReader:
         cells: Places of the load cells in the sole's frame in m, shape (4, 2), by the foot's body; others lie
             in the soles' corners.
         margin: How far these are drawn in from the sole's edges in m.
-        prefix: What names of sites in the drawing begin with.
+        prefix: The beginning of the names of sites in the drawing.
 
     Attributes:
-        layout: What was measured of the robot.
-        drawing: What its maker hands out.
+        layout: The measures of the robot.
+        drawing: The drawing by its maker.
 
     Raises:
         TypeError: If ``feet`` is a single name.
@@ -184,11 +184,11 @@ class FeetReader:
             self._imu = (mujoco.mjtObj.mjOBJ_SITE, model.site(imu).id)
 
     def after_step(self) -> FeetTruth:
-        """Read what is at the end of a step, shape (1, ...)."""
+        """Read the state at the end of a step, shape (1, ...)."""
         return self.now()
 
     def now(self) -> FeetTruth:
-        """Read what is in the present state, shape (1, ...)."""
+        """Read the present state, shape (1, ...)."""
         return FeetTruth(self.row()[None], self.layout)
 
     def still(self) -> AbstractContextManager[None]:
@@ -196,7 +196,7 @@ class FeetReader:
         return nullcontext()
 
     def row(self) -> Array:
-        """Compute what sensors would measure in the present state, shape (27 F + 28 + J,)."""
+        """Compute the sensors' measurements in the present state, shape (27 F + 28 + J,)."""
         model, own = self._model, self._data
         mujoco.mj_getState(model, self._watched, self._state, _STATE)
         mujoco.mj_setState(model, own, self._state, _STATE)
@@ -230,7 +230,7 @@ class FeetReader:
         row[FootColumns.axes_sole] = (R_world_foot @ foot.R_foot_sole).T.ravel()
 
     def _add_contacts(self, feet: Array) -> None:
-        """Add the feet's contacts, as what the feet exert at the soles' origins."""
+        """Add the feet's contacts, as forces of the feet at the soles' origins."""
         own, local = self._data, np.zeros(6)
         geoms = own.contact.geom
         sides = self._is_foot[:, geoms[:, 1]] - self._is_foot[:, geoms[:, 0]]

@@ -1,4 +1,4 @@
-"""What of a robot is measured before sensors are put in: feet, their cells, torso and encoders."""
+"""The measures of a robot before sensors are put in: feet, their cells, torso and encoders."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.envs.instrumentation.feet import find_feet
-from surefoot.envs.instrumentation.geometry import FootGeometry, below, checked_layout, measure_foot
+from surefoot.envs.instrumentation.geometry import FootGeometry, below, check_layout, measure_foot
 from surefoot.envs.instrumentation.plate import SolePlate
 
 
 class FootColumns:
-    """Columns of one foot in a row: what its sensors measure, in the order in which they are added."""
+    """Columns of one foot in a row: the measurements of its sensors, in the order in which they are added."""
 
     ankle: Final = slice(0, 6)
     force: Final = slice(6, 9)
@@ -149,7 +149,7 @@ def _places(
         if foot.body in cells and foot.flaw:
             raise ValueError(foot.flaw)
         if foot.body in cells:
-            places.append(checked_layout(foot.body, cells[foot.body]))
+            places.append(check_layout(foot.body, cells[foot.body]))
         else:
             places.append(None if foot.flaw else foot.layout(margin))
     return tuple(places)

@@ -31,7 +31,7 @@ def put_soles(
 ) -> None:
     """Put boxes without mass under feet that have no area, or under those that are named.
 
-    The box hangs right below the lowest point of the foot, touches what the foot's first geom does in the
+    The box hangs right below the lowest point of the foot, touches as the foot's first geom does in the
     same way, and makes the robot taller by its thickness.
 
     Args:
@@ -39,7 +39,7 @@ def put_soles(
         model: The same, compiled.
         soles: ``True``, or (length, width, thickness) in m by the foot's body.
         feet: Names of the feet's bodies; None to guess.
-        prefix: What the names of the boxes begin with.
+        prefix: The beginning of the boxes' names.
 
     Raises:
         ValueError: If a body is no foot, a size is not positive, or the foot touches in pairs of geoms only.

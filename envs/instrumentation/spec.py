@@ -32,9 +32,9 @@ class Instrumentation:
 
     Attributes:
         spec: The instrumented robot: ``spec.compile()``. A copy has none, as an ``MjSpec`` can be neither
-            pickled nor copied with what refers to it; it reads without.
-        layout: What was measured of it.
-        drawing: What its maker hands out.
+            pickled nor copied with objects that refer to it; it reads without.
+        layout: The measures of it.
+        drawing: The drawing by its maker.
         first_sensor: Name of the first sensor that was added; the others follow it.
     """
 
@@ -72,10 +72,10 @@ class Instrumentation:
         return self.drawing.imu
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> FeetTruth:
-        """Read all sensors: what was at the beginning of the last step, or at ``mj_forward``.
+        """Read all sensors: the state at the beginning of the last step, or at ``mj_forward``.
 
         Args:
-            model: The compiled :attr:`spec`, or what a user has made of it.
+            model: The compiled :attr:`spec`, or a user's change of it.
             data: Its state.
 
         Raises:
@@ -117,7 +117,7 @@ def instrument(
     robot has to stand upright. The ankle's sensor sits at the foot's first joint in the axes of the foot. An
     IMU of the robot's own (an accelerometer and a gyro at one named site) is read if it sits on the torso,
     the body that floats, in the torso's axes; otherwise another one is put at the torso's origin, so that
-    what it measures is always in the torso's axes.
+    its measurements are always in the torso's axes.
 
     Args:
         spec: The robot, which is not changed.
@@ -126,7 +126,7 @@ def instrument(
             rear-right, shape (4, 2), by the foot's body; others lie in the corners of the largest rectangle
             on the sole.
         margin: How far these are drawn in from the rectangle's edges in m.
-        prefix: What the names of added sites and sensors begin with.
+        prefix: The beginning of the names of added sites and sensors.
         samples: How many of its last substeps the simulation keeps of each added sensor (MuJoCo's
             ``nsample``), for who reads all of them once a control step.
 

@@ -71,7 +71,7 @@ def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path 
     """Return the description of an environment's robot: the user's, or its file; None without.
 
     Args:
-        spec: What the user gave: a file, a specification, or None.
+        spec: The user's argument: a file, a specification, or None.
         env: The innermost environment.
     """
     if isinstance(spec, mujoco.MjSpec):
@@ -83,7 +83,7 @@ def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path 
 
 
 def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
-    """Return how a model differs from another in more than numbers and what was added; empty if not."""
+    """Return how a model differs from another in more than numbers and the added parts; empty if not."""
     for name, (kind, number) in _NAMED.items():
         ours, theirs = (
             [mujoco.mj_id2name(m, kind, i) for i in range(getattr(m, number))] for m in (old, new)
@@ -91,7 +91,7 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
         # Added descriptions name what had no name.
         if len(ours) != len(theirs) or any(a not in (None, b) for a, b in zip(ours, theirs, strict=True)):
             return f"its {name} are {theirs}, the environment's {ours}"
-    kept = _kept(new, prefix)
+    kept = _original_ids(new, prefix)
     for name in _STRUCTURE:
         own, other = getattr(old, name), _rows(new, name, kept)
         if not np.array_equal(own, other):
@@ -102,14 +102,14 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
 
 
 def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
-    """Copy all numbers of a model to another: options, masses, frictions and what an environment changed.
+    """Copy all numbers of a model to another: options, masses, frictions and an environment's changes.
 
     Args:
         old: The environment's model.
         new: The same robot, in which sites, sensors and geoms may have been added.
-        prefix: What the names of these begin with.
+        prefix: The beginning of their names.
     """
-    kept = _kept(new, prefix)
+    kept = _original_ids(new, prefix)
     for name, value in _public(old):
         if not isinstance(value, np.ndarray) or name.startswith(_DERIVED):
             continue
@@ -151,7 +151,7 @@ def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
 
 
 def fingerprint(model: mujoco.MjModel) -> bytes:
-    """Return a digest of all numbers and names of a model, but of what only its drawing needs."""
+    """Return a digest of all numbers and names of a model, but of the parts that only its drawing needs."""
     digest = blake2b(bytes(model.names))
     for name, value in _public(model):
         if isinstance(value, np.ndarray) and (
@@ -210,7 +210,7 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
 
 @contextmanager
 def sensors_off(model: mujoco.MjModel, first: int) -> Iterator[None]:
-    """Leave sensors from a number on out meanwhile: some make MuJoCo compute what is zero without them."""
+    """Leave out sensors from a number on: some make MuJoCo compute forces that are zero otherwise."""
     stages = model.sensor_needstage[first:]
     on = stages.copy()
     stages[:] = 0
@@ -229,7 +229,7 @@ def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
             holder.model, holder.data = model, data
 
 
-def _kept(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
+def _original_ids(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
     """Number the geoms and sites that were not added."""
     kinds = {"geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom), "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite)}
     return {
@@ -248,7 +248,7 @@ def _rows(model: mujoco.MjModel, name: str, kept: dict[str, NDArray[np.intp]]) -
 
 
 def _public(part: Any) -> Iterator[tuple[str, Any]]:
-    """List what a structure of MuJoCo holds, by its names."""
+    """List the fields of a structure of MuJoCo, by their names."""
     for name in dir(part):
         if name[0] != "_":
             yield name, getattr(part, name)

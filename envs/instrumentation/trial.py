@@ -53,7 +53,7 @@ def find_notice(env: gym.Env[Any, Any], model: mujoco.MjModel) -> str:
 
 def _play(env: gym.Env[Any, Any], model: mujoco.MjModel | None) -> Shown:
     """Step a copy of an environment, with another model or its own."""
-    tried = _copied(env)
+    tried = _copy(env)
     own = tried.unwrapped.model.nsensor
     if model is not None:
         swap_in(tried.unwrapped, copy(model))
@@ -67,8 +67,8 @@ def _play(env: gym.Env[Any, Any], model: mujoco.MjModel | None) -> Shown:
     return shown
 
 
-def _copied(env: gym.Env[Any, Any]) -> Any:
-    """Copy an environment and its wrappers; what cannot be copied is shared."""
+def _copy(env: gym.Env[Any, Any]) -> Any:
+    """Copy an environment and its wrappers; parts that cannot be copied are shared."""
     base: Any = env.unwrapped
     model = copy(base.model)
     data = mujoco.MjData(model)

@@ -1,12 +1,12 @@
-"""What an instrumented robot's sensors measure of its feet; signs and frames are defined here.
+"""The measurements of an instrumented robot's sensors of its feet; signs and frames are defined here.
 
 A row is a substep: the forces that acted in it and the poses at its beginning, and, where all substeps of a
-control step are read, angles and gyroscope at its end. MuJoCo's force and torque sensors measure what the
-parent exerts on the child, its contact sensor what the first body exerts on the other; both change sign, so
-that all wrenches here go up into the robot.
+control step are read, angles and gyroscope at its end. MuJoCo's force and torque sensors measure the load
+that the parent exerts on the child, its contact sensor the load of the first body on the other; both change
+sign, so that all wrenches here go up into the robot.
 
 The cells are springs under a massless plate that covers the sole (:class:`SolePlate`): they
-share what the ground exerts, and their centre of pressure is that of the contacts.
+share the ground's force, and their centre of pressure is that of the contacts.
 """
 
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ CONTACT_FORCE = 5.0
 
 
 class SensedColumns(NamedTuple):
-    """Where in a row stands what sensors feel: the first column of each part.
+    """Where in a row the sensors' loads stand: the first column of each part.
 
     Attributes:
         joints: Of the encoders' angles.
         inertial: Of accelerometer and gyroscope.
         ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
-        cells: Of what the cells' forces are made of by ``cell_map()``.
+        cells: The data of which the cells' forces are made by ``cell_map()``.
         stride: Columns from one foot's to the next one's.
         soles: How many feet have force, torque, place and the sole's frame there (:func:`wrench_at_sole`), of
             which wrenches are made first; 0 where these stand there.
@@ -47,7 +47,7 @@ class SensedColumns(NamedTuple):
 
 
 class FeetTruth:
-    """What F feet and the torso felt in one substep, or in many; its arrays are not to be changed.
+    """The loads of F feet and the torso in one substep, or in many; its arrays are not to be changed.
 
     Args:
         rows: Readings, shape (..., 27 F + 28 + J); they are kept and not copied.
@@ -112,8 +112,8 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
-    def sensed_columns(self) -> SensedColumns:
-        """Return where in a row stands what sensors feel."""
+    def sensor_columns(self) -> SensedColumns:
+        """Return where in a row the sensors' loads stand."""
         return SensedColumns(
             joints=self._end + TorsoColumns.width,
             inertial=self._end + TorsoColumns.inertial.start,
@@ -199,7 +199,7 @@ class FeetTruth:
         return cop
 
     def contacts(self) -> Array:
-        """What the ground exerts on each foot at the last row, shape (..., F, 9).
+        """The ground's load on each foot at the last row, shape (..., F, 9).
 
         Force in N, torque in N m and the place in m at which they act, in the world.
         """
@@ -254,8 +254,8 @@ def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
     ]
 
 
-def pressed(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
-    """Find what the ground does to feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
+def ground_at_feet(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
+    """Find the ground's load on the feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
 
     Returns:
         Wrenches at and in the sole frames in N and N m, (F, 6); and of all feet together the load in N and
@@ -273,7 +273,7 @@ def pressed(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Numb
 def centres(
     wrench: Sequence[Sequence[Number]], common: Sequence[Number], flat: Sequence[bool], m: Numbers = ONE
 ) -> list[Any]:
-    """Find the centres of pressure of :func:`pressed` feet.
+    """Find the centres of pressure of :func:`ground_at_feet` feet.
 
     Args:
         wrench: Wrenches at the soles, (F, 6).

@@ -1,4 +1,4 @@
-"""The rig of in-situ calibration as an environment: who turns the hip chooses what the sensors can learn."""
+"""The rig of in-situ calibration as an environment: the agent turns the hip to gather information."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ from surefoot.envs.leg_rig.spec import (
     read_wrenches,
     sensor_frames,
 )
-from surefoot.envs.options import check_render_mode, checked_action, positive
+from surefoot.envs.options import check_action, check_render_mode, positive
 from surefoot.envs.rendering import Marker, SceneRenderer
 
 CONTROL_STEP = 0.1
@@ -68,15 +68,15 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Reward
 
-    What the step adds to the log-determinant of the information on the directions of h = (g / 9.81, 1), on
+    The gain by the step of the log-determinant of the information on the directions of h = (g / 9.81, 1), on
     which a gravitational reading depends linearly: with :math:`\Lambda_0 = 0.001\, I`,
 
     .. math:: \Lambda_{k+1} = \Lambda_k + h h^T, \qquad
         \log\det\Lambda_{k+1} - \log\det\Lambda_k = \log(1 + h^T \Lambda_k^{-1} h)
 
     with g in the foot sensor's frame. Shaking does not pay, as g comes from the posture; a posture pays less
-    each time it is seen, and planar motion leaves a direction unknown. The sum over an episode is what was
-    gained beyond the starting posture.
+    each time it is seen, and planar motion leaves a direction unknown. The sum over an episode is the
+    information that was gained beyond the starting posture.
 
     ## Starting state
 
@@ -97,12 +97,12 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     | Key | Truth | Unit |
     |-----|-------|------|
-    | ``wrench_foot``, ``wrench_leg`` (6) | what limb and added mass exert on the robot | N, N m |
+    | ``wrench_foot``, ``wrench_leg`` (6) | load of limb and added mass on the robot | N, N m |
     | ``gravity_foot``, ``gravity_leg`` (3) | g, pointing down | m/s^2 |
     | ``mass_foot``, ``mass_leg`` | mass of the limb beyond the sensor, nothing added | kg |
     | ``mass_com_foot``, ``mass_com_leg`` (3) | its first moment | kg m |
     | ``inertia_foot``, ``inertia_leg`` (3, 3) | its inertia about the sensor's origin | kg m^2 |
-    | ``added_mass`` | what was added | kg |
+    | ``added_mass`` | added mass | kg |
     | ``added_com_foot``, ``added_com_leg`` (3) | its centre of mass (leg: with a straight knee) | m |
 
     Args:
@@ -216,7 +216,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._limbs:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
         model, data = self.model, self.data
-        wanted = checked_action(action, HIP_JOINTS, "a speed for each of", "zeros hold the leg still")
+        wanted = check_action(action, HIP_JOINTS, "a speed for each of", "zeros hold the leg still")
         for target in self._drive.follow(wanted * self._top_speed):
             data.ctrl[:] = target
             mujoco.mj_step(model, data)
@@ -271,5 +271,5 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._renderer.render(self.render_mode, self.markers)
 
     def close(self) -> None:
-        """Close what was drawn on."""
+        """Close the renderer."""
         self._renderer.close()

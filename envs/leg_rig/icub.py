@@ -2,7 +2,7 @@
 
 The URDF comes from the package ``icub-models`` (CC BY-SA 4.0), which is not part of this one: the extra
 ``icub`` installs it. Only its kinematics and inertias are used, no meshes. Beam and IMU under the foot are
-those of rig.xml, and so are the names of joints, sites and sensors: what reads that rig reads this one.
+those of rig.xml, and so are the names of joints, sites and sensors: code for that rig reads this one.
 """
 
 import importlib

@@ -81,7 +81,7 @@ def sweep(
     while gcd(*swings) > 1:
         swings[0] -= 1
     frequency = 2.0 * np.pi / duration * np.array(swings)
-    return _rounded_triangles(_samples(duration, rate), amplitude, frequency, np.array([np.pi, phase]))
+    return _smooth_triangles(_samples(duration, rate), amplitude, frequency, np.array([np.pi, phase]))
 
 
 def raster(
@@ -110,7 +110,7 @@ def raster(
     amplitude, time = _half_ranges(range_deg), _samples(duration, rate)
     period = 2.0 * np.pi * amplitude[0] * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / np.radians(speed_deg)
     frequency = 2.0 * np.pi / duration * np.array([max(int(duration / period), 1), 0.5])
-    return _rounded_triangles(time, amplitude, frequency, np.array([np.pi, np.pi]))
+    return _smooth_triangles(time, amplitude, frequency, np.array([np.pi, np.pi]))
 
 
 def swing(
@@ -121,12 +121,12 @@ def swing(
     range_deg: tuple[float, float] | None = None,
     seed: int = 0,
 ) -> HipMotion:
-    """Swing both joints at 0.8 to 2 Hz about middles that wander over the rest of the ranges.
+    """Swing both joints at 0.8 to 2 Hz about middles that move over the rest of the ranges.
 
     Args:
         duration: In s.
         rate: Samples per s.
-        swing_deg: Largest deflection from the wandering middle in deg.
+        swing_deg: Largest deflection from the moving middle in deg.
         range_deg: Ranges (front-back, lateral) in deg; those of the rig by default.
         seed: Of the three frequencies and phases of each joint.
 
@@ -184,7 +184,7 @@ def _sines(
     )
 
 
-def _rounded_triangles(
+def _smooth_triangles(
     time: NDArray[np.float64],
     amplitude: NDArray[np.float64],
     frequency: NDArray[np.float64],

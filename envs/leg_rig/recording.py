@@ -1,6 +1,6 @@
-"""Record the rig of in-situ calibration: what true sensors would read while its hip is swept.
+"""Record the rig of in-situ calibration: the readings of true sensors while its hip is swept.
 
-The hip follows a trajectory exactly, and MuJoCo's inverse dynamics tell what the sensors feel. So positions,
+The hip follows a trajectory exactly, and MuJoCo's inverse dynamics tell the sensors' loads. So positions,
 motion and wrenches of a sample belong to the same instant, and minutes are recorded in fractions of a second.
 """
 
@@ -34,11 +34,11 @@ class RigRecording:
     """The truth of one data set of the rig: n samples.
 
     Frames: the sensors' own, x forward, y right, z down, parallel while the knee does not bend. A wrench is
-    what limb and added mass exert on the robot through the sensor. The IMU is perfect and its axes are
+    the load of limb and added mass on the robot through the sensor. The IMU is perfect and its axes are
     parallel to the foot sensor's.
 
     Attributes:
-        name: What messages call the set.
+        name: The set's name in messages.
         configuration: Which masses were added, 1 to 8.
         time: In s, shape (n,).
         hip: Angles (front-back, lateral) in rad, shape (n, 2).
@@ -53,8 +53,8 @@ class RigRecording:
         added_com_foot: Its centre of mass in the foot sensor's frame in m, shape (3,).
         added_com_leg: The same in the leg sensor's frame, with a straight knee.
         added_inertia: Moment of inertia of the added mass about axes through its centre in kg m^2.
-        limb_foot: What hangs beyond the foot's sensor, nothing added.
-        limb_leg: What hangs beyond the leg's sensor, nothing added, with a straight knee.
+        limb_foot: The mass beyond the foot's sensor, nothing added.
+        limb_leg: The mass beyond the leg's sensor, nothing added, with a straight knee.
     """
 
     name: str
@@ -117,7 +117,7 @@ def record_rig(
         range_deg: Ranges (front-back, lateral) in deg; those of the rig by default, (70, 90).
         seed: Draws the phase of each set's sweep, or its swings.
         knee_slack: By how many rad the knee bends per N m: 0 holds it. The knee's angle is the one at which
-            spring, weight and contact balance; what its own motion adds is left out.
+            spring, weight and contact balance; the load of its own motion is left out.
         floor: Whether the tip of the beam meets a block of foam at the rear end of the front-back range.
         fast_motion: Swing at 0.8 to 2 Hz (:func:`swing`) rather than sweep slowly (:func:`sweep`).
         rasters: Move the lateral joint once a set while the other sweeps (:func:`raster`), rather than both.
@@ -213,7 +213,7 @@ def _sensor_rows(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) 
 
 
 def _knee_angles(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) -> NDArray[np.float64]:
-    """Find the angles at which the knee's spring carries what hangs below, in rad, shape (n,)."""
+    """Find the angles at which the knee's spring carries the mass below, in rad, shape (n,)."""
     stiffness = float(model.jnt_stiffness[len(HIP_JOINTS)])
     angles, knee = np.empty(len(motion.time)), 0.0
     for i, (q, v, a) in enumerate(zip(motion.angle, motion.rate, motion.acceleration, strict=True)):

@@ -1,12 +1,12 @@
-"""A leg with two six-axis F/T sensors on a stand: the model of in-situ calibration, and what hangs on it.
+"""A leg with two six-axis F/T sensors on a stand: the model of in-situ calibration, and its added masses.
 
 The numbers of the leg are those of rig.xml. The masses that are added to it are those of the experiment
 of Traversaro, Pucci and Nori, "In situ calibration of six-axes force-torque sensors using accelerometer
 measurements" (ICRA 2015), which its first author published.
 
-Signs are defined here. A wrench is what the limb exerts on the robot through the sensor, at and in the
+Signs are defined here. A wrench is the limb's load on the robot through the sensor, at and in the
 sensor's frame: at rest w = M(m, c) g with M = [m I; m [c]x] (Eqs. 3-5 of that paper). MuJoCo's force and
-torque sensors measure what the parent exerts on the child, which is the opposite.
+torque sensors measure the load that the parent exerts on the child, which is the opposite.
 """
 
 from collections.abc import Mapping
@@ -47,12 +47,12 @@ _FOAM_DAMPING = 2.0
 
 
 class AddedMass(NamedTuple):
-    """What one data set adds to the foot.
+    """The mass that one data set adds to the foot.
 
     Attributes:
         mass: In kg.
         com_foot: Centre of mass in the frame of the foot's sensor in m.
-        parts: What it consists of: "cube" (0.51102 kg), "cantilever" (0.19198 kg), both or none.
+        parts: Its parts: "cube" (0.51102 kg), "cantilever" (0.19198 kg), both or none.
     """
 
     mass: float
@@ -166,7 +166,7 @@ def place_added_mass(model: mujoco.MjModel, data: mujoco.MjData, configuration: 
 
 
 def read_wrenches(sensordata: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Read what the limb exerts on the robot through both sensors.
+    """Read the limb's load on the robot through both sensors.
 
     Args:
         sensordata: Of a rig, shape (..., S).

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, turned
+from surefoot.envs.command import Command, rotate_level
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
 from surefoot.envs.numbers import MANY, ONE, Number, Numbers
-from surefoot.envs.options import checked_range, numbers_of
+from surefoot.envs.options import check_range, numbers_of
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
@@ -27,8 +27,8 @@ class NaoBalanceEnv(NaoStandEnv):
 
     Actions and observations are :class:`NaoEnv`'s. After a quiet stand the commanded centre of pressure
     (``cop_reference`` in ``"state"``) moves smoothly at random, and the open-loop pattern sways the pelvis by
-    what that takes *without a payload*. At a random moment a mass is fixed somewhere to the torso. It moves
-    the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
+    the holding torques *without a payload*. At a random moment a mass is fixed somewhere to the torso. It
+    moves the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
     encoders nor tilt show it: only the feet do.
 
     ## Action
@@ -42,7 +42,7 @@ class NaoBalanceEnv(NaoStandEnv):
     none), and ``reward_action`` = -0.1 times the mean square of the action. A step 10 mm off costs
     0.72 of 3.
 
-    ## What an episode draws
+    ## Drawn at each episode
 
     All from the environment's generator: the sway (three sines per axis, periods of 3 to 8 s), the payload's
     mass, its place in a box of 0.18 x 0.24 x 0.10 m about the chest, when it comes, pushes, friction and the
@@ -100,7 +100,7 @@ class NaoBalanceEnv(NaoStandEnv):
         self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time
         self._bounds = (bounds[0], bounds[1])
-        self._share = checked_range("sway_share", sway_share)
+        self._share = check_range("sway_share", sway_share)
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
         self._quiet_ticks = self._surprise.stand_ticks
@@ -124,7 +124,7 @@ class NaoBalanceEnv(NaoStandEnv):
         x, y = x + forward, y + left
         height = z / self._gravity
         return self._still._replace(
-            joint_target=self._swayed(forward / follow_x, left / follow_y),
+            joint_target=self._lean(forward / follow_x, left / follow_y),
             com=m.array((x, y, z)),
             com_velocity=m.array((*speed, 0.0)),
             com_acceleration=m.array((bend_x, bend_y, 0.0)),
@@ -147,7 +147,7 @@ class NaoBalanceEnv(NaoStandEnv):
         (x, y), (planned_x, planned_y) = m.parts(cop_world), m.parts(self.command.cop)
         middle_x, middle_y, heading = self._places.feet.level(self._row, m)
         left, right = m.parts(self.command.position_sole)
-        x, y = turned(x - middle_x, y - middle_y, heading, m)
+        x, y = rotate_level(x - middle_x, y - middle_y, heading, m)
         planned_x, planned_y = planned_x - 0.5 * (left[0] + right[0]), planned_y - 0.5 * (left[1] + right[1])
         return m.hypot(x - planned_x, y - planned_y)
 

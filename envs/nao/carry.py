@@ -52,7 +52,7 @@ class NaoCarryEnv(NaoPatternEnv):
 
     Without payload and pushes the pattern alone is 2 mm (rms) off its reference, and 10 mm at most.
 
-    ## What an episode draws
+    ## Drawn at each episode
 
     All from the environment's generator: the speed, the payload's mass, its place in a box of
     0.40 x 0.04 x 0.10 m, when it comes, pushes, friction and the starting state.

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.options import checked_range, numbers_of, positive
+from surefoot.envs.options import check_range, numbers_of, positive
 
 PUSH_TIME = 0.1
 """How long a push lasts in s."""
@@ -30,7 +30,7 @@ class Pushes:
     quiet_time = 0.0
 
     def __init__(self, model: Any, impulse: Sequence[float], interval: float, dt: float) -> None:
-        self._impulse = checked_range("push_impulse", impulse)
+        self._impulse = check_range("push_impulse", impulse)
         self._interval = positive("push_interval", interval) / dt
         self._length = round(PUSH_TIME / dt)
         self._dt = dt
@@ -85,7 +85,7 @@ class Payload:
         self._model = model
         self._body = int(model.body("torso").id)
         self._dt = dt
-        mass, time = _checked(payload)
+        mass, time = _check_payload(payload)
         self._carried = False
         self.plan(mass, time)
         self._empty = self._link()
@@ -96,7 +96,7 @@ class Payload:
         return self._carried
 
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
-        """Plan what will be picked up; the robot must carry nothing, as after :meth:`reset`.
+        """Plan the payload to pick up; the robot must carry nothing, as after :meth:`reset`.
 
         Args:
             mass: Its mass in kg, 0 for none.
@@ -124,7 +124,7 @@ class Payload:
         """Pick it up, or not, before the control step that leads to ``tick``; return whether it is new."""
         picked = bool(self.mass) and not self._carried and tick > self._tick
         if picked:
-            self._set(*self._loaded())
+            self._set(*self._torso_with_payload())
             self._carried = True
         return picked
 
@@ -138,7 +138,9 @@ class Payload:
             model.body_iquat[body].copy(),
         )
 
-    def _loaded(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _torso_with_payload(
+        self,
+    ) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the torso and the payload as one rigid body, by the parallel axis theorem."""
         mass, com, inertia, quaternion = self._empty
         where = self.position
@@ -172,7 +174,7 @@ class Payload:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _checked(payload: Any) -> tuple[float, float]:
+def _check_payload(payload: Any) -> tuple[float, float]:
     if payload is None:
         return 0.0, 0.0
     numbers = numbers_of(payload)
@@ -185,7 +187,7 @@ def _checked(payload: Any) -> tuple[float, float]:
 
 
 class Surprise:
-    """When an episode is still, and what it has its robot carry later.
+    """When an episode is still, and the later payload of its robot.
 
     Args:
         stand_time: Length of the quiet stand in s, with which an episode begins: calibrators get a standing
@@ -210,8 +212,8 @@ class Surprise:
     ) -> None:
         self.stand_time = positive("stand_time", stand_time, or_zero=True)
         self.stand_ticks = round(self.stand_time / dt)
-        self._mass = checked_range("payload_mass", payload_mass)
-        self._time = checked_range("payload_time", payload_time)
+        self._mass = check_range("payload_mass", payload_mass)
+        self._time = check_range("payload_time", payload_time)
         try:
             self._boxes = np.array(payload_boxes, dtype=np.float64)
         except (TypeError, ValueError):

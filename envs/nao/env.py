@@ -14,10 +14,10 @@ from surefoot.envs.nao.truth import Truth, TruthChannels
 from surefoot.envs.numbers import Number
 from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import (
+    check_range,
     check_render_mode,
-    checked_range,
-    checked_stiffness,
-    checked_time_constant,
+    check_stiffness,
+    check_time_constant,
     positive,
 )
 from surefoot.envs.prelude import Prelude
@@ -61,7 +61,7 @@ DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 
 
 class NaoEnv(BipedEnv):
-    r"""A position-controlled NAO-class biped; subclasses supply what it commands itself.
+    r"""A position-controlled NAO-class biped; subclasses supply its commands.
 
     ## Action
 
@@ -139,7 +139,7 @@ class NaoEnv(BipedEnv):
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
-        action_scale: What a full action adds to a target, in rad.
+        action_scale: The change of a target by a full action, in rad.
         cell_stiffness: Relative stiffnesses of the eight cells, which decide how a sole shares its load;
             ``None`` for a fixed unequal set.
         friction: Lowest and highest coefficient of friction under the soles; (0.15, 0.2) is slippery, and
@@ -147,7 +147,7 @@ class NaoEnv(BipedEnv):
         ground_time_constant: Time constant in s in which the ground gives way to a sole, from 0.005 to 0.1.
             Under a foot that carries the robot, 0.02 gives way by 0.5 mm, 0.04 (a carpet) by 1.4 mm and 0.06
             (a soft mat) by 2.8 mm.
-        prelude: What the robot does before each episode, or the path of its file, which
+        prelude: The robot's motion before each episode, or the path of its file, which
             ``surefoot calibrate motion nao`` writes. Its steps are ordinary ones, in which nobody pushes;
             ``duration`` and a task's own times begin after it. ``None`` for nothing.
         payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
@@ -164,9 +164,9 @@ class NaoEnv(BipedEnv):
     Attributes:
         model: The MuJoCo model.
         data: Its state.
-        truth: What really happened during the last step.
-        command: What the robot commands itself now.
-        prelude: Plays what comes before the episode (:class:`~surefoot.envs.prelude.Player`).
+        truth: The truth of the last step.
+        command: The robot's present command to itself.
+        prelude: Plays the motion before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
         motor_names: The M motors, the leg motors of an action first.
         state_layout: Where each part lies in ``observation["state"]``.
@@ -201,8 +201,8 @@ class NaoEnv(BipedEnv):
         height: int = 480,
         camera: str = "track",
     ) -> None:
-        stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else checked_stiffness(cell_stiffness)
-        self._friction = checked_range("friction", friction)
+        stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else check_stiffness(cell_stiffness)
+        self._friction = check_range("friction", friction)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
         check_render_mode(render_mode, self.metadata["render_modes"])
@@ -224,7 +224,7 @@ class NaoEnv(BipedEnv):
         self.joint_names = hinge_joint_names(model)
         self.motor_names = motor_names(model)
         self.position_cell_sole = cell_positions(model)
-        give = checked_time_constant("ground_time_constant", ground_time_constant)
+        give = check_time_constant("ground_time_constant", ground_time_constant)
         model.pair_solref[:, 0] = give
         self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
         self._payload = Payload(model, payload, CONTROL_STEP)
@@ -238,7 +238,7 @@ class NaoEnv(BipedEnv):
 
     @property
     def drawing(self) -> RobotDrawing:
-        """What the robot's maker hands out: nao.xml without what an episode changes."""
+        """The drawing by the robot's maker: nao.xml without an episode's changes."""
         return draw_nao()
 
     def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
@@ -254,7 +254,7 @@ class NaoEnv(BipedEnv):
     ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": self._paid_cop(pressed, COP_SCALE),
+            "reward_cop": self._reward_cop(pressed, COP_SCALE),
             "reward_action": self._effort(action),
         }
 
@@ -301,5 +301,5 @@ class NaoEnv(BipedEnv):
         return self._renderer.render(self.render_mode, self.markers)
 
     def close(self) -> None:
-        """Close what was drawn on."""
+        """Close the renderer."""
         self._renderer.close()

@@ -63,7 +63,7 @@ class NaoStandEnv(NaoEnv):
         pelvis = 0.01
         # How far the centre of mass follows the pelvis, forward and left.
         self._follow = [
-            float((self._stand(self._swayed(*shift))[0] - self._com)[axis]) / pelvis
+            float((self._stand(self._lean(*shift))[0] - self._com)[axis]) / pelvis
             for axis, shift in enumerate([(pelvis, 0.0), (0.0, pelvis)])
         ]
         self._still = self._sample(0)
@@ -77,7 +77,7 @@ class NaoStandEnv(NaoEnv):
         soles = np.array([data.site(f"{foot}_sole").xpos for foot in FEET])
         return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
 
-    def _swayed(self, forward: Number, left: Number) -> NDArray[np.float64]:
+    def _lean(self, forward: Number, left: Number) -> NDArray[np.float64]:
         pitch, roll = np.multiply.outer(forward / self._height, self._swaying[0]), self._swaying[1]
         posture: NDArray[np.float64] = self._posture + pitch + np.multiply.outer(left / self._height, roll)
         return posture
@@ -109,7 +109,7 @@ class NaoStandEnv(NaoEnv):
         com, com_acceleration = self._com + outer(where, sway), outer(acceleration, sway)
         gravity = -float(self.model.opt.gravity[2])
         return Command(
-            joint_target=self._swayed(where * forward, where * left),
+            joint_target=self._lean(where * forward, where * left),
             com=com,
             com_velocity=outer(speed, sway),
             com_acceleration=com_acceleration,

@@ -1,9 +1,9 @@
-"""What really happened during one control step, at every substep of the simulation.
+"""The truth of one control step, at every substep of the simulation.
 
-Signs and frames are defined here, once. MuJoCo's force and torque sensors measure what the parent exerts on
-the child; a load cell or an ankle sensor measures what comes up from the ground, so both change sign. A cell
-reads zero under its own sole plate: the plate's weight is added back, and what stays in the reading besides
-the ground is the plate's inertia while it accelerates or tilts, as on a real shoe.
+Signs and frames are defined here, once. MuJoCo's force and torque sensors measure the load that the parent
+exerts on the child; a load cell or an ankle sensor measures the load from the ground, so both change sign. A
+cell reads zero under its own sole plate: the plate's weight is added back, and the rest of the reading
+besides the ground is the plate's inertia while it accelerates or tilts, as on a real shoe.
 
 A row is MuJoCo's state at the beginning of a substep together with the forces of that instant, so that all
 quantities of a row belong together; the last row lies one substep before the end of the control step.
@@ -100,7 +100,7 @@ class Truth:
 
     Args:
         rows: One row of sensor data a substep, shape (S, channels).
-        channels: What the columns mean.
+        channels: The meaning of the columns.
     """
 
     def __init__(self, rows: NDArray[np.float64], channels: TruthChannels) -> None:
@@ -114,11 +114,11 @@ class Truth:
 
     @property
     def plate(self) -> NDArray[np.float64]:
-        """What the sensors of both plates read in N and N m, shape (S, 12)."""
+        """The readings of both plates' sensors in N and N m, shape (S, 12)."""
         return self.rows[:, self.channels.plate]
 
-    def sensed_columns(self) -> SensedColumns:
-        """Return where in a row stands what sensors feel."""
+    def sensor_columns(self) -> SensedColumns:
+        """Return where in a row the sensors' loads stand."""
         parts = self.channels
         return SensedColumns(
             parts.joint_position.start, parts.inertial.start, parts.ankle.start, parts.plate.start, stride=6
@@ -147,7 +147,7 @@ class Truth:
     def wrench_ankle(self) -> NDArray[np.float64]:
         """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (S, 2, 6).
 
-        What the ground exerts on the foot, and gravity less inertia of all that hangs below the sensor
+        The ground's load on the foot, and gravity less inertia of all that hangs below the sensor
         (:attr:`RobotDrawing.below_ankle`): a foot in the air reads its own weight, downwards.
         """
         return -self.rows[:, self.channels.ankle].reshape(-1, 2, 6)

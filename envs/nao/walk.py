@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, turned
+from surefoot.envs.command import Command, rotate_level
 from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.pattern import Pattern, Patterns, plan_route, plan_walk
-from surefoot.envs.gait.route import checked_route
-from surefoot.envs.gait.swing import checked_roll
+from surefoot.envs.gait.route import parse_route
+from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.nao.env import COP_SCALE, NaoEnv
 from surefoot.envs.numbers import Number, Numbers
 from surefoot.envs.options import number_of
@@ -52,13 +52,13 @@ class NaoPatternEnv(NaoEnv):
         planned_heading = 0.5 * (left + right)
 
         start = where.com_velocity.start
-        velocity = turned(row[start], row[start + 1], heading, m)
+        velocity = rotate_level(row[start], row[start + 1], heading, m)
         planned_vx, planned_vy, _ = m.parts(command.com_velocity)
-        planned_velocity = turned(planned_vx, planned_vy, planned_heading, m)
+        planned_velocity = rotate_level(planned_vx, planned_vy, planned_heading, m)
         cop_x, cop_y = m.parts(pressed["cop_world"])
-        cop = turned(cop_x - x, cop_y - y, heading, m)
+        cop = rotate_level(cop_x - x, cop_y - y, heading, m)
         planned_x, planned_y = m.parts(command.cop)
-        planned_cop = turned(
+        planned_cop = rotate_level(
             planned_x - 0.5 * (left_x + right_x), planned_y - 0.5 * (left_y + right_y), planned_heading, m
         )
         tilt = m.acos(m.clip(row[where.axes_torso.stop - 1], -1.0, 1.0)) / TILT_SCALE
@@ -110,7 +110,7 @@ class NaoWalkEnv(NaoPatternEnv):
         duration: Duration of the plan, standing at either end included, in s.
         stand_time: Standing before the first and after the last step, in s.
         route: Legs (duration in s, speed in m/s, turn rate in rad/s) to go one after another, in place of
-            ``speed`` and ``turn_rate``; a leg with both zero stands still, and what the route leaves of the
+            ``speed`` and ``turn_rate``; a leg with both zero stands still, and the rest of the
             duration is stood. For instance ``[[8, 0.04, 0], [3, 0, 0], [6, 0, 0.2], [8, 0.04, 0.1]]`` walks,
             stops, turns in place and goes on along an arc.
         foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel, 0.05 for
@@ -138,12 +138,12 @@ class NaoWalkEnv(NaoPatternEnv):
         **options: Any,
     ) -> None:
         timing = GaitTiming(stand_time=number_of(stand_time))
-        roll = checked_roll(foot_roll)
+        roll = check_roll(foot_roll)
         if route is None:
             self.pattern = plan_walk(
                 number_of(speed), number_of(turn_rate), number_of(duration), timing=timing, foot_roll=roll
             )
         else:
-            legs = checked_route(route)
+            legs = parse_route(route)
             self.pattern = plan_route(legs, number_of(duration), timing=timing, foot_roll=roll)
         super().__init__(duration=duration, push_impulse=push_impulse, **options)

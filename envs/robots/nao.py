@@ -1,6 +1,6 @@
 """The NAO-class biped: its model and the names of its parts.
 
-The numbers are those of nao.xml alone; what this module adds are the orders in which the rest of the package
+The numbers are those of nao.xml alone; this module adds the orders in which the rest of the package
 speaks of joints, motors and feet.
 """
 
@@ -46,11 +46,11 @@ def load_nao_spec() -> mujoco.MjSpec:
 
 def nao_model() -> mujoco.MjModel:
     """Return a model of nao.xml of its own; it is compiled once in a process."""
-    return copy.copy(_compiled())
+    return copy.copy(_compile())
 
 
 @functools.cache
-def _compiled() -> mujoco.MjModel:
+def _compile() -> mujoco.MjModel:
     return load_nao_spec().compile()
 
 

@@ -1,6 +1,6 @@
 """The ``surefoot`` command.
 
-Commands import what they need when they run, so that ``surefoot --help`` starts fast.
+Commands import their packages when they run, so that ``surefoot --help`` starts fast.
 """
 
 from typing import Annotated, Any

@@ -129,7 +129,7 @@ def motion(
     out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
+    """Plan how a robot should move to calibrate its feet: joint targets over time, and their gain."""
     from surefoot.experiments.motion import Limits, plan_motion
 
     path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
@@ -146,7 +146,7 @@ def _check_reason(accept: str | None) -> None:
 
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
-    """Print what a mapping file for a bag may look like, and end."""
+    """Print an example of a mapping file for a bag, and end."""
     from surefoot.experiments.logs.bag import guess_topics
     from surefoot.experiments.study.progress import working
 

@@ -1,4 +1,4 @@
-"""What all commands share: output, one-line errors, common options."""
+"""The common part of all commands: output, one-line errors, common options."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -38,14 +38,14 @@ Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """End with one line that says what is wrong and what to do, and an exit code."""
+    """End with one line that names the flaw and the cure, and an exit code."""
     typer.echo(f"surefoot: {message}", err=True)
     raise typer.Exit(code)
 
 
 @contextmanager
 def one_line_errors(out: Path | None = None, cure: str = "give another folder with --out.") -> Iterator[None]:
-    """Turn an interruption, or what a user can mend, into one line; with the folder, and the cure."""
+    """Turn an interruption, or a user's mistake, into one line; with the folder, and the cure."""
     try:
         yield
     except KeyboardInterrupt:
@@ -69,9 +69,9 @@ def show(
     said: str = "",
     **facts: Any,
 ) -> None:
-    """Print what came of a command: notices, tables, and what each file is and where it lies.
+    """Print the results of a command: notices, tables, and the kind and place of each file.
 
-    As JSON it is one object: ``notices``, ``tables`` by name, ``files``, and in place of what is ``said`` the
+    As JSON it is one object: ``notices``, ``tables`` by name, ``files``, and in place of the text the
     facts.
     """
     if as_json:

@@ -160,7 +160,7 @@ def replay(
     from surefoot.experiments.episodes.page import film_episode
     from surefoot.experiments.episodes.run import replay_episode
     from surefoot.experiments.study.progress import working
-    from surefoot.experiments.study.tables import Verdict, laid_out
+    from surefoot.experiments.study.tables import Verdict, table_of
 
     if video is not None and video.suffix != ".mp4":
         fail(f"'{video}' must end in .mp4.")
@@ -179,7 +179,7 @@ def replay(
     if replayed.other_versions:
         said = f"Versions: {', '.join(replayed.other_versions)}\n{said}"
     facts: Any = {"identical": not replayed.different, "versions": replayed.other_versions}
-    table = laid_out("replay", "The episode, to the last digit", columns, names)
+    table = table_of("replay", "The episode, to the last digit", columns, names)
     show([table], files, said=said, as_json=as_json, **facts)
     if replayed.different:
         raise typer.Exit(1)

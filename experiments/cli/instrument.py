@@ -1,4 +1,4 @@
-"""``surefoot check`` and ``surefoot twin``: what a log shows of the instrument behind it."""
+"""``surefoot check`` and ``surefoot twin``: the instrument behind a log."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ Page = Annotated[Path | None, Option(help="Where the page goes; by default besid
 
 
 def check(log: AnyLog, out: Page = None, topics: Topics = None, as_json: Json = False) -> None:
-    """Say what is wrong with a log, since when, how surely, and what would settle it: no calibration."""
+    """Name the flaws of a log, since when, how surely, and the measurement that would settle each."""
     from surefoot.experiments.instrument.check import check_log, words_of
     from surefoot.experiments.instrument.page import write_check_page
     from surefoot.experiments.study.progress import working

@@ -71,7 +71,7 @@ def _train(out: Path, options: Any, restart: bool, project: str | None) -> None:
 
 
 def _wandb(project: str, out: Path, options: Any) -> Any:
-    """Begin a run of Weights & Biases, which is sent what TensorBoard gets; return its callback."""
+    """Begin a run of Weights & Biases, which is sent the same as TensorBoard; return its callback."""
     try:
         import tensorboard  # noqa: F401
         import wandb

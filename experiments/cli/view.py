@@ -101,11 +101,11 @@ def _live_page(
 
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.view.page import Page
-    from surefoot.experiments.view.session import WALK, Session, repeated
+    from surefoot.experiments.view.session import WALK, Session, repeat_session
 
     try:
         if repeat is not None:
-            session, changes = repeated(read_log(repeat).about)
+            session, changes = repeat_session(read_log(repeat).about)
         else:
             options["start"] |= _chosen(feed)
             session, changes = Session(env or WALK, **options), []

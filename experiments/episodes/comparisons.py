@@ -1,6 +1,6 @@
-"""Differences between the episodes of an evaluation, paired by seed; what was not run is left out.
+"""Differences between the episodes of an evaluation, paired by seed; pairs that were not run are left out.
 
-Feet against feet, acting against nobody, what is felt against another input, and whether domain randomisation
+Feet against feet, acting against nobody, the own feet against another input, and whether domain randomisation
 is enough: {trained clean, trained randomised} x {drifting, calibrated}.
 """
 
@@ -65,7 +65,7 @@ def _acting(frame: Frame, who: str) -> Iterator[Pair]:
 
 
 def _inputs(frame: Frame, who: str) -> Iterator[Pair]:
-    """Pair what a controller was given on the true feet with other inputs."""
+    """Pair a controller's inputs on the true feet with other inputs."""
     for other in ("frozen", "swapped", "shuffled"):
         yield Run("true", "given", who), Run("true", other, who), f"given less {other}", None, False
 
@@ -78,7 +78,7 @@ def trainings(frame: Frame) -> tuple[str, str] | None:
 
 
 def _randomisation(frame: Frame, who: str) -> Iterator[Pair]:
-    """Pair what training on randomised sensors brings with what calibration does, at each severity."""
+    """Pair the gain of training on randomised sensors with that of calibration, at each severity."""
     pair = trainings(frame)
     if pair is None or who != pair[1]:
         return

@@ -107,7 +107,7 @@ def check_episode(episode: Episode) -> None:
 def episode_row(episode: Episode, controller: Controller | None = None) -> dict[str, Any]:
     """Run an episode, perhaps with another controller than the named one, and return one row about it.
 
-    What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
+    The episode's keys, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
     (otherwise the time is censored), ``cop_error`` (rms distance between the centre of pressure fed back and
     the true one, in m) and ``tracking`` (between the true one and its plan, in m), both while the controller
     is asked, ``digest`` (a hash of all actions, rewards and centres of pressure), ``wall_time`` in s,
@@ -141,7 +141,7 @@ def run_case(episode: Episode) -> dict[str, list[dict[str, Any]]]:
     return {TABLE: [episode_row(episode)]}
 
 
-def failed_row(episode: Episode, error: str) -> dict[str, Any]:
+def row_of_failure(episode: Episode, error: str) -> dict[str, Any]:
     """Return the row of an episode that could not be run through."""
     nothing: dict[str, Any] = dict.fromkeys(OUTCOME, float("nan"))
     return _row(episode, nothing | {"steps": 0, "fell": False, "digest": ""}, error, float("nan"))
@@ -149,7 +149,7 @@ def failed_row(episode: Episode, error: str) -> dict[str, Any]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return with what this process computes; ``code`` is a hash of surefoot's own sources."""
+    """Return the versions of this process; ``code`` is a hash of surefoot's own sources."""
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
     code = source_hash(__name__)
     found = {"surefoot": surefoot.__version__, "python": platform.python_version(), **packages, "code": code}
@@ -179,7 +179,7 @@ def _make(
 
 def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[str, Any]], dict[str, Any]]:
     """Make the function that changes an observation before the controller sees it."""
-    held = _taken_from(episode, controller) if episode.cop_input in TAKEN else []
+    held = _other_cop(episode, controller) if episode.cop_input in TAKEN else []
     seen = 0
 
     def change(observation: dict[str, Any]) -> dict[str, Any]:
@@ -195,7 +195,7 @@ def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[s
     return change
 
 
-def _taken_from(episode: Episode, controller: Controller | None) -> list[_Cop]:
+def _other_cop(episode: Episode, controller: Controller | None) -> list[_Cop]:
     """Return the centres of pressure of another episode."""
     other = replace(episode, seed=episode.seed + DONOR, cop_input="given")
     asked = [moment.observation for moment in episode_moments(other, controller) if moment.asked]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from surefoot.experiments.episodes.comparisons import Difference
 from surefoot.experiments.episodes.scores import controllers_of, severities_of
-from surefoot.experiments.policy.controllers import drawn_names
+from surefoot.experiments.policy.controllers import figure_names
 from surefoot.experiments.study.figures import (
     by_way,
     draw_steps,
@@ -34,7 +34,7 @@ _MARKERS = "osD^vP"
 def outcome_figures(
     folder: Path, rows: Frame, suffix: str = "", since: str = ""
 ) -> tuple[ReportFigure, ReportFigure]:
-    """Draw what came of one scenario, in files with a suffix; ``since`` says when time begins."""
+    """Draw the results of one scenario, in files with a suffix; ``since`` says when time begins."""
     returns = against_severity(folder / f"returns{suffix}.svg", rows)
     standing = survival_curves(folder / f"survival{suffix}.svg", rows)
     means = "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity."
@@ -45,7 +45,7 @@ def outcome_figures(
 def survival_curves(path: Path, rows: Frame) -> Path:
     """Draw shares on their feet over time with 95 % bands: severities across, controllers down."""
     controllers = controllers_of(rows)
-    names = drawn_names(controllers)
+    names = figure_names(controllers)
     severities = severities_of(rows) or [0.0]
     with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
         panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
@@ -69,7 +69,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
 def against_severity(path: Path, rows: Frame) -> Path:
     """Draw mean return and share of falls against severity with 95 % intervals; true feet across."""
     controllers = controllers_of(rows)
-    names = drawn_names(controllers)
+    names = figure_names(controllers)
     severities = severities_of(rows)
     with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
         panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
@@ -93,7 +93,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
 def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
     """Draw shares of falls, scenarios by title down and severities across, a map a controller and feed."""
     controllers, feeds = controllers_of(rows), in_order(rows["feed"])
-    names = drawn_names(controllers)
+    names = figure_names(controllers)
     width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
     with figure_at(path, width, height) as figure:
         panels = grid_of(figure, len(controllers), len(feeds), sharey=True)
@@ -120,7 +120,7 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
     if any(one.severity is None for one in found):
         series = [("true feet", "#000000", None, 0.0), *series]
     rows = list(dict.fromkeys(one.what for one in found))
-    names = drawn_names(controllers)
+    names = figure_names(controllers)
     columns = min(2, len(controllers))
     lines = -(-len(controllers) // columns)
     height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2

@@ -1,9 +1,15 @@
-"""What an evaluation says in words and against its claims: nothing is written beforehand but the grammar."""
+"""The findings of an evaluation in words and against its claims: only the grammar is written beforehand."""
 
 from collections.abc import Iterator
 
 from surefoot.experiments.episodes.comparisons import CALIBRATED, trainings
-from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
+from surefoot.experiments.episodes.scores import (
+    Run,
+    controllers_of,
+    difference,
+    severities_of,
+    share_recovered,
+)
 from surefoot.experiments.episodes.tables import percent_interval
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.study.page import Words
@@ -14,7 +20,7 @@ from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, cla
 def target_table(frame: Frame) -> Table | None:
     """Table of the claims about a policy and about randomisation; ``None`` without policies.
 
-    What learnt nothing was set no target: of policies, the first that was trained on true feet has some.
+    Untrained controllers have no target: of policies, the first that was trained on true feet has some.
     """
     trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
     learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
@@ -66,7 +72,7 @@ def _claims(own: Frame) -> Iterator[Claim]:
             measured = f"{interval_text(drifting, digits=4)} and {interval_text(on_true, digits=4)}"
             apart = drifting.mean + drifting.half < on_true.mean - on_true.half
             yield Claim(what, "intervals apart", measured, apart)
-        won = won_back(own, CALIBRATED, severity)
+        won = share_recovered(own, CALIBRATED, severity)
         if won is not None:
             measured = percent_interval(won, "{:.1f} ({:.1f} to {:.1f})")
             yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
@@ -81,7 +87,7 @@ def _clearly(what: str, gap: Interval) -> Claim:
 
 
 def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
-    """Say what a controller loses on drifting feet and gets back on calibrated ones."""
+    """Return a controller's loss on drifting feet and its gain on calibrated ones, in words."""
     name = labels(controllers_of(frame))[controller]
     own = frame[(frame["controller"] == controller) & (frame["cop_input"] == "given")]
     true = own[own["feed"] == "true"]
@@ -98,7 +104,7 @@ def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
             continue
         falls = own[(own["feed"] == "none") & (own["severity"] == severity)]["fell"]
         text += f" and {int(falls.sum())} of {len(falls)} fall"
-        shares = {feed: won_back(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
+        shares = {feed: share_recovered(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
         won = [
             percent_interval(share, f"{feed} wins {{:.1f}} % of it back ({{:.0f}} to {{:.0f}})")
             for feed, share in shares.items()

@@ -1,4 +1,4 @@
-"""Pages of episodes, one file each: of an evaluation, what was compared; of a sweep, what fell where."""
+"""Pages of episodes, one file each: of an evaluation, the comparison; of a sweep, who fell where."""
 
 import base64
 import shlex
@@ -29,7 +29,7 @@ from surefoot.experiments.policy.tasks import Task, task_named
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
-from surefoot.experiments.walks.video import HEIGHT, WIDTH, headed, mark_cop, pictures, write_film
+from surefoot.experiments.walks.video import HEIGHT, WIDTH, mark_cop, pictures, write_film, write_heading
 from surefoot.experiments.walks.walkers import Moment
 from surefoot.files import atomic_path
 
@@ -85,7 +85,7 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
         paired=_say("paired" if same_seeds(frame) else "unpaired"),
     )
     introduction = _say("introduction", env_id=task.env_id), _say("feeds"), amount
-    sections = [*_evaluation_sections(frame, scores, folder / "figures"), *_failed(failed)]
+    sections = [*_evaluation_sections(frame, scores, folder / "figures"), *_failures(failed)]
     sections.append(_repeat_evaluation(frame, origins, task))
     return publish(folder, f"surefoot evaluate: {task.name}", introduction, sections, name=PAGE)
 
@@ -128,7 +128,7 @@ def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) ->
             yield Section(table.name, comparison.title, comparison.text, tables=(*extra, table), **more)
 
 
-def _failed(rows: Frame) -> tuple[Section, ...]:
+def _failures(rows: Frame) -> tuple[Section, ...]:
     table = tables.failure_table(rows)
     return () if table is None else (Section("failed", "Episodes that failed", tables=(table,)),)
 
@@ -142,7 +142,7 @@ def _repeat_evaluation(frame: Frame, origins: dict[str, Origin], task: Task) -> 
 
 
 def _say_versions(versions: dict[str, str]) -> list[str]:
-    """Say with what the episodes were made: once if all alike, else of each controller."""
+    """Name the versions that made the episodes: once if all alike, else of each controller."""
     if len(set(versions.values())) == 1:
         return [f"The episodes were made with {each}." for each in set(versions.values()) if each]
     return [
@@ -173,7 +173,7 @@ def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
     titles = {name: plan.title_of(name) for name in plan.scenarios if name in ran}
     worst = _worst(rows, max(films, _LISTED))
     sections = [*_sweep_sections(rows, titles, folder / "figures")] if titles else []
-    sections += _failed(results.failed)
+    sections += _failures(results.failed)
     if titles:
         note = () if films else ("Films of them come with --films.",)
         sections.append(Section("worst", "The worst episodes", note, tables=(tables.worst_table(worst),)))
@@ -222,7 +222,7 @@ def film_episode(path: Path, episode: Episode, *, until: float | None = None) ->
     def draw(moment: Moment) -> NDArray[np.uint8]:
         mark_cop(episode.feed, moment)
         picture = Image.fromarray(moment.bare.render())
-        headed(picture, f"case {episode.number}: {who}", moment, 24, 14)
+        write_heading(picture, f"case {episode.number}: {who}", moment, 24, 14)
         return np.asarray(picture)
 
     size: Any = {"width": WIDTH, "height": HEIGHT}

@@ -1,4 +1,4 @@
-"""What a study of controllers does: a grid of controllers, feeds, scenarios, severities and seeds.
+"""The plan of a study of controllers: a grid of controllers, feeds, scenarios, severities and seeds.
 
 ``surefoot evaluate`` is a preset: policies at the task that they were trained for.
 """
@@ -16,7 +16,7 @@ from typing import Any
 from gymnasium.envs.registration import registry
 
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
-from surefoot.experiments.policy.controllers import Controller, controller_hash, trained_on
+from surefoot.experiments.policy.controllers import Controller, controller_hash, training_sensors
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, task_named
 from surefoot.experiments.walks import scenarios
 from surefoot.experiments.walks.scenarios import INSTANT
@@ -115,7 +115,7 @@ SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
 
 
 def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
-    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists what there is."""
+    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists them."""
     known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
     if name not in known:
         raise ValueError(f"There is no scenario '{name}'. Available: {', '.join(known)}.")
@@ -135,10 +135,10 @@ _NOT_IN_FILES = ("own", "cop_inputs")
 
 @dataclass(frozen=True)
 class EpisodePlan:
-    """A grid of valid names; every combination is one episode. Raises ValueError at what cannot be done.
+    """A grid of valid names; every combination is one episode. Raises ValueError at impossible plans.
 
     True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0. It alone is run with
-    other inputs than what is fed back.
+    other inputs than those that are fed back.
     """
 
     controllers: tuple[str, ...] = ("zero", "stabiliser")
@@ -153,7 +153,7 @@ class EpisodePlan:
     own: Mapping[str, LoopScenario] = field(default_factory=dict)  # scenarios besides the table's
 
     def __post_init__(self) -> None:
-        """Raise ValueError at what cannot be done, before anything is."""
+        """Raise ValueError at an impossible plan, before anything runs."""
         object.__setattr__(self, "feeds", tuple(map(feed_named, self.feeds)))
         for name in _AXES:
             _check_axis(name, getattr(self, name))
@@ -207,7 +207,7 @@ class EpisodePlan:
         numbers = count()
         for controller, feed, name in product(self.controllers, self.feeds, self.scenarios):
             scenario, on_true = scenario_named(name, self.own), FEEDS[feed] is None
-            hashed, trained = controller_hash(controller, scenario.environment), trained_on(controller)
+            hashed, trained = controller_hash(controller, scenario.environment), training_sensors(controller)
             severities = (0.0,) if on_true else self.severities
             inputs = self.cop_inputs if on_true else COP_INPUTS[:1]
             for severity, cop_input, seed in product(severities, inputs, self.seeds):
@@ -251,7 +251,7 @@ def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
     """Return a plan from a file as in docs/sweep.md, with changed values; raise ValueError."""
     given = read_toml(path)
     known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
-    _known_keys(f"{path}", given, (*known, "first_seed", "scenario"))
+    _check_keys(f"{path}", given, (*known, "first_seed", "scenario"))
     own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}
     first, seeds = given.pop("first_seed", 0), given.pop("seeds", 10)
     kinds: dict[str, Any] = {"duration": float, "settle": float, "severities": lambda v: tuple(map(float, v))}
@@ -266,7 +266,7 @@ def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
 def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
     if not isinstance(table, Mapping):
         raise ValueError(f"{path}: [scenario.{name}] must be a table.")
-    _known_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
+    _check_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
     base = scenario_named(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
     for feed in table.get("methods", {}):
         feed_named(feed)
@@ -276,7 +276,7 @@ def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
     return replace(base, name=name, title=table.get("title", name), environment=environment, **changed)
 
 
-def _known_keys(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
+def _check_keys(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
     if unknown := [key for key in given if key not in known]:
         raise ValueError(f"{where}: there is no key '{unknown[0]}'. Available: {', '.join(known)}.")
 

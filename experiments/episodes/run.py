@@ -1,6 +1,6 @@
 """Run the episodes of a plan that are not there yet, one again from its row; and read rows, or refuse them.
 
-Each row says what the episode was and with what it was made: no policy's file is read again for it.
+Each row names its episode and the versions that made it: no policy's file is read again for it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,7 +20,7 @@ from surefoot.experiments.episodes.episode import (
     VERSIONS,
     Episode,
     check_episode,
-    failed_row,
+    row_of_failure,
     run_case,
     versions,
 )
@@ -38,7 +38,7 @@ from surefoot.experiments.walks.walkers import FEEDS
 
 @dataclass(frozen=True, eq=False)
 class EpisodeResults:
-    """What a study found, a row an episode, and how many this run added; a temporary folder is gone."""
+    """The results of a study, a row an episode, and how many this run added; a temporary folder is gone."""
 
     plan: EpisodePlan
     folder: Path
@@ -84,14 +84,16 @@ def run_plan(
             kept = (store.holds(case, retry_failed=retry_failed, any_version=True) for case in cases)
             any_version |= all(kept)
         options = {"retry_failed": retry_failed, "any_version": any_version}
-        stack.enter_context(store.opened(plan.as_dict(), versions(), any_version=any_version))
+        stack.enter_context(store.open_for(plan.as_dict(), versions(), any_version=any_version))
         missing = [case for case in cases if not store.holds(case, **options)]
         computed = 0
         if missing:
             with working("trying out each kind"):
                 _try_out([case.arguments[0] for case in missing])
             crew = stack.enter_context(runner(jobs, backend=backend, address=address))
-            computed = crew.run("Episodes", cases, store, failed=_failed, count={"fell": _fell}, **options)
+            computed = crew.run(
+                "Episodes", cases, store, failed=_on_failure, count={"fell": _fell}, **options
+            )
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows}, (".parquet",))
         return EpisodeResults(plan, folder, rows, computed)
@@ -103,8 +105,8 @@ def case_of(episode: Episode) -> Case:
     return Case(f"episode {episode.number}", run_case, (episode,), depends=depends)
 
 
-def _failed(case: Case, error: str) -> dict[str, list[dict[str, Any]]]:
-    return {TABLE: [failed_row(case.arguments[0], error)]}
+def _on_failure(case: Case, error: str) -> dict[str, list[dict[str, Any]]]:
+    return {TABLE: [row_of_failure(case.arguments[0], error)]}
 
 
 def _fell(outcome: Any) -> bool:
@@ -136,7 +138,7 @@ class Replayed:
 
     @property
     def other_versions(self) -> tuple[str, ...]:
-        """What was run with then and is another now, in words."""
+        """Versions that differ between then and now, in words."""
         changed = [name for name in VERSIONS if self.then[name] != self.now[name]]
         return tuple(f"{name} {self.then[name]} -> {self.now[name]}" for name in changed)
 
@@ -159,7 +161,7 @@ def replay_episode(path: Path, number: int) -> Replayed:
     episode = Episode.from_json(then["spec"])
     # Whatever goes wrong in it is part of the row.
     outcome = attempt(case_of(episode))
-    now = failed_row(episode, outcome.error) if outcome.error else outcome.tables[TABLE][0]
+    now = row_of_failure(episode, outcome.error) if outcome.error else outcome.tables[TABLE][0]
     return Replayed(episode, then, now)
 
 
@@ -196,7 +198,7 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Origin:
-    """What is known of a controller whose episodes are there; nothing where nobody wrote it down."""
+    """The facts of a controller whose episodes are there; nothing where nobody wrote it down."""
 
     file: str = ""  # hash of the file behind it when it was run
     trained: str = ""  # on what

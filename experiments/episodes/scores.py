@@ -1,4 +1,4 @@
-"""What the rows of a study say: paired differences, losses won back, the severity at which half fall.
+"""Numbers of a study's rows: paired differences, losses won back, the severity at which half fall.
 
 A difference is *clear* if its 95 % interval leaves zero out.
 
@@ -7,7 +7,8 @@ bootstrap over these seeds.
 
 **The severity at which half fall** is where the share of falls crosses one half, linearly between the
 severities that were run, once it is made not to decrease (isotonic regression); its 95 % interval is that of
-2,000 resamples of the seeds, which are paired over severities. An end of it may lie beyond what was run.
+2,000 resamples of the seeds, which are paired over severities. An end of it may lie beyond the severities
+that were run.
 """
 
 from collections.abc import Iterable
@@ -81,8 +82,8 @@ def difference(frame: Frame, first: Run, second: Run, severity: float | None = N
     return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
 
 
-def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
-    """Return which share of what drifting feet cost one controller a feed wins back, and its 95 % interval.
+def share_recovered(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
+    """Return the share of a controller's loss on drifting feet that a feed wins back, and its 95 % interval.
 
     ``None`` if it is no calibration, shares no seeds with true and drifting feet, or these do not clearly
     differ.

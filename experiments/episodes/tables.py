@@ -9,7 +9,7 @@ from surefoot.experiments.episodes.scores import (
     half_fall,
     same_seeds,
     severities_of,
-    won_back,
+    share_recovered,
 )
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import by_way, short_label
@@ -25,10 +25,10 @@ from surefoot.experiments.study.tables import (
     count_of,
     decimal,
     interval_text,
-    laid_out,
     mean_of,
     number,
     plural,
+    table_of,
     with_interval,
 )
 
@@ -113,9 +113,9 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     brief = labels(controllers)
     own = {who: frame[frame["controller"] == who] for who in controllers}
 
-    def won(runs: Frame) -> str:
+    def share(runs: Frame) -> str:
         first = runs.iloc[0]
-        share = won_back(own[first["controller"]], first["feed"], first["severity"])
+        share = share_recovered(own[first["controller"]], first["feed"], first["severity"])
         return "" if share is None else percent_interval(share)
 
     columns: dict[str, Cell] = {
@@ -123,7 +123,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         "CoP fed back": _fed,
         "severity": _severity,
         "return": mean_of("return", digits=4),
-        "loss won back": won,
+        "loss won back": share,
         **_SCORES,
     }
     if len(controllers) < 2:
@@ -134,7 +134,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         f"{means} with 95 % intervals; 'loss won back' only where drifting feet cost something beyond the "
         f"interval; of fewer than {FEW_FALLS} falls the shortest and the longest time."
     )
-    return laid_out(name, title, columns, rows, note)
+    return table_of(name, title, columns, rows, note)
 
 
 def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
@@ -147,7 +147,7 @@ def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
         "the episode for those that stood. Errors are rms of an episode from where the controller is asked."
     )
     runs = [runs for own in parts for _, runs in own.groupby("severity")]
-    return laid_out(f"outcome_{scenario}", title, columns, runs, note)
+    return table_of(f"outcome_{scenario}", title, columns, runs, note)
 
 
 def half_table(rows: Frame, titles: Mapping[str, str]) -> Table | None:
@@ -174,11 +174,11 @@ def half_table(rows: Frame, titles: Mapping[str, str]) -> Table | None:
 def worst_table(worst: Frame) -> Table:
     """Return the worst episodes, with whole names: those who did not come last are not there."""
     title = "The worst episodes: the earliest falls, then the lowest returns"
-    return laid_out("worst", title, _WORST, worst.to_dict("records"))
+    return table_of("worst", title, _WORST, worst.to_dict("records"))
 
 
 def failure_table(failed: Frame) -> Table | None:
-    """Return the episodes that could not be run through, with the last line of what was raised."""
+    """Return the episodes that could not be run through, with the last line of their errors."""
     if not len(failed):
         return None
     note = "The whole text is in the column 'error' of episodes.parquet."
@@ -186,7 +186,7 @@ def failure_table(failed: Frame) -> Table | None:
         note = f"{len(failed) - MOST_FAILURES} more are left out here. {note}"
     columns = {**_WHICH, "raised": lambda row: row["error"].splitlines()[-1]}
     listed = failed.head(MOST_FAILURES).to_dict("records")
-    return laid_out("failed", f"{plural(len(failed), 'episode')} failed", columns, listed, note)
+    return table_of("failed", f"{plural(len(failed), 'episode')} failed", columns, listed, note)
 
 
 def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:
@@ -212,7 +212,7 @@ def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:
     )
     title = "Return by what the policy was trained on, and what it is given"
     policies = (("true feet", clean), ("randomised feet", randomised))
-    return laid_out("randomisation", title, columns, policies, note)
+    return table_of("randomisation", title, columns, policies, note)
 
 
 def difference_table(found: Sequence[Difference], name: str, title: str) -> Table:
@@ -231,7 +231,7 @@ def difference_table(found: Sequence[Difference], name: str, title: str) -> Tabl
         "intervals (Student t); clear: the interval leaves zero out. That happens by chance to one in twenty "
         f"differences that are nothing, and these are {len(found)}."
     )
-    return laid_out(name, title, columns, found, note)
+    return table_of(name, title, columns, found, note)
 
 
 def _pairs(rows: Frame) -> list[Frame]:

@@ -87,7 +87,7 @@ def read_samples(
     def values(names: str | Sequence[str] | None, factor: float = 1.0) -> Any:
         if names is None:
             return None
-        return factor * (table.numbers(names) if isinstance(names, str) else table.stacked(names))
+        return factor * (table.numbers(names) if isinstance(names, str) else table.stack_columns(names))
 
     temperature = values(found.temperature)
     whole = Samples(

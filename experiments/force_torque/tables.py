@@ -18,7 +18,7 @@ from surefoot.calibration.in_situ.validation import (
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.log import InSituLog
-from surefoot.experiments.study.tables import Table, decimal, number, rounded, with_deviation
+from surefoot.experiments.study.tables import Table, decimal, number, round_to, with_deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +153,12 @@ def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
 def limb_table(found: Calibrated) -> Table:
     """Return the limb, and its mass against the known one where the log gives it."""
     fit, known = found.fit, found.log.config.limb
-    rows = [("mass (kg)", *rounded(fit.limb.mass, fit.limb_mass_std))]
+    rows = [("mass (kg)", *round_to(fit.limb.mass, fit.limb_mass_std))]
     note = "No known mass of the limb (limb.mass_kg) was given to hold the scale against."
     if known.mass_kg is not None:
         off = 100 * (fit.limb.mass / known.mass_kg - 1.0)
         rows += [
-            ("known mass (kg)", *rounded(known.mass_kg, known.mass_std_kg or np.nan)),
+            ("known mass (kg)", *round_to(known.mass_kg, known.mass_std_kg or np.nan)),
             ("fitted / known - 1 (%)", decimal(off, "+.2f"), "–"),
         ]
         note = (
@@ -170,7 +170,7 @@ def limb_table(found: Calibrated) -> Table:
     slope = np.column_stack([-fit.limb.com, np.eye(3)]) / fit.limb.mass
     com_std = np.sqrt(np.diag(slope @ limb @ slope.T))
     rows += [
-        (f"centre of mass, {axis} (cm)", *rounded(100 * fit.limb.com[a], 100 * com_std[a]))
+        (f"centre of mass, {axis} (cm)", *round_to(100 * fit.limb.com[a], 100 * com_std[a]))
         for a, axis in enumerate("xyz")
     ]
     return Table("limb", "The limb beyond the sensor", ("what", "value", "± (one sigma)"), tuple(rows), note)
@@ -197,7 +197,7 @@ def offset_table(found: Calibrated) -> Table:
     """Return the offset of each channel, by set."""
     fit = found.fit
     rows = [
-        (name, *(rounded(value, std)[0] for value in fit.offsets[:, i]), *rounded(fit.offset[i], std))
+        (name, *(round_to(value, std)[0] for value in fit.offsets[:, i]), *round_to(fit.offset[i], std))
         for i, (name, std) in enumerate(zip(found.log.channels, fit.offset_std, strict=True))
     ]
     columns = ("channel", *(f"set {name}" for name in fit.set_names), "at the end", "± (one sigma)")

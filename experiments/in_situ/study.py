@@ -99,7 +99,7 @@ def run_in_situ_study(options: InSituStudyOptions) -> InSituStudyResults:
     stages = study_cases(options)
     cases = [case for listed in stages.values() for case in listed]
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, results.seconds) as run:
+    with store.open_for(), runner(options.jobs, results.seconds) as run:
         for what, listed in stages.items():
             run.run(what, listed, store)
     for name in (*FRAMES, "shown"):

@@ -18,11 +18,11 @@ from surefoot.experiments.study.tables import (
     Valued,
     Verdict,
     decimal,
-    laid_out,
     mean_of,
     number,
     share,
     span,
+    table_of,
     value_of,
     with_interval,
 )
@@ -235,13 +235,13 @@ def all_tables(results: InSituStudyResults) -> dict[str, Table]:
     of_limb, of_bound = _parts(results.fits, "sensor", "method"), _parts(results.white, "kind", "sensor")
     of_motion, spoilt = _parts(results.motions, "motion", "sensor"), _parts(results.refusals, "case")
     listed = (
-        laid_out("targets", "What it must show", _TARGETS, limits_of(results), seen),
+        table_of("targets", "What it must show", _TARGETS, limits_of(results), seen),
         *(_by_set(results.sets, *table) for table in _BY_SET),
-        laid_out("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, _say("limb_note")),
-        laid_out("bound", bound, _BOUND, of_bound, _say("bound_note")),
-        laid_out("motion", "Slow and fast motion", _MOTION, of_motion, motions),
-        laid_out("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, _say("refusals_note")),
-        laid_out("exact", "Relative errors without noise", _EXACT, results.exact.itertuples()),
+        table_of("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, _say("limb_note")),
+        table_of("bound", bound, _BOUND, of_bound, _say("bound_note")),
+        table_of("motion", "Slow and fast motion", _MOTION, of_motion, motions),
+        table_of("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, _say("refusals_note")),
+        table_of("exact", "Relative errors without noise", _EXACT, results.exact.itertuples()),
     )
     return {table.name: table for table in listed}
 
@@ -267,4 +267,4 @@ def _by_set(
     }
     # What was not added is nowhere.
     shown = sets[sets["added"] > 0.0] if name == "table3" else sets
-    return laid_out(name, title, columns, _parts(shown, "sensor", "set"), note)
+    return table_of(name, title, columns, _parts(shown, "sensor", "set"), note)

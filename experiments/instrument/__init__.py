@@ -1,1 +1,1 @@
-"""The instrument as a recording shows it: what is wrong with it, and a preset that behaves like it."""
+"""The instrument as a recording shows it: its flaws, and a preset that behaves like it."""

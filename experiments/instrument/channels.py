@@ -1,4 +1,4 @@
-"""One channel of a recording: its readings, its clock, its noise, and what is wrong with it since when."""
+"""One channel of a recording: its readings, its clock, its noise, and its flaws with their beginning."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
 @dataclass(frozen=True)
 class Wrong:
-    """A finding, since when it holds, and what would settle it."""
+    """A finding, since when it holds, and the measurement that would settle it."""
 
     finding: Finding
     since: str = "all along"
@@ -43,7 +43,7 @@ class Wrong:
 
 @dataclass(frozen=True, eq=False)
 class ChannelFacts:
-    """What a channel shows of itself, in counts and seconds."""
+    """The facts of a channel, in counts and seconds."""
 
     name: str
     missing: float  # share of rows
@@ -95,7 +95,7 @@ def _slope(still: list[Stretch]) -> tuple[float, float]:
 
 
 def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wrong]:
-    """Yield what is wrong with the clock and with single channels."""
+    """Yield the flaws of the clock and of single channels."""
     if recording.kind == "weighings":
         return  # their own judge looks at single readings
     if recording.has_times:

@@ -1,4 +1,4 @@
-"""Check any log without calibrating: what it holds, what is wrong with it, and what would settle it."""
+"""Check any log without calibrating: its contents, its flaws, and the measurement that would settle each."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _settle = Words("instrument", "settle")
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A log, what its channels show, and what is wrong with it, what refuses first."""
+    """A log, its channels, and its flaws, those that refuse it first."""
 
     recording: Recording
     facts: list[ChannelFacts]
@@ -48,7 +48,7 @@ class Checked:
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """What is wrong, and the channels."""
+        """The flaws, and the channels."""
         return (wrong_table(self), channel_table(self))
 
 
@@ -64,7 +64,7 @@ def check_log(path: Path, topics: Path | None = None) -> Checked:
 
 
 def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
-    """Yield what the judge of the log's own command says."""
+    """Yield the findings of the judge of the log's own command."""
     read = recording.read
     if recording.refusal:
         reason, cure = recording.refusal.removeprefix(f"{recording.file}: "), ""

@@ -1,4 +1,4 @@
-r"""What a channel at rest says: its conversions, its noise and its drift.
+r"""A channel at rest: its conversions, its noise and its drift.
 
 The Allan deviation over :math:`m` conversions of length :math:`\tau_0` (IEEE 952),
 
@@ -61,7 +61,7 @@ def conversions(time: Floats, raw: Floats) -> tuple[NDArray[np.intp], float]:
 
 
 def step_of(raw: Floats) -> float:
-    """Return the smallest step between two readings: the unit of the converter, or of what rounded it."""
+    """Return the smallest step between two readings: the unit of the converter, or of another rounding."""
     values = np.unique(raw[np.isfinite(raw)])
     gaps = np.diff(values)
     gaps = gaps[gaps > 1e-9 * max(np.abs(values).max(initial=0.0), 1e-300)]

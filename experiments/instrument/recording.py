@@ -48,7 +48,7 @@ class Recording:
 
 
 def read_recording(path: Path, topics: Path | None = None) -> Recording:
-    """Read a log for what it is; LogError if it is no readable table or holds no channel.
+    """Read a log of any kind; LogError if it is no readable table or holds no channel.
 
     A log of which the command of its kind would say that it cannot be read is a recording all the same, with
     the reason, as long as its channels can be found.
@@ -71,7 +71,7 @@ def read_recording(path: Path, topics: Path | None = None) -> Recording:
 
 
 def _is_in_situ(path: Path) -> bool:
-    """Whether a file, or what lies beside it, speaks of a six-axis sensor and gravity."""
+    """Whether a file, or another beside it, speaks of a six-axis sensor and gravity."""
     beside = path.with_suffix(".toml")
     if beside.is_file() and set(read_toml(beside, LogError)) - set(TableMapping.model_fields):
         return True
@@ -127,7 +127,7 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
             f"{table.file}: holds no column 'raw_<channel>_count'; there are {join_names(table.names)}. Name "
             f"yours under [columns] in {Path(table.file).stem}.toml."
         )
-    raw = table.stacked(names)
+    raw = table.stack_columns(names)
     time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
     load: Floats | None = None
     if loads:

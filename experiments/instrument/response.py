@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.instrument.wander import SURE, Interval, Wander, normal_interval
+from surefoot.experiments.instrument.rest import SURE, AtRest, Interval, normal_interval
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
@@ -34,7 +34,7 @@ SHARP = 0.05  # share of a step that its first row may lack where readings are a
 
 
 class Response(NamedTuple):
-    """What known loads show; of all channels together unless it is said."""
+    """Results of known loads; of all channels together unless it is said."""
 
     scale: Floats  # counts per N of each channel at the start, shape (K,)
     scale_std: Floats
@@ -73,7 +73,7 @@ def blocks_of(time: Floats, load: Floats) -> list[np.ndarray]:
 
 
 class Blocks(NamedTuple):
-    """Means over blocks, and what noise and drift make of them."""
+    """Means over blocks, and their errors by noise and drift."""
 
     time: Floats  # middle of each in s, shape (B,)
     value: Floats  # counts, shape (B, K)
@@ -102,7 +102,7 @@ def creep_of(time: Floats, load: Floats, constant: float) -> Floats:
 
 
 def respond(
-    time: Floats, raw: Floats, load: Floats, capacity: float, wander: Wander, rate: float
+    time: Floats, raw: Floats, load: Floats, capacity: float, at_rest: AtRest, rate: float
 ) -> Response:
     """Fit the answer of K channels to known loads in N, both (N, K).
 
@@ -111,7 +111,7 @@ def respond(
         raw: Counts; NaN where no sample arrived.
         load: True loads.
         capacity: Rated load in N.
-        wander: Noise and drift of the channels.
+        at_rest: Noise and drift of the channels.
         rate: Conversions a second.
     """
     parts = blocks_of(time, load)
@@ -134,7 +134,7 @@ def respond(
         return mean(creep_of(time, load, constant))
 
     longest, shortest = (time[-1] - time[0]) / 2.0, 3.0 * max(SHORTEST, span)
-    factors = _factors(blocks, wander)
+    factors = _factors(blocks, at_rest)
     plain = _fit(blocks, factors, [])
     grid = np.geomspace(shortest, longest, 8)
     costs = [_fit(blocks, factors, [crept(one)]).cost for one in grid]
@@ -191,8 +191,8 @@ def _fit(blocks: Blocks, factors: list[tuple[Floats, bool]], crept: list[Floats]
     return _Fit(theta, std, cost, theta[:, 0])
 
 
-def _factors(blocks: Blocks, wander: Wander) -> list[tuple[Floats, bool]]:
-    """Return the Cholesky factors of what noise and drift make of each channel's means, in N^2."""
+def _factors(blocks: Blocks, at_rest: AtRest) -> list[tuple[Floats, bool]]:
+    """Return the Cholesky factors of the errors of each channel's means by noise and drift, in N^2."""
     t = blocks.time - blocks.time[0]
     walked = np.minimum(t[:, None], t[None])
     found: list[tuple[Floats, bool]] = []
@@ -200,9 +200,9 @@ def _factors(blocks: Blocks, wander: Wander) -> list[tuple[Floats, bool]]:
         if i and np.array_equal(load, blocks.load[:, i - 1]):
             found.append(found[-1])
             continue
-        drift = wander.scale.value**2 if wander.scale else 0.0
-        C = (wander.offset.value**2 + drift * np.outer(load, load)) * walked
-        C += (wander.noise.value**2 / blocks.size + 1e-12 * np.trace(C) / len(t)) * np.eye(len(t))
+        drift = at_rest.scale.value**2 if at_rest.scale else 0.0
+        C = (at_rest.offset.value**2 + drift * np.outer(load, load)) * walked
+        C += (at_rest.noise.value**2 / blocks.size + 1e-12 * np.trace(C) / len(t)) * np.eye(len(t))
         found.append(cho_factor(C, lower=True))
     return found
 
@@ -233,7 +233,7 @@ def _response(fit: _Fit, joint: _Fit | None, constant: float, delay: Interval | 
 
 
 def _delay(time: Floats, raw: Floats, load: Floats) -> Interval | None:
-    """Return the mean age of readings, by what they lack of a step; ``None`` if no step shows it.
+    """Return the mean age of readings, by their distance from a step; ``None`` if no step shows it.
 
     The area between load and reading after a step of size D is D times the age, whatever filter made it. Rows
     that are not in step with the converter miss half a row of it; ones that are miss none.

@@ -15,7 +15,7 @@ from surefoot.experiments.instrument.likeness import SLOWER, compare, constant_s
 from surefoot.experiments.instrument.noise import FEWEST, conversions, step_of
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import Response, respond
-from surefoot.experiments.instrument.wander import SURE, Interval, Wander, normal_interval, wander_of
+from surefoot.experiments.instrument.rest import SURE, AtRest, Interval, fit_at_rest, normal_interval
 from surefoot.experiments.study.tables import Table, Verdict, number, span
 from surefoot.files import write_text
 from surefoot.sensors import LoadCells
@@ -40,7 +40,7 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """What a recording says of its instrument."""
+    """An instrument as a recording shows it."""
 
     recording: Recording
     preset: LoadCells
@@ -76,8 +76,8 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     rates = [_rate(recording, *one) for one in conversion]
     known = [one for one in rates if one is not None]
     size = np.full(len(scale), float(np.mean(scale)))
-    wander = wander_of(constant_stretches(recording, size))
-    if wander is None:
+    at_rest = fit_at_rest(constant_stretches(recording, size))
+    if at_rest is None:
         raise CalibrationRefused(
             f"{recording.file}: no channel rests under one load for {FEWEST} conversions.",
             "Record half a minute of rest, and loads that stay on for some seconds.",
@@ -87,18 +87,18 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     response: Response | None = None
     if recording.load is not None and np.ptp(recording.load) > 0.0:
         rated = capacity or float(np.nanmax(np.abs(recording.load)))
-        response = respond(recording.time, recording.raw, recording.load, rated, wander, rate)
+        response = respond(recording.time, recording.raw, recording.load, rated, at_rest, rate)
         # Noise and drift once more, without what the cells remember of their loads.
         size = np.full(len(scale), 1.0 / float(np.mean(np.abs(response.scale))))
         forgot = recording.raw - response.memory(recording.time, recording.load, rated)
-        wander = wander_of(constant_stretches(recording, size, forgot)) or wander
-        response = respond(recording.time, recording.raw, recording.load, rated, wander, rate)
+        at_rest = fit_at_rest(constant_stretches(recording, size, forgot)) or at_rest
+        response = respond(recording.time, recording.raw, recording.load, rated, at_rest, rate)
     else:
         rated = capacity or LoadCells().capacity
     signed = scale if recording.scale is None else recording.scale
     slope = 1.0 / signed if response is None else response.scale
-    preset, notes = _preset(recording, rated, slope, known, wander, response)
-    parameters = tuple(_parameters(recording, rates, wander, response))
+    preset, notes = _preset(recording, rated, slope, known, at_rest, response)
+    parameters = tuple(_parameters(recording, rates, at_rest, response))
     periods = np.array([np.nan if one is None else 1.0 / one.value for one in rates])
     return Twin(recording, preset, parameters, compare(recording, preset, periods, size), notes)
 
@@ -143,10 +143,10 @@ def _preset(
     capacity: float,
     slope: Floats,
     rates: list[Interval],
-    wander: Wander,
+    at_rest: AtRest,
     response: Response | None,
 ) -> tuple[LoadCells, tuple[str, ...]]:
-    """Return the cells, and notes on what the recording left open."""
+    """Return the cells, and notes on open questions."""
     notes: list[str] = []
     unit = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
     unit = unit if np.isfinite(unit) else 1.0
@@ -163,12 +163,12 @@ def _preset(
     rate = (min(one.value for one in rates), max(one.value for one in rates)) if rates else None
     if rate is None:
         notes.append("No row repeats the one before: chips are as fast as the rows, or faster.")
-    own = 0.5 * (1 + wander.settling) / float(np.mean(rate)) if rate else 0.0
+    own = 0.5 * (1 + at_rest.settling) / float(np.mean(rate)) if rate else 0.0
     delay = max(0.0, response.delay.value - own) if response and response.delay else 0.0
     if response is None:
         notes.append("No known load: scale, hysteresis, creep and delay are not seen.")
-        at_rest = np.where(recording.unloaded, counts, np.nan) if recording.unloaded.any() else counts
-        zero = np.nanmedian(at_rest, axis=0)
+        unloaded = np.where(recording.unloaded, counts, np.nan) if recording.unloaded.any() else counts
+        zero = np.nanmedian(unloaded, axis=0)
     else:
         zero = response.offset / unit
     offset = (zero - (2.0 ** (bits - 1) if binary else 0.0)) / slope
@@ -178,13 +178,13 @@ def _preset(
         adc_bits=bits,
         coding="offset-binary" if binary else "two's complement",
         polarity=signs if len(signs) == default.channels else (1 if sum(signs) >= 0 else -1,),
-        input_noise=wander.noise.value * size * default.excitation * default.rated_output / gain,
+        input_noise=at_rest.noise.value * size * default.excitation * default.rated_output / gain,
         rate=rate,
-        settling=wander.settling,
+        settling=at_rest.settling,
         initial_scale_std=float(np.std(np.abs(slope)) / size),
         initial_offset_std=float(np.sqrt(np.mean(offset**2))),
-        scale_drift=wander.scale.value if wander.scale else 0.0,
-        offset_drift=wander.offset.value,
+        scale_drift=at_rest.scale.value if at_rest.scale else 0.0,
+        offset_drift=at_rest.offset.value,
         mechanics=_mechanics(response),
         wire=Wire(delay=delay, under_way=max(Wire().under_way, int(np.ceil(delay / row)) + 2)),
     )
@@ -205,12 +205,12 @@ def _mechanics(response: Response | None) -> Mechanics:
 
 
 def _parameters(
-    recording: Recording, rates: list[Interval | None], wander: Wander, response: Response | None
+    recording: Recording, rates: list[Interval | None], at_rest: AtRest, response: Response | None
 ) -> Iterator[Parameter]:
-    yield Parameter("noise of a conversion", "N", wander.noise)
-    yield Parameter("random walk of the offset", "N/√s", wander.offset)
-    if wander.scale is not None:
-        yield Parameter("random walk of the scale", "1/√s", wander.scale)
+    yield Parameter("noise of a conversion", "N", at_rest.noise)
+    yield Parameter("random walk of the offset", "N/√s", at_rest.offset)
+    if at_rest.scale is not None:
+        yield Parameter("random walk of the scale", "1/√s", at_rest.scale)
     for name, rate in zip(recording.names, rates, strict=True):
         if rate is not None:
             yield Parameter("conversion rate", "1/s", rate, name)

@@ -97,7 +97,7 @@ class Series(NamedTuple):
 
 
 class Bag(NamedTuple):
-    """What was read of a bag."""
+    """The data of a bag."""
 
     file: str
     series: tuple[Series, ...]  # in the order of the mapping file
@@ -156,7 +156,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
     Raises LogError if there is no whole bag, no mapping, or a topic or field is not as the mapping says.
     """
     mapping = path.with_suffix(".topics.toml") if mapping is None else mapping
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         topics = _read_topics(path, mapping)
         there = reader.topics
         for topic in topics.topics:
@@ -203,7 +203,7 @@ def _read_topics(path: Path, mapping: Path) -> Topics:
 
 @contextmanager
 def whole(path: Path) -> Iterator[None]:
-    """Say of a file that cannot be read what can be done."""
+    """Name the way out of a file that cannot be read."""
     try:
         yield
     except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
@@ -216,7 +216,7 @@ def whole(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_bag(path: Path) -> Iterator[Any]:
     """Give a reader of a bag that has messages."""
     if path.exists() and not is_bag(path):
         raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
@@ -305,9 +305,9 @@ def _stamps(messages: list[Any], origin: int) -> Floats | None:
 def _clock(received: Floats, stamps: Floats | None, given: float | None) -> tuple[Floats, str]:
     """Return times of messages on the recorder's clock, and how they were found.
 
-    What a message takes to the recorder is never negative, and most messages take little more than the
-    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to what the
-    quickest takes.
+    The delay of a message to the recorder is never negative, and most messages take little more than the
+    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to the time that
+    the quickest takes.
     """
     if stamps is None:
         time = _even(received)
@@ -365,7 +365,7 @@ def guess_topics(path: Path, *, walk: bool) -> str:
     else numbers. Raises LogError if there is no whole bag.
     """
     firsts: dict[str, Any] = {}  # messages, by topic
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         kinds = {name: str(info.msgtype) for name, info in sorted(reader.topics.items())}
         known = [one for one in reader.connections if _of_use(one.msgtype)]
         with whole(path):

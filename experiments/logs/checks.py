@@ -1,4 +1,4 @@
-"""What a log of a walk must hold before a calibrator sees it, and what becomes of findings about a file."""
+"""The data that a log of a walk must hold, and the decision about findings on a file."""
 
 import re
 from collections.abc import Sequence
@@ -129,13 +129,13 @@ def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def pass_or_refuse(
     findings: Sequence[Finding], accept: str, file: str, written: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return notices of what was accepted, and those of weaker findings.
+    """Return notices of accepted findings, and of weaker ones.
 
     Args:
-        findings: What checks saw.
-        accept: The reason to go on past what refuses; empty for none.
-        file: What messages call the file.
-        written: What says the reason, such as ``"every file"``.
+        findings: The findings of checks.
+        accept: The reason to go on past a refusal; empty for none.
+        file: The file's name in messages.
+        written: The files that carry the reason, such as ``"every file"``.
 
     Raises:
         CalibrationRefused: With all that refuses, if there is no reason to go on.

@@ -1,6 +1,6 @@
 """Which feet surely stand and which surely swing: no calibrator learns from one that is neither.
 
-What the log holds comes first, then what was commanded, then a guess from the soles' own motion.
+The log's own contacts come first, then the commands, then a guess from the soles' own motion.
 """
 
 import numpy as np
@@ -106,6 +106,6 @@ def _erode(held: Bools, dt: float, margin: float = SURE) -> Bools:
 
 
 def _spread(held: Bools, time: float, dt: float) -> Bools:
-    """Add what comes shortly before and after."""
+    """Add the moments shortly before and after."""
     added = maximum_filter1d(held.astype(np.int8), 2 * round(time / dt) + 1, axis=0, mode="nearest")
     return np.asarray(added > 0)

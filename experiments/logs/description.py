@@ -26,7 +26,7 @@ Seconds = Annotated[Number, Field(ge=0.0, lt=10.0)]
 
 
 class MotionFacts(Settings):
-    """What a description holds under ``motion``: how references are made of joints and IMU."""
+    """The part ``motion`` of a description: how references are made of joints and IMU."""
 
     model: Path  # the drawing, MJCF or URDF; paths are from the log's folder
     torso: str  # its floating body

@@ -1,7 +1,7 @@
 """Logs of walks: one documented table for simulated and real robots; docs/log-format.md lists its columns.
 
 One row a sample of the feet's sensors, as Parquet or CSV, and a description of the robot: in the schema's
-metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. What begins with ``truth_`` no
+metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. A column that begins with ``truth_`` no
 calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing under ``motion`` (extra
 ``[sim]``).
 """
@@ -54,7 +54,7 @@ MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's f
 
 @dataclass(frozen=True, eq=False)
 class LogTruth:
-    """What a simulator knows of N samples and a robot does not."""
+    """The simulator's truth of N samples, which a robot does not know."""
 
     force: Floats  # of the ground through each channel in N, shape (N, K)
     position_sole: Floats  # origins of the sole frames in the world in m, shape (N, 2, 3)
@@ -65,7 +65,7 @@ class LogTruth:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """N samples of a walk and what is known of the robot."""
+    """N samples of a walk and the facts of the robot."""
 
     time: Floats  # of the samples in s, increasing, shape (N,)
     raw: Floats  # readings in counts, shape (N, K); NaN where no sample arrived
@@ -88,7 +88,7 @@ class Log:
         return len(self.time)
 
     def __repr__(self) -> str:
-        """What it is of, on one line."""
+        """Its subject, on one line."""
         feet = ", ".join(foot.name for foot in self.layout.feet)
         span = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self) else "empty"
         more = ", with truth" * (self.truth is not None)

@@ -1,6 +1,6 @@
-"""What a TOML file beside a table says of it: whose columns are which, in which units and at which rate.
+"""A TOML file that describes the table beside it: whose columns are which, in which units and at which rate.
 
-It is to tables what the mapping file of topics is to bags: further tables, at rates of their own, come onto
+It serves tables as the mapping file of topics serves bags: further tables, at rates of their own, come onto
 the rows of the first as topics do; docs/log-format.md lists the keys.
 """
 
@@ -43,7 +43,7 @@ class Csv(Settings):
 
 
 class TableMapping(Settings):
-    """What the TOML file says."""
+    """The contents of the TOML file."""
 
     columns: dict[str, str] = Field(default_factory=dict)  # of the log itself: the documented name = yours
     tables: dict[str, dict[str, str]] = Field(default_factory=dict)  # the same of further tables, by file
@@ -71,7 +71,7 @@ class TableMapping(Settings):
 
         Args:
             path: The table.
-            absent: What is said if it is not there.
+            absent: The message if it is not there.
             own: Its own names by the documented ones; by default those of ``tables``, if any.
         """
         table = read_table(path, absent, separator=self.csv.separator, decimal=self.csv.decimal)

@@ -1,4 +1,4 @@
-"""Joint angles and IMU in place of references: what such a log, or a table beside it, must hold."""
+"""Joint angles and IMU in place of references: the columns of such a log, or of a table beside it."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

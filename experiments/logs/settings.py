@@ -1,4 +1,4 @@
-"""What a TOML or JSON file states beside a table: the types of fields say what may stand there."""
+"""A TOML or JSON file beside a table: the types of fields define its values."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Self
@@ -30,7 +30,7 @@ class Settings(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _known(cls, given: Any) -> Any:
+    def _check_known(cls, given: Any) -> Any:
         unknown = [key for key in given if key not in cls.model_fields] if isinstance(given, Mapping) else []
         if unknown and cls.model_config["extra"] == "forbid":
             raise ValueError(f"unknown key '{unknown[0]}'; there are {', '.join(cls.model_fields)}")
@@ -38,7 +38,7 @@ class Settings(BaseModel):
 
     @classmethod
     def read(cls, given: Any, where: str) -> Self:
-        """Return the settings that a file states; LogError names file, key, what is wrong and was given."""
+        """Return the settings that a file states; LogError names file, key, flaw and value."""
         try:
             return cls.model_validate(given)
         except ValidationError as error:

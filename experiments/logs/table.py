@@ -105,7 +105,7 @@ class LogTable:
                 ) from None
         return found
 
-    def stacked(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def stack_columns(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return columns side by side, shape (rows, columns)."""
         return np.stack([self.numbers(name) for name in names], axis=-1)
 

@@ -1,4 +1,4 @@
-"""The card of a trained policy: what it is, how it was made, how well it does, and what it cannot do."""
+"""The card of a trained policy: how it was made, how well it does, and its limits."""
 
 import json
 import shlex

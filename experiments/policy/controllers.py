@@ -1,6 +1,6 @@
 """Who controls the robot: controllers by name, policies from files, and functions of the user's own.
 
-| Controller | What it is |
+| Controller | Meaning |
 |------------|------------|
 | ``"zero"`` | the open-loop walker |
 | ``"stabiliser"`` | :class:`surefoot.controllers.Stabiliser` |
@@ -10,7 +10,7 @@
 | ``"module:function"`` | code of the user's, which is imported and **runs with the user's rights** |
 
 A function either answers an observation itself, or, if its first parameter is called ``state_layout``, is
-given the environment's and returns what answers. What has a ``reset`` is reset before every episode.
+given the environment's and returns the controller. One with a ``reset`` is reset before every episode.
 """
 
 import inspect
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.tasks import TASKS, shipped_file, shipped_policy, task_in
+from surefoot.experiments.policy.tasks import TASKS, policy_file, shipped_policy, task_in
 
 Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]  # answers an observation with an action
 
@@ -93,7 +93,7 @@ def controller_hash(name: str, env_id: str = "") -> str:
         return ""
     if name in _SHIPPED:
         tasks = [task.name for task in TASKS.values() if env_id in ("", task.env_id)]
-        found = [shipped_file(task, _SHIPPED[name]) for task in tasks]
+        found = [policy_file(task, _SHIPPED[name]) for task in tasks]
         content = b"".join(file.read_bytes() for file in found if file.is_file())
     elif name.endswith(_FILES):
         content = _file(name).read_bytes()
@@ -105,7 +105,7 @@ def controller_hash(name: str, env_id: str = "") -> str:
     return sha256(content).hexdigest()[:16]
 
 
-def trained_on(name: str) -> str:
+def training_sensors(name: str) -> str:
     """Return which of the sensors a policy was trained on; nothing if nobody wrote it down, or it was not."""
     if name in _SHIPPED:
         return _SHIPPED[name]
@@ -134,7 +134,7 @@ def labels(controllers: Sequence[str]) -> dict[str, str]:
     return found if len(set(found.values())) == len(found) else {name: name for name in controllers}
 
 
-def drawn_names(controllers: Sequence[str]) -> dict[str, str]:
+def figure_names(controllers: Sequence[str]) -> dict[str, str]:
     """Return a name for each controller that a figure can write, cut and numbered so that none are alike."""
     found: dict[str, str] = {}
     for name, brief in labels(controllers).items():

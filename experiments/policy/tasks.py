@@ -18,7 +18,7 @@ SENSORS = ("true", "randomised")
 
 @dataclass(frozen=True)
 class Task:
-    """A task, what a policy sees of it, and how it is trained."""
+    """A task, a policy's view of it, and its training."""
 
     name: str  # for files and the command
     env_id: str
@@ -78,7 +78,7 @@ TASKS: Mapping[str, Task] = MappingProxyType(
 
 
 def task_named(name: str) -> Task:
-    """Return the task of a name, or raise ValueError with what there is."""
+    """Return the task of a name, or raise ValueError with their names."""
     if name not in TASKS:
         raise ValueError(f"There is no task '{name}'. Available: {', '.join(map(repr, TASKS))}.")
     return TASKS[name]
@@ -89,12 +89,12 @@ def task_in(env_id: Any) -> Task | None:
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
 
 
-def shipped_file(task: str, sensors: str) -> Traversable:
+def policy_file(task: str, sensors: str) -> Traversable:
     """Return the file of a policy that comes with the package: for the task, or for the easier one."""
     folder = files("surefoot.experiments.policy").joinpath("files")
     own = folder.joinpath(f"{task}-{sensors}", "policy.npz")
     easier = task_named(task).easier
-    return own if own.is_file() or not easier else shipped_file(easier, sensors)
+    return own if own.is_file() or not easier else policy_file(easier, sensors)
 
 
 def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:
@@ -108,7 +108,7 @@ def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwor
         raise ValueError(
             f"There is no shipped policy '{sensors}' for the task '{task}'. Available: {available}."
         )
-    with as_file(shipped_file(task_named(task).name, sensors)) as path:
+    with as_file(policy_file(task_named(task).name, sensors)) as path:
         return PolicyNetwork.load(path)
 
 
@@ -140,7 +140,7 @@ class TrainOptions:
     explore: int = 8  # decisions until it is drawn again (gSDE): feet that shake measure nothing
 
     def __post_init__(self) -> None:
-        """Raise ValueError at what cannot be trained."""
+        """Raise ValueError at a task that cannot be trained."""
         task_named(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
@@ -167,5 +167,5 @@ class TrainOptions:
         return [float(severity) for severity in np.linspace(0.0, LARGEST_SEVERITY, self.environments)]
 
     def segment_seed(self, update: int) -> int:
-        """Return the seed of what follows the checkpoint after some updates."""
+        """Return the seed of the training after a checkpoint at some updates."""
         return TRAINING_SEEDS + self.seed * 1_000_000 + update * self.environments

@@ -21,7 +21,7 @@ import pandas as pd
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.tasks import REWARD_SCALE, TrainOptions, task_named
 from surefoot.experiments.policy.view import PolicyView, make_task, network_of
-from surefoot.files import atomic_path, locked, read_json, write_text
+from surefoot.files import atomic_path, lock_folder, read_json, write_text
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
@@ -51,7 +51,7 @@ class Trainer:
         self.curve: list[dict[str, float]] = []
         busy = TrainingError(f"Another training is at work in '{out}'; wait for it.")
         with ExitStack() as claimed:
-            claimed.enter_context(locked(out, busy))
+            claimed.enter_context(lock_folder(out, busy))
             if restart:
                 remove_training(out)
             self._claim()
@@ -260,7 +260,7 @@ def _curve_keeper(trainer: Trainer, progress: Progress | None) -> Any:
 
 
 def remove_training(out: Path) -> None:
-    """Remove what a training left in a folder, and nothing else."""
+    """Remove the files of a training in a folder, and nothing else."""
     for name in (CHECKPOINT, OPTIONS, CURVE, POLICY):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / BOARD, ignore_errors=True)

@@ -39,7 +39,7 @@ def make_task(
 def _input_matrix(
     state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
 ) -> NDArray[np.float64]:
-    """Return the matrix that picks and scales what is seen of (state, cop, cop_valid, 1), (N, S + 6).
+    """Return the matrix that picks and scales the inputs of (state, cop, cop_valid, 1), (N, S + 6).
 
     Not the joints' velocities, which encoders measure badly, nor arms and head.
     """
@@ -85,7 +85,7 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
         """Reset, with the pattern's posture."""
         observation, info = self.env.reset(seed=seed, options=options)
         self.drive.reset()
-        return self.seen(observation), info
+        return self.inputs_of(observation), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Move the posture for the steps that an action holds."""
@@ -95,9 +95,9 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
             total += float(reward)
             if terminated or truncated:
                 break
-        return self.seen(observation), self._reward_scale * total, terminated, truncated, info
+        return self.inputs_of(observation), self._reward_scale * total, terminated, truncated, info
 
-    def seen(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+    def inputs_of(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the inputs of an observation, shape (N,)."""
         flat = np.concatenate([np.ravel(observation[part]).astype(np.float64) for part in PARTS] + [[1.0]])
         seen: NDArray[np.float32] = (self.inputs @ flat).astype(np.float32)
@@ -139,7 +139,7 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
 
 
 def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
-    """Turn what ``PPO.save`` wrote of a model that was trained on :class:`PolicyView` into a policy file.
+    """Turn a file of ``PPO.save`` of a model that was trained on :class:`PolicyView` into a policy file.
 
     Opening such a zip runs pickled code, so its maker must be trusted: else, or if it is none,
     PolicyFileError.

@@ -1,11 +1,12 @@
 """One framework for all studies: declare cases, and get them run, kept, judged, laid out and shown.
 
-* :mod:`~surefoot.experiments.study.store`: a :class:`Case` is a function that returns rows, and what it
-  depends on; a :class:`Store` keeps what came of each, on the disk.
+* :mod:`~surefoot.experiments.study.store`: a :class:`Case` is a function that returns rows, and the code that
+it
+  depends on; a :class:`Store` keeps the result of each, on the disk.
 * :mod:`~surefoot.experiments.study.runner`: a :class:`Runner` runs the cases that a store lacks, in this
   process, in processes, on dask or on ray; a case that fails is kept as such.
 * :mod:`~surefoot.experiments.study.tables`: tables, declared by their columns, and claims with a computed
-  verdict; ``statistics``, ``figures``, ``page``: what else a person sees.
+  verdict; ``statistics``, ``figures``, ``page``: the parts that a person sees.
 
 A whole study (the tests hold it)::
 
@@ -21,5 +22,5 @@ A whole study (the tests hold it)::
         draw_curve(grid_of(figure, 1, 1)[0, 0], rows["seed"], rows["time"], look_of("none"))
     shown = ReportFigure(out / "time.svg", "Figure 1", "Time on its feet.")
     sections = (Section("walks", "Walks", tables=(table,), figures=(shown,)), *failure_section(failures))
-    publish(out, "Walks", ("What was done.",), sections)
+    publish(out, "Walks", ("The method.",), sections)
 """

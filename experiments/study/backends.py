@@ -27,7 +27,7 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 @dataclass(frozen=True)
 class Died:
-    """The result of a task that its worker died of, twice; ``reason`` is what is known about it."""
+    """The result of a task that its worker died of, twice; ``reason`` is the known cause."""
 
     reason: str
 
@@ -40,7 +40,7 @@ class Workers:
     under_way: int = 1  # tasks that are handed out at the same time
 
     def results(self, tasks: Mapping[int, Task]) -> Iterator[tuple[int, Any]]:
-        """Yield the number and the result of each task, in any order; what a task raises is raised here."""
+        """Yield the number and the result of each task, in any order; errors of a task are raised here."""
         waiting: list[int] = list(tasks)[::-1]
         suspects: list[int] = []
         under_way: dict[Future[Any], int] = {}
@@ -70,7 +70,7 @@ class Workers:
 
 @contextmanager
 def workers(backend: str, jobs: int, address: str | None = None) -> Iterator[Workers]:
-    """Bring up workers here, or those at an address of dask or ray; raise ValueError at what is refused."""
+    """Bring up workers here, or those at an address of dask or ray; raise ValueError at a refused one."""
     if backend not in BACKENDS:
         raise ValueError(f"There is no backend '{backend}'. Available: {', '.join(map(repr, BACKENDS))}.")
     if jobs < 1:
@@ -128,13 +128,13 @@ def _to_dask(client: Any, function: Callable[..., Any], *arguments: Any) -> "Fut
     # dask's own executor never hears of a task whose result was lost with its worker.
     theirs, ours = client.submit(function, *arguments, pure=False), Future[Any]()
 
-    def done(_: Any) -> None:
+    def on_done(_: Any) -> None:
         try:
             ours.set_result(theirs.result())
         except Exception as error:
             ours.set_exception(error)
 
-    theirs.add_done_callback(done)
+    theirs.add_done_callback(on_done)
     return ours
 
 

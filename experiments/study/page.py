@@ -29,7 +29,7 @@ _WORDS = 28  # a cell that is longer than so many letters is text: it stands on 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of the page: its SVG or PNG file, which is embedded, its name, and what to see in it."""
+    """A figure of the page: its SVG or PNG file, which is embedded, its name, and its caption."""
 
     path: Path
     name: str
@@ -59,19 +59,19 @@ class Section:
 
 
 class Words:
-    """What a page says, by its name in ``words.toml`` of a room, or in a part of it."""
+    """The texts of a page, by its name in ``words.toml`` of a room, or in a part of it."""
 
     def __init__(self, room: str, part: str = "") -> None:
         text = files(f"surefoot.experiments.{room}").joinpath("words.toml").read_text(encoding="utf-8")
         self._texts = tomllib.loads(text)[part] if part else tomllib.loads(text)
 
     def __call__(self, name: str, **values: Any) -> str:
-        """Return a text as one line, with values for what stands in braces."""
+        """Return a text as one line, with values for names in braces."""
         return flat(self._texts[name]).format(**values)
 
 
 class Report(NamedTuple):
-    """What a study hands to a command: its page, and the tables that the terminal shows."""
+    """The results that a study hands to a command: its page, and the tables that the terminal shows."""
 
     page: Path
     tables: tuple[Table, ...]
@@ -86,7 +86,7 @@ def write_page(
     lead: Section | None = None,
     made: str = "",
 ) -> Path:
-    """Write the page: its lead, what was done, and the sections; return its path."""
+    """Write the page: its lead, the method, and the sections; return its path."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -158,7 +158,7 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None
 
 
 def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
-    """Return the section about cases that failed, from what was raised by name of case; none if none did."""
+    """Return the section about cases that failed, from errors by name of case; none if none did."""
     if not failures:
         return ()
     rows = tuple((name, error.splitlines()[-1]) for name, error in failures.items())
@@ -184,7 +184,7 @@ def save_frames(
 
 
 def save_facts(path: Path, options: Any, **facts: Any) -> None:
-    """Save how a study was run: its options, a dataclass, and what it ran on."""
+    """Save how a study was run: its options, a dataclass, and its machine."""
     write_text(path, json.dumps({"options": vars(options), **facts}, indent=1, default=str))
 
 
@@ -195,7 +195,7 @@ def _kinds(table: Table) -> list[str]:
 
 
 def _kind(cell: str) -> str:
-    """Return the classes of a cell: what a claim says of it, and whether it is text."""
+    """Return the classes of a cell: the verdict of a claim, and whether it is text."""
     if isinstance(cell, Verdict):
         return "good" if cell.good else "bad"
     return "words" if len(cell) > _WORDS else ""

@@ -1,4 +1,4 @@
-"""What is shown while one waits, on the standard error: bars; where that is no terminal, a line at times."""
+"""The display while one waits, on the standard error: bars; where that is no terminal, a line at times."""
 
 import sys
 import time
@@ -44,7 +44,7 @@ class _Bars(Progress):
 
 
 def bars(*beside: str, **options: Any) -> Progress:
-    """Return bars to enter; each task has its description, and what is to be said of it beside the bar."""
+    """Return bars to enter; each task has its description, and a text beside the bar."""
     columns = (
         TextColumn("{task.description:28s}"),
         BarColumn(),
@@ -67,7 +67,7 @@ def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
 
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
-    """Show what is being done and for how long, until it is; what is lent says what is done next."""
+    """Show the present work and for how long; the function that is lent names the next."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
     shown = Progress(*columns, **_terminal(), transient=True)
     with shown:

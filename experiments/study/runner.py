@@ -1,4 +1,4 @@
-"""Work in pieces: workers that do it, a bar that shows it, a stopwatch, and what it ran on."""
+"""Work in pieces: workers, a bar, a stopwatch, and the machine."""
 
 import os
 import platform
@@ -53,10 +53,10 @@ class Runner:
         failed: Failed | None = None,
         count: Mapping[str, Callable[[Outcome], bool]] = MappingProxyType({}),
     ) -> int:
-        """Run the cases that a store does not hold yet, put down what comes of each, and return how many.
+        """Run the cases that a store does not hold yet, write each result, and return how many.
 
         ``any_version`` takes results of other code as they are, here before or from a cluster; ``failed``
-        makes rows of a failed case, and ``count`` says by a word what outcomes are counted beside the bar.
+        makes rows of a failed case, and ``count`` names the outcomes that are counted beside the bar.
         """
         listed = list(cases)
         # Before anything runs: what is on the disk now is what has been imported.
@@ -106,7 +106,7 @@ def runner(
     backend: str = "",
     address: str | None = None,
 ) -> Iterator[Runner]:
-    """Lend what runs the stages of a study, and notes seconds of each; one job works in this very process."""
+    """Lend a runner of a study's stages, which notes seconds of each; one job works in this very process."""
     chosen = backend or ("local" if jobs > 1 else "here")
     with workers(chosen, jobs, address) as crew, bars("{task.fields[said]}") as progress:
         yield Runner(crew, progress, {} if seconds is None else seconds)

@@ -48,7 +48,7 @@ def code_of(module: str) -> str:
 def own_code(*names: str) -> tuple[str, ...]:
     """Hashes that decide the results of methods and presets that a user registered; none of others.
 
-    Of a method it is a hash of its file, of a preset what it holds.
+    Of a method it is a hash of its file, of a preset its values.
     """
     found: list[str] = []
     for name in map(plain_name, names):
@@ -76,12 +76,12 @@ def source_modules(*entries: str) -> frozenset[str]:
 def _file(module: str) -> Path:
     if module.partition(".")[0] != "surefoot":
         return Path(str(getattr(sys.modules.get(module), "__file__", module)))
-    if file := _found(module):
+    if file := _find_source(module):
         return file
     raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
 
 
-def _found(module: str) -> Path | None:
+def _find_source(module: str) -> Path | None:
     path = _place(module)
     return next((file for file in (path / "__init__.py", path.with_suffix(".py")) if file.is_file()), None)
 
@@ -99,14 +99,14 @@ def _place(module: str) -> Path:
 def _needs(module: str) -> frozenset[str]:
     text = _file(module).read_text(encoding="utf-8")
     needed = {_find_home(home, name) for home, name, _ in _imports(text)}
-    needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _found(name))
+    needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _find_source(name))
     if _ENVIRONMENT.search(text):
         needed.add("surefoot.registration")
     return frozenset(needed - {module})
 
 
 def _imports(text: str) -> Iterator[tuple[str, str, str]]:
-    """Yield the names that a source imports from surefoot: of which module, which, and what it calls them."""
+    """Yield the names that a source imports from surefoot: of which module, which, and their names there."""
     for home, several, one in _IMPORT.findall(text):
         for part in re.sub(r"#[^\n]*", "", several or one).split(","):
             if words := part.split():
@@ -115,7 +115,7 @@ def _imports(text: str) -> Iterator[tuple[str, str, str]]:
 
 def _find_home(module: str, name: str) -> str:
     """Return the module in which ``from module import name`` ends."""
-    if _found(f"{module}.{name}"):
+    if _find_source(f"{module}.{name}"):
         return f"{module}.{name}"
     if _file(module).name == "__init__.py":
         return _exports(module).get(name, module)

@@ -26,7 +26,7 @@ class Interval(NamedTuple):
 
 
 def mean_interval(values: ArrayLike) -> Interval:
-    """Return the mean of one number a seed and its interval by Student's t; what is not finite is left out.
+    """Return the mean of one number a seed and its interval by Student's t, of those that are finite.
 
     >>> interval = mean_interval([1.0, 2.0, 3.0])
     >>> print(f"{interval.mean:.2f} +- {interval.half:.4f}")

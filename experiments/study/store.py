@@ -1,8 +1,8 @@
 """A study's folder: nothing that was computed is lost, and nothing is computed twice.
 
-What came of a :class:`Case` is kept under its key, and found again while the code is the same. Every finished
-case is one line of ``journal.jsonl``, with a digest of it, synchronised before the next: a killed process
-or a full disk costs the cases under way, a line that was damaged or edited its case.
+The result of a :class:`Case` is kept under its key, and found again while the code is the same. Every
+finished case is one line of ``journal.jsonl``, with a digest of it, synchronised before the next: a killed
+process or a full disk costs the cases under way, a line that was damaged or edited its case.
 """
 
 import json
@@ -16,18 +16,18 @@ from typing import Any
 
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
-from surefoot.files import locked, parse_json, read_json, stat_of_file, write_text
+from surefoot.files import lock_folder, parse_json, read_json, stat_of_file, write_text
 
 JOURNAL, PLAN = "journal.jsonl", "study.json"
 
 
 class StudyError(ValueError):
-    """A study cannot go on; the message says what to do. What was computed is kept."""
+    """A study cannot go on; the message names the cure. Computed results are kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One piece of a study; it depends on nothing but what is named here, and must survive pickling."""
+    """One piece of a study; it depends on nothing but the fields here, and must survive pickling."""
 
     name: str  # what messages call it
     run: Callable[..., Mapping[str, Any]]  # of a module; returns rows (or a data frame) by table
@@ -36,19 +36,19 @@ class Case:
 
     @property
     def key(self) -> str:
-        """Sixteen hex digits of what is run on what."""
+        """Sixteen hex digits of a function and its arguments."""
         depends = self.arguments if self.depends is None else self.depends
         return sha256(repr((self.run.__module__, self.run.__qualname__, depends)).encode()).hexdigest()[:16]
 
     @property
     def code(self) -> str:
-        """What runs it: a hash of the sources, and versions."""
+        """The code that runs it: a hash of the sources, and versions."""
         return code_of(self.run.__module__)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a case: its rows by the name of their table, or what was raised, and the time in s."""
+    """The result of a case: its rows by the name of their table, or the error, and the time in s."""
 
     key: str
     name: str
@@ -59,7 +59,7 @@ class Outcome:
 
 
 class Store:
-    """The results of a study in a folder, ``outcomes`` by key of the case; use it within :meth:`opened`."""
+    """The results of a study in a folder, ``outcomes`` by key of the case; use it within :meth:`open_for`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -68,7 +68,7 @@ class Store:
         self._journal = -1
 
     @contextmanager
-    def opened(
+    def open_for(
         self,
         plan: Mapping[str, Any] | None = None,
         versions: Mapping[str, str] | None = None,
@@ -77,7 +77,7 @@ class Store:
     ) -> Iterator["Store"]:
         """Take the folder for one study, or raise StudyError; a plan goes on with the same versions alone."""
         busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
-        with self._explain_errors(), locked(self.folder, busy):
+        with self._explain_errors(), lock_folder(self.folder, busy):
             if plan is not None:
                 self._claim(as_kept(plan), dict(versions or {}), any_version)
             self.read()
@@ -92,7 +92,7 @@ class Store:
                 os.close(self._journal)
 
     def read(self) -> None:
-        """Read what there is, also of a study that is under way."""
+        """Read the results so far, also of a study that is under way."""
         self.outcomes, self.damaged = {}, 0
         journal = self.folder / JOURNAL
         for line in journal.read_bytes().splitlines() if journal.is_file() else ():
@@ -110,7 +110,7 @@ class Store:
         return any_version or found.code == case.code
 
     def add(self, outcome: Outcome) -> None:
-        """Write what came of a case to the disk, or raise StudyError: the journal ends before it then."""
+        """Write the result of a case to the disk, or raise StudyError: the journal ends before it then."""
         data = _line_of(outcome).encode()
         with self._explain_errors():
             size = os.fstat(self._journal).st_size
@@ -175,7 +175,7 @@ class Store:
 
 
 def _line_of(outcome: Outcome) -> str:
-    """Return a line of the journal: what came of a case, and a digest of it."""
+    """Return a line of the journal: the result of a case, and a digest of it."""
     whole = _dump(vars(outcome))
     return f'{whole[:-1]}, "digest": "{_digest(whole)}"}}\n'
 

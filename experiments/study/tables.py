@@ -1,6 +1,6 @@
 """Tables of a study: one content for the terminal, the page and the files.
 
-A cell is a text that knows the value of what it shows, all digits of it: files for machines hold values.
+A cell is a text that knows its value, all digits of it: files for machines hold values.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,7 +26,7 @@ NOTHING = "–"
 
 
 class Valued(str):
-    """A cell that knows the value of what it shows: a number, a list, or a mapping of some."""
+    """A cell that knows its value: a number, a list, or a mapping of some."""
 
     value: Any
 
@@ -113,10 +113,10 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def laid_out(
+def table_of(
     name: str, title: str, columns: Mapping[str, Cell], items: Iterable[Any], note: str = ""
 ) -> Table:
-    """Return a table of a row an item; each column says what makes its cells of one."""
+    """Return a table of a row an item; each column has a function that makes its cells of one."""
     rows = tuple(tuple(cell(item) for cell in columns.values()) for item in items)
     return Table(name, title, tuple(columns), rows, note)
 
@@ -190,7 +190,7 @@ def _digits(value: float, digits: int) -> str:
     return f"{value:.{decimals}f}"
 
 
-def rounded(value: float, deviation: float) -> tuple[str, str]:
+def round_to(value: float, deviation: float) -> tuple[str, str]:
     """Return a value and its deviation to the decimal at which the deviation has two significant digits.
 
     >>> rounded(4.75804, 0.1912), rounded(-0.00002, 0.000157), rounded(5231.6, 99.97)
@@ -203,13 +203,13 @@ def rounded(value: float, deviation: float) -> tuple[str, str]:
 
 
 def with_deviation(value: float, deviation: float) -> str:
-    """Return a value with its deviation, as :func:`rounded`.
+    """Return a value with its deviation, as :func:`round_to`.
 
     >>> with_deviation(20.91, 0.0312)
     '20.910 ± 0.031'
     """
     both = {"value": value, "plus_minus": deviation}
-    return Valued.of(" ± ".join(rounded(value, deviation)), both)
+    return Valued.of(" ± ".join(round_to(value, deviation)), both)
 
 
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:
@@ -258,7 +258,7 @@ def flat(text: str) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: what is measured, with its unit; what it was to be; what it is; whether it was met."""
+    """A claim: the quantity with its unit, its aim, its value, and whether it was met."""
 
     what: str
     aim: str

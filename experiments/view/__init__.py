@@ -1,1 +1,1 @@
-"""A robot that walks live in the browser, with what its feet read, and what can be done to it meanwhile."""
+"""A robot that walks live in the browser, with its feet's readings, and controls for what happens to it."""

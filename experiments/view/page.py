@@ -1,4 +1,4 @@
-"""The page in the browser: a robot that walks, its feet, numbers, and what can be done to it."""
+"""The page in the browser: a robot that walks, its feet, numbers, and controls."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -52,7 +52,7 @@ class Page(Served):
 
     def draw(self) -> None:
         """Draw the session as it is now."""
-        now, source = self.session.shown(), self.session.source
+        now, source = self.session.state_to_draw(), self.session.source
         torso = source.data.body(self.session.drawing.torso).xpos
         origin = np.array([torso[0], torso[1], 0.0])
         with self.server.atomic():
@@ -118,7 +118,7 @@ class Page(Served):
         return asked
 
     def _do(self, what: str, value: Any) -> str:
-        """Do one thing, and return what is broken."""
+        """Do one thing, and return the broken channels."""
         session = self.session
         match what:
             case "pause":
@@ -147,7 +147,7 @@ class Page(Served):
         return f"Broken: {'; '.join(session.errors.faults)}" if session.errors.faults else ""
 
     def _fresh(self) -> None:
-        """Forget what was drawn of the last episode."""
+        """Remove the drawing of the last episode."""
         self._lies = self._due = 0.0
         self._forget()
 
@@ -161,11 +161,11 @@ class Page(Served):
             self._panel.show_recording(True)
 
     def _save(self) -> None:
-        """Write what was recorded, if anything was, into the folder that the command was given."""
+        """Write the recording, if there is one, into the folder that the command was given."""
         if not self.session.recording or self._folder is None:
             return
         self._panel.show_recording(False)
-        log = self.session.recorded()
+        log = self.session.stop_recording()
         task = self.session.env_id.rpartition("/")[2].lower()
         number = 1
         while (path := self._folder / f"{task}-seed{self.session.seed}-{number}.parquet").exists():

@@ -1,4 +1,4 @@
-"""Buttons and sliders: what a browser can ask for."""
+"""Buttons and sliders: the requests of a browser."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -20,7 +20,7 @@ PUSHES = {"forward": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right
 
 
 class Panel:
-    """The controls of a session, at which it only looks; nothing but what they ask for can be asked for.
+    """The controls of a session, at which it only looks; nothing else can be asked for.
 
     ``records`` says whether there is a folder for recordings.
     """
@@ -38,7 +38,7 @@ class Panel:
                 add()
 
     def show_settings(self) -> None:
-        """Show what is chosen now, such as after a power-up."""
+        """Show the present choices, such as after a power-up."""
         for what, handle in self._chosen.items():
             handle.value = self._session.settings[what]
         self._seed.value = self._session.seed
@@ -54,7 +54,7 @@ class Panel:
         return list(self._session.channel_names).index(str(self._cell.value))
 
     def _tell(self, handle: Any, what: str, value: Callable[[Any], Any] = lambda chosen: chosen) -> None:
-        """Ask for what a browser has chosen at a control."""
+        """Ask for a browser's choice at a control."""
         when_changed(handle, lambda chosen: self._ask(what, value(chosen)))
 
     def _button(self, label: str, what: str, value: Callable[[], Any] = lambda: None, **options: Any) -> Any:
@@ -154,7 +154,7 @@ class Panel:
         self.commands = self._gui.add_markdown("")
 
     def show_recording(self, recording: bool, commands: Sequence[str] = ()) -> None:
-        """Show whether it records, and the commands that make something of what was recorded."""
+        """Show whether it records, and the commands for the recording."""
         self.record.label = "stop recording" if recording else "record"
         self.record.color = "red" if recording else None
         if commands:

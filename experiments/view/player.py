@@ -14,7 +14,7 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import method_chosen
-from surefoot.experiments.view.shown import Reading, Shown, placed
+from surefoot.experiments.view.shown import Reading, Shown, move_cop
 from surefoot.experiments.walks.replay import replay_log, starting_map
 
 SIZE = 1.0  # length in m by which the scene of a log is scaled: its robot is not known
@@ -52,7 +52,7 @@ class LogFeet:
         self.method = method_chosen(method)
         self._estimate = self._raw if self.method == "none" else self._replay(self.method)
 
-    def shown(self, i: int) -> Shown:
+    def state_to_draw(self, i: int) -> Shown:
         """State to draw of sample ``i``."""
         readings: dict[str, Reading] = {}
         flags = np.asarray(self._estimate.flags)[i]
@@ -61,7 +61,7 @@ class LogFeet:
             readings["true"] = self._truth(self.log.truth.force[i], now)
         for way, estimate in (("raw", self._raw), ("calibrated", self._estimate)):
             one = Estimate(*(None if part is None else np.asarray(part)[i] for part in estimate))
-            readings[way] = placed(now, one, one.cop)
+            readings[way] = move_cop(now, one, one.cop)
         return now
 
     def _truth(self, force: Floats, now: Shown) -> Reading:
@@ -110,7 +110,7 @@ class LogPage(Served):
         if i < self._drawn:
             self._forget()
         self._drawn = i
-        shown = self.feet.shown(i)
+        shown = self.feet.state_to_draw(i)
         with self.server.atomic():
             self._board.draw(shown)
             self._meters.draw(shown, f"{shown.time:.2f} s of {time[-1]:.2f} s", self._told)

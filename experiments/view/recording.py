@@ -1,4 +1,4 @@
-"""What happened while a robot was shown, kept sample by sample to become a log."""
+"""The recording of a robot that was shown, kept sample by sample to become a log."""
 
 from typing import Any
 
@@ -26,8 +26,8 @@ class Recording:
     def keep(self, time: float, raw: Floats, reference: Reference, truth: Any, undone: Parameters) -> None:
         """Keep one sample, unless the robot does not know yet where it is.
 
-        Time is since the episode start in s, ``raw`` are counts, shape (K,), ``truth`` is what the simulator
-        knows of the last step, and ``undone`` the map that undoes the errors of the readings.
+        Time is since the episode start in s, ``raw`` are counts, shape (K,), ``truth`` is the state that the
+        simulator knows of the last step, and ``undone`` the map that undoes the errors of the readings.
         """
         if np.isfinite(reference.com).all():
             self._rows.append(
@@ -43,7 +43,7 @@ class Recording:
             )
 
     def log(self, **known: Any) -> Log:
-        """Return the log, with what is known of robot and recording; ValueError if nothing is recorded."""
+        """Return the log, with the facts of robot and recording; ValueError if nothing is recorded."""
         if len(self._rows) < 2:
             raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
         time, raw, reference, force, position, R, scale, offset = zip(*self._rows, strict=True)

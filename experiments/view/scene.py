@@ -1,4 +1,4 @@
-"""What the feet are drawn on: the ground, and the camera; and what controls have in common."""
+"""The scene: the ground, the camera, and the common part of controls."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,11 @@ FRAMES_PER_SECOND = 30  # how often everything is drawn
 def when_changed(handle: Any, tell: Callable[[Any], None]) -> None:
     """Tell a control's value when a browser, and not this program, has changed it."""
 
-    def changed(event: Any) -> None:
+    def on_change(event: Any) -> None:
         if event.client_id is not None:
             tell(handle.value)
 
-    handle.on_update(changed)
+    handle.on_update(on_change)
 
 
 def set_scene(server: viser.ViserServer, size: float, aside: float = 1.0) -> Any:

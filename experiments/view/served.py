@@ -1,4 +1,4 @@
-"""A page that is served: a loop that does what browsers have asked for, and draws feet with their numbers."""
+"""A page that is served: a loop that serves browsers' requests, and draws feet with their numbers."""
 
 from queue import Empty, SimpleQueue
 from time import perf_counter, sleep
@@ -15,7 +15,7 @@ _REFUSALS = (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError
 
 
 class Served:
-    """What pages have in common: subclasses say what is done, how time goes on, and what is drawn.
+    """The common part of pages: subclasses define the actions, the clock and the drawing.
 
     Browsers' requests come from other threads and wait in a queue: whoever calls :meth:`run` does it all. An
     empty page is given, the feet that are drawn, the robot's weight in N, and ``size`` and ``aside`` of
@@ -59,7 +59,7 @@ class Served:
         self._stopped = True
 
     def draw(self) -> None:
-        """Draw what there is to see now."""
+        """Draw the present state."""
         raise NotImplementedError
 
     def _advance(self, passed: float) -> None:
@@ -67,7 +67,7 @@ class Served:
         raise NotImplementedError
 
     def _do(self, what: str, value: Any) -> str:
-        """Do one thing, and return what there is to tell."""
+        """Do one thing, and return the message about it."""
         raise NotImplementedError
 
     def _try(self, what: str, value: Any) -> None:

@@ -59,7 +59,7 @@ def show_from(server: viser.ViserServer, size: float = 1.0, aside: float = 1.0) 
 
 
 def view_of(size: float, aside: float, narrow: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return where the camera is and where it looks: what is shown lies where the panel leaves room.
+    """Return where the camera is and where it looks: the scene lies where the panel leaves room.
 
     All is scaled by ``size`` in m; ``aside`` 1 has the robot and its feet in view, 0 the feet alone.
     """

@@ -20,7 +20,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.recording import Recording
-from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
+from surefoot.experiments.view.shown import WAYS, Reading, Shown, move_cop
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
@@ -53,7 +53,7 @@ _RANGES = {"severity": (0.0, 10.0), "drift": (0.0, 100.0), "temperature": (-40.0
 
 
 class Change(NamedTuple):
-    """One thing that was changed: before which step since the power-up, what, and to what."""
+    """One thing that was changed: the step since the power-up, the thing, and its value."""
 
     step: int
     what: str
@@ -61,7 +61,7 @@ class Change(NamedTuple):
 
 
 class _Line:
-    """One calibrator that is fed with the readings, and what a controller would see of it."""
+    """One calibrator that is fed with the readings, and a controller's view of it."""
 
     def __init__(self, env: SelfCalibration, sensors: FootSensors, method: str) -> None:
         setup, drawing = env.calibrator.setup, sensors.source.drawing
@@ -95,18 +95,18 @@ class Session:
     Args:
         env_id: An environment on two feet.
         seed: Of the environment, the sensors and the robot's beliefs.
-        start: What of :data:`START` is otherwise.
+        start: The entries of :data:`START` that differ.
         controller: Who controls, as :func:`~surefoot.experiments.policy.controllers.load_controller`; by
             default the stabiliser where there is a pattern to follow, and otherwise zeros.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
         soles: Whether feet without area get flat soles.
 
     Attributes:
-        changes: All that was changed since the power-up, what was chosen before it included.
+        changes: All changes since the power-up, choices before it included.
         steps: Number of steps since the power-up.
         fell: Whether the episode ended with a fall.
         over: Whether the episode has ended; the next step needs a reset.
-        feeds: What a controller can be given, among :data:`WAYS`.
+        feeds: The possible feeds of a controller, among :data:`WAYS`.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
@@ -206,8 +206,8 @@ class Session:
         | ``"push"`` | impulse (forward, left) in N s |
         | ``"payload"``, ``"slope"`` | in kg, in degrees |
         | ``"speed"`` | in m/s, from the next reset on |
-        | ``"feed"``, ``"method"`` | what the controller gets, and which calibrator |
-        | ``"reset"`` | a new episode on the same feet, with what was learnt |
+        | ``"feed"``, ``"method"`` | the controller's feed, and the calibrator |
+        | ``"reset"`` | a new episode on the same feet, with their calibration |
 
         Raises:
             ValueError: If it is refused; nothing has changed then.
@@ -220,7 +220,7 @@ class Session:
         self.changes.append(Change(self.steps, what, value))
 
     def step(self) -> None:
-        """Step the robot once, by what the controller makes of its feed; RuntimeError after the end."""
+        """Step the robot once, by the controller's action on its feed; RuntimeError after the end."""
         if self.over:
             raise RuntimeError("The episode has ended; change('reset') or power_up(seed) begins another.")
         action = self._controller(self._fed)
@@ -239,7 +239,7 @@ class Session:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """What of :data:`START` is chosen now."""
+        """The present choice of :data:`START`."""
         return dict(self._settings)
 
     @property
@@ -264,10 +264,10 @@ class Session:
 
     @property
     def recording(self) -> bool:
-        """Whether what happens is recorded."""
+        """Whether it is recording."""
         return self._recording is not None
 
-    def shown(self) -> Shown:
+    def state_to_draw(self) -> Shown:
         """State to draw now."""
         truth = self.source.truth
         position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
@@ -276,15 +276,15 @@ class Session:
         calibrated = self._lines[self._settings["method"]]
         now = Shown(self.time, position, R, readings, np.asarray(calibrated.estimate.flags).copy())
         for way, line in (("raw", self._lines["none"]), ("calibrated", calibrated)):
-            readings[way] = placed(now, line.estimate, line.seen["cop"])
+            readings[way] = move_cop(now, line.estimate, line.seen["cop"])
         return now
 
     def record(self) -> None:
         """Record from now on, to the end of the episode at the latest."""
         self._recording = Recording(self.dt)
 
-    def recorded(self) -> Log:
-        """Stop recording and return what was recorded; ValueError if nothing was."""
+    def stop_recording(self) -> Log:
+        """Stop recording and return the log; ValueError if nothing was."""
         recording, self._recording = self._recording or Recording(self.dt), None
         setup = self._env.calibrator.setup
         about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
@@ -308,7 +308,7 @@ class Session:
         return self._recording is not None and (self.over or self._recording.full)
 
     def _reset(self, seed: int | None) -> None:
-        """Begin an episode: with a seed everything is fresh, without one feet and what was learnt stay."""
+        """Begin an episode: with a seed everything is fresh, without one feet and calibration stay."""
         speed = float(self._settings["speed"])
         if self._walks and speed != self._planned:
             self.source.pattern, self._planned = _plan(speed, WALK_TIME), speed
@@ -329,7 +329,7 @@ class Session:
         self._take_in(observation)
 
     def _take_in(self, observation: Mapping[str, Any]) -> None:
-        """Read the feet in all ways, and keep what the controller gets of it."""
+        """Read the feet in all ways, and keep the controller's feed."""
         sensors = self._sensors
         self._raw = self.errors.read(sensors.raw, Parameters(*sensors.true_parameters()))
         if self._momentum.believe(getattr(self.source, "command", None)):
@@ -340,7 +340,7 @@ class Session:
         self._feed()
 
     def _retract(self) -> None:
-        """Take back what was learnt while the robot fell."""
+        """Take back the learning while the robot fell."""
         for line in self._lines.values():
             line.calibrator.retract()
 
@@ -350,7 +350,7 @@ class Session:
         line.update(self._raw, reference, self._env.beliefs.soles(self._sensors.time))
 
     def _feed(self) -> None:
-        """Give the controller what its feed sees of the last sample."""
+        """Give the controller its feed of the last sample."""
         feed = self._settings["feed"]
         if feed == "true":
             seen: Mapping[str, Any] = {key: self._tap.seen[key] for key in TRUE_KEYS}
@@ -397,7 +397,7 @@ class Session:
         self._feed()
 
 
-def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
+def repeat_session(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
     """Return the session that a log describes, powered up, and the changes that are still to come.
 
     Raises ValueError if it was not recorded by a session.

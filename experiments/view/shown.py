@@ -1,4 +1,4 @@
-"""What there is to draw of one sample: the feet, read in several ways."""
+"""One sample to draw: the feet, read in several ways."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What there is to draw of one sample."""
+    """One sample to draw."""
 
     time: float  # since the episode start in s
     position_sole: Floats  # origins of the soles in the world in m, shape (2, 3)
@@ -47,7 +47,7 @@ class Shown:
         return float(np.linalg.norm(apart))
 
 
-def placed(now: Shown, estimate: Estimate, cop: Any) -> Reading:
+def move_cop(now: Shown, estimate: Estimate, cop: Any) -> Reading:
     """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
     x, y = now.heading
     R_world_level = np.array([[x, -y], [y, x]])

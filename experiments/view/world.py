@@ -1,4 +1,4 @@
-"""What is done to a robot while it walks: pushes, a payload, a slope."""
+"""Disturbances of a robot while it walks: pushes, a payload, a slope."""
 
 from collections.abc import Sequence
 from math import cos, hypot, radians, sin

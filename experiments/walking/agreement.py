@@ -1,4 +1,4 @@
-"""How well calibrated forces agree with what the robot's own motion asks of the ground.
+"""How well calibrated forces agree with those that the robot's own motion requires.
 
 The feet's total and centre of pressure against those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to
 11), behind the paper's zero-phase filter. A calibrator that follows the motion makes it small whether the
@@ -35,7 +35,7 @@ class Agreement(NamedTuple):
     rows: int
 
 
-def asked_of(log: Log) -> Ground:
+def required_ground(log: Log) -> Ground:
     """Ground force and CoP that the robot's motion requires."""
     reference = _late_references(log)
     height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)
@@ -43,7 +43,7 @@ def asked_of(log: Log) -> Ground:
     return _ground(log, asked.vgrf, asked.moment)
 
 
-def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
+def ground_of_forces(log: Log, force: NDArray[np.float64]) -> Ground:
     """Ground force and CoP by forces of the feet's channels in N, shape (N, K)."""
     reference = _late_references(log)
     wrench = sole_wrenches(force[: len(log) - log.lag], log.layout)

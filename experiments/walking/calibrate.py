@@ -1,4 +1,4 @@
-"""Calibrate one log by one method, and write what came of it: a table, the last parameters and a page."""
+"""Calibrate one log by one method, and write the result: a table, the last parameters and a page."""
 
 import json
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
 from surefoot.experiments.walking.page import write_walking_page
-from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
+from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, terminal_tables
 from surefoot.experiments.walks.replay import replay_log, starting_map, with_map
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
@@ -43,7 +43,7 @@ class CalibratedLog:
 
     @property
     def files(self) -> dict[str, Path]:
-        """All that was written, by what it is."""
+        """All files, by their kind."""
         files = {"calibrated walk": self.walk, "parameters": self.parameters, "report": self.page}
         return files if self.ros2 is None else {**files, "ROS 2": self.ros2}
 
@@ -85,7 +85,7 @@ def calibrate_log(
     estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options)
     notices += result_notices(log, method, initial, estimate, file)
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
-    tables = (parameter_table(facts), *shown_tables(facts))
+    tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
         pq.write_table(pa.table(_walk_columns(facts)), part)

@@ -1,11 +1,11 @@
-r"""How well a log fits itself: one batch fit of a map that turns counts into what the motion asks for.
+r"""How well a log fits itself: one batch fit of a map from counts to the forces that the motion requires.
 
 A log *claims* that counts, layout, mass, beliefs and contacts belong together. If they do, one linear map a
 channel, F = a F0 + b near the starting map F0, gives at all times the force and the moments that Newton and
 Euler ask for (CoP paper, Eqs. 6, 7), and nothing on a foot in the air. The fit is independent of all methods.
 
 Rows are means over :data:`BLOCK` s. Their residuals count as drawn from Student's t distribution, whose scale
-is found for each kind of row and is never below what a sound log has; errors of a robot's beliefs last for
+is found for each kind of row and is never below that of a sound log; errors of a robot's beliefs last for
 :data:`LASTING` s, so that a row counts for less than one. With the prior of the map, log evidence in
 Laplace's approximation is
 
@@ -48,7 +48,7 @@ COM, MASS = 0.003, 0.01  # prior of the belief's own errors: centre of mass in m
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """What a log claims of N samples at the moments of its references; hypotheses change it."""
+    """The claims of a log of N samples at the moments of its references; hypotheses change it."""
 
     raw: Floats  # readings in counts, shape (N, K); NaN where not read
     initial: Parameters  # the starting map
@@ -130,7 +130,7 @@ def fit_claims(claims: Claims, without: int | None = None, widths: Sequence[floa
 def fit_parts(parts: Sequence[Claims], without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:
     """Fit condensed claims, each part by a map of its own, and add up the evidence.
 
-    ``without`` is a channel that is left out: what it bears is open at every moment. Of the ``widths`` of the
+    ``without`` is a channel that is left out: its load is open at every moment. Of the ``widths`` of the
     map's prior the likeliest counts.
     """
     found = []

@@ -1,4 +1,4 @@
-"""What may be wrong with a log from its first row to its last: each hypothesis undoes one mistake.
+"""Mistakes that last from a log's first row to its last: each hypothesis undoes one mistake.
 
 A hypothesis changes a log's claims to those that the log would make without the mistake. Which of them mends
 a log is for :func:`~surefoot.experiments.walking.claims.fit_claims` to say.
@@ -32,9 +32,9 @@ class Hypothesis:
     """One mistake.
 
     Attributes:
-        kind: What it is of, for tables and tests.
-        cause: What is wrong, as a clause.
-        cure: What to do about it, as a clause.
+        kind: Its kind, for tables and tests.
+        cause: The mistake, as a clause.
+        cure: The cure, as a clause.
         undo: Changes claims to those without the mistake.
     """
 

@@ -61,7 +61,7 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of it: findings, by falling likelihood the explanations, and the fit as the log is."""
+    """The verdict: findings, by falling likelihood the explanations, and the fit as the log is."""
 
     findings: tuple[Finding, ...]
     explanations: tuple[Explanation, ...]

@@ -1,4 +1,4 @@
-"""What would mislead any calibrator is refused; what a log merely lacks is a notice, and shown."""
+"""Data that would mislead any calibrator are refused; missing data are noticed, and shown."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.walking.agreement import asked_of
+from surefoot.experiments.walking.agreement import required_ground
 
 MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
 STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
@@ -26,7 +26,7 @@ _UNITS = {
 
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
-    """Raise LogError if by the starting map the feet carry far from what the robot weighs, or pull."""
+    """Raise LogError if by the starting map the feet carry far from the robot's weight, or pull."""
     if not np.isfinite(log.raw).any():
         raise LogError(
             f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "
@@ -151,6 +151,6 @@ def result_notices(
 
 def _spread(log: Log) -> float:
     """Standard deviation of the centre of pressure that the motion asks for, seen from the soles."""
-    cop = asked_of(log).cop
+    cop = required_ground(log).cop
     there = cop[np.isfinite(cop).all(axis=-1)]
     return float(there.std(axis=0).max()) if len(there) else np.inf

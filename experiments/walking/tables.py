@@ -12,8 +12,8 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation
-from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
-from surefoot.experiments.walks.score import held, score_forces
+from surefoot.experiments.walking.agreement import agreement, ground_of_forces, required_ground
+from surefoot.experiments.walks.score import hold_last, score_forces
 
 _flag_words = Words("walking", "flags")
 
@@ -28,7 +28,7 @@ class MapChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What tables, figures and page are made of."""
+    """The data of tables, figures and page."""
 
     log: Log
     start: str  # name of the starting map
@@ -52,10 +52,10 @@ class Facts:
         """
         force: Floats = self.initial.force(self.log.raw)
         seen = np.abs(force) <= OnlineSetup.plausible_weights * self.log.mass * GRAVITY
-        return np.nan_to_num(held(force, seen))
+        return np.nan_to_num(hold_last(force, seen))
 
     def sides(self) -> tuple[tuple[str, Floats], ...]:
-        """Return forces after and before, with what tables call them."""
+        """Return forces after and before, with their names in tables."""
         return ("calibrated", self.estimate.force), (f"by the {self.start} map", self.before)
 
     def change(self) -> MapChange:
@@ -70,7 +70,7 @@ class Facts:
         return MapChange(100 * (ratio - 1), estimate.offset - ratio * initial.offset, std)
 
 
-def shown_tables(facts: Facts) -> tuple[Table, ...]:
+def terminal_tables(facts: Facts) -> tuple[Table, ...]:
     """Return the tables besides the map that a terminal shows."""
     score = () if facts.log.truth is None else (score_table(facts),)
     moved = () if facts.feet_alone else (agreement_table(facts),)
@@ -136,11 +136,11 @@ def nis_per_row(estimate: Estimate) -> float | None:
 
 
 def agreement_table(facts: Facts) -> Table:
-    """Return how far the feet are from what the motion asks for, after and before."""
-    log, asked = facts.log, asked_of(facts.log)
+    """Return how far the feet are from the motion's forces, after and before."""
+    log, asked = facts.log, required_ground(facts.log)
     rows = []
     for name, force in facts.sides():
-        found = agreement(carried_by(log, force), asked, facts.settle)
+        found = agreement(ground_of_forces(log, force), asked, facts.settle)
         rows.append((name, number(found.vgrf), number(1e3 * found.cop), decimal(found.rows, "d")))
     return Table(
         "agreement",

@@ -155,7 +155,7 @@ def vgrf_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
 def _over_time(
     path: Path, traces: Mapping[str, Frame], quantity: str, height: float, lines: Mapping[str, Line]
 ) -> Iterator[tuple[Any, dict[str, list[Floats]]]]:
-    """Draw a row a line and a column a trace; lend the panels and what was drawn, to set limits."""
+    """Draw a row a line and a column a trace; lend the panels and the lines, to set limits."""
     with figure_at(path, 10.0, height) as figure:
         panels = grid_of(figure, len(lines), len(traces), sharex=True, sharey="row")
         seen: dict[str, list[Floats]] = {name: [] for name in DRAWN}

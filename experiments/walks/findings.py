@@ -1,4 +1,4 @@
-"""What the numbers of a study of walks say: in sentences that are made of them, and against its claims."""
+"""Findings of a study of walks: in sentences that are made of them, and against its claims."""
 
 from collections.abc import Iterator
 

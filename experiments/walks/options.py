@@ -55,7 +55,7 @@ class WalkStudyOptions:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """What is scored, in order: the true map and the methods, by default all."""
+        """The scored methods, in order: the true map and the methods, by default all."""
         return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
 
     def quickly(self) -> "WalkStudyOptions":

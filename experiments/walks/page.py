@@ -42,14 +42,14 @@ YARDSTICKS = (
 
 
 def report_walks(options: WalkStudyOptions) -> Report:
-    """Run a study of walks, and write its page; refused is what :func:`run_walk_study` refuses."""
+    """Run a study of walks, and write its page; it refuses the same as :func:`run_walk_study`."""
     results = run_walk_study(options, bounds=not options.loops)
     with working("drawing the report"):
         return write_walks_page(results)
 
 
 def write_walks_page(results: WalkStudyResults) -> Report:
-    """Draw the figures, save the tables as CSV, and write ``report.html``; return it with what sums it up."""
+    """Draw the figures, save the tables as CSV, and write ``report.html``; return it with its summary."""
     options, of_paper = results.options, bool(results.options.loops)
     say = _say_paper if of_paper else Words("walks", "scenarios")
     if of_paper:

@@ -1,4 +1,4 @@
-"""Replay the streams of a scenario, and keep what the scores need and nothing else.
+"""Replay the streams of a scenario, and keep the data that the scores need and nothing else.
 
 A covariance is held against the truth as it appears, once a second, and forgotten.
 """
@@ -17,7 +17,7 @@ from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of
 from surefoot.experiments.walks.scenarios import Scenario, log_paths
-from surefoot.experiments.walks.score import held
+from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
 
@@ -30,7 +30,7 @@ _NOISE_STREAM = 0xFA18
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """A log of N samples and how to judge what a method makes of it."""
+    """A log of N samples and how to judge a method on it."""
 
     log: Log  # with truth
     seed: int
@@ -42,14 +42,14 @@ class Stream:
 
     @property
     def truth(self) -> LogTruth:
-        """What the simulator knew."""
+        """The simulator's truth."""
         assert self.log.truth is not None
         return self.log.truth
 
     @property
     def start(self) -> Floats:
         """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
-        return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
+        return starting_map(self.log).force(hold_last(self.log.raw))  # type: ignore[no-any-return]
 
 
 def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stream], int]:
@@ -111,7 +111,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What a method made of one stream of N samples and K channels."""
+    """The result of a method on one stream of N samples and K channels."""
 
     force: Floats  # in N, shape (N, K)
     scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
@@ -144,7 +144,7 @@ def _true_map(stream: Stream) -> Played:
 def _undo_errors(stream: Stream) -> Floats:
     """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
     log, truth = stream.log, stream.truth
-    own: Floats = truth.scale * held(log.raw) + truth.offset
+    own: Floats = truth.scale * hold_last(log.raw) + truth.offset
     if "truth_cross_talk" not in log.about:
         return own
     # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond it.
@@ -169,11 +169,11 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags
         watch.look(k, estimate, now)
-    return Played(force, scale, offset, flags, watch.seen())
+    return Played(force, scale, offset, flags, watch.consistency())
 
 
 class _Watch:
-    """Compares what is claimed of a stream with the truth, as it goes."""
+    """Compares the claims about a stream with the truth, as it goes."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
@@ -208,7 +208,7 @@ class _Watch:
         self._time.append(float(stream.log.time[k]))
         self._seen.append((nees, cop, force))
 
-    def seen(self) -> Consistency:
+    def consistency(self) -> Consistency:
         """Consistency of the samples so far."""
         nees, cop, force = np.array(self._seen).reshape(-1, 3).T
         return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)

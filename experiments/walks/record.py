@@ -1,4 +1,4 @@
-"""Record walks as logs: the truth, the robot's beliefs, and what cells of several kinds make of them.
+"""Record walks as logs: the truth, the robot's beliefs, and the readings of several kinds of cells.
 
 The robot walks on its true centre of pressure, and its cells do not act back on it: one walk serves all
 conditions. The calibration from weights is done with those very cells before the walk.
@@ -19,8 +19,8 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
 from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.momentum import unknown
-from surefoot.robot.beliefs.references import nothing
 from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -33,11 +33,11 @@ _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has
 
 
 class FootInstruments:
-    """What one condition reads under one walk, by a random stream of an ``index``.
+    """The readings of one condition under one walk, by a random stream of an ``index``.
 
     ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
-    (``None`` unless there are load cells alone); ``about`` says what maps axis by axis leave out: cross-talk,
-    and the weight that counts as part of the zero.
+    (``None`` unless there are load cells alone); ``about`` holds the errors that maps axis by axis leave out:
+    cross-talk, and the weight that counts as part of the zero.
     """
 
     def __init__(
@@ -86,11 +86,9 @@ class FootInstruments:
             readings.append(reading)
             forces.append(part.force(truth))
             maps.append(part.true_map(self._states[i]))
-        self._raw.append(self._all.joined(readings))
-        self._force.append(self._all.joined(forces))
-        self._maps.append(
-            (self._all.joined([m.scale for m in maps]), self._all.joined([m.offset for m in maps]))
-        )
+        self._raw.append(self._all.join(readings))
+        self._force.append(self._all.join(forces))
+        self._maps.append((self._all.join([m.scale for m in maps]), self._all.join([m.offset for m in maps])))
 
     @property
     def raw(self) -> Floats:
@@ -99,7 +97,7 @@ class FootInstruments:
 
     @property
     def force(self) -> Floats:
-        """What the calibrated channels should have read in N and N m, shape (N, K)."""
+        """The right readings of the calibrated channels in N and N m, shape (N, K)."""
         return np.array(self._force)
 
     @property
@@ -120,13 +118,13 @@ class FootInstruments:
         talk = block_diag(*blocks)
         self.about = {
             "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
-            "truth_preload": self._all.joined(preload).tolist(),
+            "truth_preload": self._all.join(preload).tolist(),
         }
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What cells a robot walks on (``None`` for none), and what it knows of them."""
+    """The cells that a robot walks on (``None`` for none), and its knowledge of them."""
 
     name: str
     title: str
@@ -165,7 +163,7 @@ def record_walk(
     clock_error: float = 0.0,
     **env_options: Any,
 ) -> dict[str, Log]:
-    """Walk once, and return what the cells of each condition read: a log by its name.
+    """Walk once, and return the readings of each condition's cells: a log by its name.
 
     The walk takes ``duration`` s, standing included, at a speed in m/s; a fall ends it earlier. As in the CoP
     paper nobody pushes, unless ``push_impulse`` says so. The seed is that of the walk, the sensors, the
@@ -173,7 +171,7 @@ def record_walk(
     of :class:`~surefoot.wrappers.FootSensors` (IMU, encoders and link), of
     :class:`~surefoot.wrappers.SelfCalibration` (how wrong the robot is about itself) and of
     :class:`~surefoot.envs.nao.walk.NaoWalkEnv`. Telemetry is ``clock_error`` s later than the robot believes:
-    what it takes for the moment of a reference is that much earlier in truth.
+    the believed moment of a reference is that much earlier in truth.
     """
     options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
     _, tap = make_walker("true", speed=speed, duration=duration, **options)

@@ -39,7 +39,7 @@ def age_of(log: Log) -> float:
 
 
 class Replayed(NamedTuple):
-    """What a method made of one log of N samples."""
+    """The result of a method on one log of N samples."""
 
     force: Floats  # calibrated, in N, shape (N, K)
     cop: Floats  # of both feet in the reference's level frame in m, shape (N, 2)
@@ -49,7 +49,7 @@ class Replayed(NamedTuple):
 
 
 def starting_map(log: Log, start: str | None = None) -> Parameters:
-    """Return the nominal or the calibrated map, or raise LogError; by default what ``about`` says."""
+    """Return the nominal or the calibrated map, or raise LogError; by default as ``about`` says."""
     if start is None:
         start = str(log.about.get("start", "nominal"))
     if start not in ("nominal", "calibrated", "bench"):
@@ -88,7 +88,7 @@ def with_map(log: Log, path: Path) -> Log:
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:
-    """Run one method over logs of any lengths and robots, and return what it made of each.
+    """Run one method over logs of any lengths and robots, and return its result on each.
 
     Raises LogError if a log has no such starting map, ValueError if there is no such method or option.
     """

@@ -1,4 +1,4 @@
-"""Robots that others made: what calibration is worth on each, standing, moving and falling.
+"""Robots that others made: the worth of calibration on each, standing, moving and falling.
 
 Errors are root mean squares over a run from the first second on, its falls included: of the centre of
 pressure of each foot in its sole's frame, where the foot truly bears a tenth of the robot's weight, and of
@@ -42,11 +42,11 @@ from surefoot.experiments.study.tables import (
     at_most,
     claim_table,
     decimal,
-    laid_out,
     plural,
+    table_of,
     with_interval,
 )
-from surefoot.experiments.walks.score import held, rms
+from surefoot.experiments.walks.score import hold_last, rms
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -60,7 +60,7 @@ _STREAM = 0x20B07  # of actions
 
 @dataclass(frozen=True)
 class Motion:
-    """A robot and what it does: random actions of up to an amplitude, in the units of its actions."""
+    """A robot and its motion: random actions of up to an amplitude, in the units of its actions."""
 
     robot: str  # of Gymnasium, or of the package of robots
     name: str
@@ -115,7 +115,7 @@ class _Together:
         """Nothing, as no filter of the library's alone makes the estimates."""
 
     def is_in(self, state: Any) -> bool:
-        """No: no state of the library's alone is what it goes on with."""
+        """No: no state of the library's alone is the one it goes on with."""
         return False
 
     def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
@@ -161,7 +161,7 @@ def _run(
         ended = fell or truncated
         falls += bool(fell)
     time = setup.dt * np.arange(len(cop))
-    loads, places = np.array(vgrf)[time >= BEGIN], held(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
+    loads, places = np.array(vgrf)[time >= BEGIN], hold_last(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
     places = places.reshape((*loads.shape, 2))
     borne = loads[:, 0] > BEARS * setup.mass * GRAVITY
     off = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
@@ -214,7 +214,7 @@ def compare_robots(options: RobotOptions) -> Report:
     ]
     seconds: dict[str, float] = {}
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, seconds) as run:
+    with store.open_for(), runner(options.jobs, seconds) as run:
         run.run("robots", cases, store)
     scores, failures = store.rows("scores", cases), store.failures(cases)
     claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None
@@ -262,4 +262,4 @@ def robot_table(scores: Frame, sensors: str) -> Table:
         **{f"vGRF (N): {look_of(m).label}": error("vgrf", m, 1.0) for m in ("none", "moment")},
     }
     parts = [part for _, part in scores[scores["sensors"] == sensors].groupby(_KEYS, sort=False)]
-    return laid_out(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)
+    return table_of(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)

@@ -1,6 +1,6 @@
 """A study of walks: the same recorded streams, several methods, many seeds; and walks on the feet themselves.
 
-What is finished is kept in the folder, so that a run that was interrupted goes on where it was.
+Finished cases are kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
 import time
@@ -53,7 +53,7 @@ Tables = dict[str, list[dict[str, Any]]]
 
 @dataclass(eq=False)
 class WalkStudyResults:
-    """What a study of walks found."""
+    """The results of a study of walks."""
 
     options: WalkStudyOptions
     scenarios: tuple[Scenario, ...]
@@ -88,7 +88,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
     limits = [bound_case(s, options) for s in chosen] if bounds else []
-    scaled, loops = _scaled_cases(options, chosen), _loop_cases(options, results.speeds)
+    scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
         "compute the bounds": limits,
@@ -96,7 +96,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
         "close the loop": [case for cases in loops.values() for case in cases],
     }
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, results.seconds) as run:
+    with store.open_for(), runner(options.jobs, results.seconds) as run:
         walks = {(s.walk.name, seed): (s.walk, seed) for s in chosen for seed in s.seeds(options.seeds)}
         recordings = [(*walk, options.duration, options.logs) for walk in walks.values()]
         run.do("walk and record", [(record_missing, recording) for recording in recordings])
@@ -123,7 +123,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     return results
 
 
-def _scaled_cases(
+def _weight_cases(
     options: WalkStudyOptions, chosen: tuple[Scenario, ...]
 ) -> dict[tuple[str, float], list[Case]]:
     """List the cases of the window with one of its weights scaled, by weight and factor."""
@@ -243,7 +243,7 @@ def bound_case(scenario: Scenario, options: WalkStudyOptions) -> Case:
 def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
     """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
 
-    NaN for what is no walk of the NAO.
+    NaN for other walks than the NAO's.
     """
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():

@@ -1,11 +1,11 @@
-"""What one run of one method on one stream is worth: a row of numbers.
+"""The score of one run of one method on one stream: a row of numbers.
 
 Errors are root mean squares over the judged samples, as in :mod:`surefoot.experiments.walks.score`. Besides,
 
 * ``scale``, ``offset``: error of the parameters, rms over channels and judged samples. ``scale`` is relative;
   ``offset`` is the force in N that is estimated of a channel without load.
 * ``converged``: time in s from the beginning of the walk, from which on the CoP error of the last 2 s stays
-  within twice what it is over the last 10 s of the walk.
+  within twice its value over the last 10 s of the walk.
 * ``spread``: standard deviation in m of that running error after the settling time.
 * ``cop_foot``: CoP error of each foot in its own sole's frame, over both feet.
 * ``end``, ``end_start``: CoP error over the last 10 s, of the method and of the map that it started from;
@@ -55,7 +55,7 @@ GRACE = 1.0  # time in s after a fault in which it may be found and isolated, an
 
 
 def score_run(stream: Stream, played: Played) -> dict[str, Any]:
-    """Score what a method made of a stream: the numbers that the module describes; NaN for nothing to say."""
+    """Score a method's result on a stream: the numbers that the module describes; NaN for nothing to say."""
     log, judged = stream.log, stream.judged
     cop, vgrf, cell = run_errors(stream, played.force)
     start_cop, start_vgrf, start_cell = run_errors(stream, stream.start)
@@ -190,7 +190,7 @@ def _faults(stream: Stream, played: Played, cop: Floats) -> dict[str, float]:
 
 
 def _larger(end: float, start: float) -> bool:
-    """Compare errors; what leaves the readings alone is not worse by a rounding error."""
+    """Compare errors; a method that leaves the readings alone is not worse by a rounding error."""
     return bool(end > start * (1.0 + 1e-6))
 
 
@@ -261,7 +261,7 @@ def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[
 
 
 def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
-    """Score what calibrators are given, placed under the true soles of the moment that it describes."""
+    """Score the calibrators' references, placed under the true soles of the moment that it describes."""
     log, truth = stream.log, stream.truth
     asked = ground_reference(log.reference, log.mass)
     moment = log.time - log.lag * log.dt - age_of(log)

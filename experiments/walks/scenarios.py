@@ -1,4 +1,4 @@
-"""Scenarios of the study of walks: what is walked, what is wrong, and which question that answers.
+"""Scenarios of the study of walks: the walk, the errors, and the question that they answer.
 
 The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
 square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
@@ -306,7 +306,7 @@ SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
 
 
 def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
-    """Return scenarios by names, or raise ValueError with what there is; all for none, quick without long."""
+    """Return scenarios by names, or raise ValueError with their names; all for none, quick without long."""
     known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
     unknown = [name for name in names if name not in known]
     if unknown:

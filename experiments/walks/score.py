@@ -7,7 +7,7 @@ All errors are root mean squares over the samples of one walk from a settling ti
   true vertical force exceeds 5 N. Where the estimated force does not, its centre of pressure is held, as an
   observation holds it, and still counts.
 * **foot's CoP**: that of each foot in its own sole's frame, over both feet, where the true load of the foot
-  exceeds 5 N; held likewise. The total hides what one foot is wrong by in the other's favour.
+  exceeds 5 N; held likewise. The total hides errors of one foot in the other's favour.
 * **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
 * **cell**: the force of single cells, over all cells.
 
@@ -46,7 +46,7 @@ def cop_world(force: Floats, layout: FeetLayout, position_sole: Floats, R_world_
     3, 3).
     """
     cop = cop_of_feet(sole_wrenches(force, layout), position_sole, R_world_sole)
-    return held(cop, np.isfinite(cop).all(axis=-1, keepdims=True))
+    return hold_last(cop, np.isfinite(cop).all(axis=-1, keepdims=True))
 
 
 def score_forces(
@@ -96,7 +96,7 @@ def foot_errors(estimate: Floats, truth: Floats, layout: FeetLayout) -> Floats:
     """Return how far each foot's CoP is off in m, (N, 2), of forces in N, (N, K); NaN up to 5 N of load."""
     found, expected = (cop_of_wrench(sole_wrenches(force, layout)) for force in (estimate, truth))
     there = np.isfinite(found).all(axis=-1)
-    own = np.stack([held(found[:, i], there[:, i, None]) for i in range(found.shape[1])], axis=1)
+    own = np.stack([hold_last(found[:, i], there[:, i, None]) for i in range(found.shape[1])], axis=1)
     off: Floats = np.linalg.norm(own - expected, axis=-1)
     return off
 
@@ -115,7 +115,7 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(array**2))) if array.size else float("nan")
 
 
-def held(values: Floats, there: NDArray[np.bool_] | None = None) -> Floats:
+def hold_last(values: Floats, there: NDArray[np.bool_] | None = None) -> Floats:
     """Carry the last values that are there (finite by default) over others, (N, K); NaN before the first."""
     there = np.isfinite(values) if there is None else there
     last = np.maximum.accumulate(np.where(there, np.arange(len(values))[:, None], -1), axis=0)

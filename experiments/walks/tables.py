@@ -16,12 +16,12 @@ from surefoot.experiments.study.tables import (
     Verdict,
     count_of,
     decimal,
-    laid_out,
     mean_of,
     number,
     plural,
     sentence,
     share,
+    table_of,
     with_interval,
 )
 from surefoot.experiments.walks.options import TRUE_MAP
@@ -83,7 +83,7 @@ def _nis(runs: Frame) -> str:
     return number(float((runs["nis"] * runs["nis_rows"]).sum() / rows)) if rows else "–"
 
 
-def _found_after(runs: Frame) -> str:
+def _time_to_find(runs: Frame) -> str:
     known = runs["found"][np.isfinite(runs["found"])]
     return number(float(known.median())) if len(known) else "–"
 
@@ -108,7 +108,7 @@ _SCORES: Mapping[str, Cell] = {
 
 _FAULTS: Mapping[str, Cell] = {
     "found within 1 s": lambda runs: share(int((runs["found"] <= 1.0).sum()), len(runs)),
-    "found after (s), median": _found_after,
+    "found after (s), median": _time_to_find,
     "right cell": count_of("isolated"),
     "right name": count_of("named"),
 }
@@ -118,7 +118,7 @@ def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     """Return all scores of a scenario, from one row a run."""
     title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
     parts = by_way(scores[scores["scenario"] == scenario.name])
-    return laid_out(
+    return table_of(
         f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("walks", "scenarios")("scores")
     )
 
@@ -135,7 +135,7 @@ def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
         **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
     }
     parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
-    return laid_out("overview", "CoP rmse in mm, all scenarios", columns, [p for p in parts if len(p[1])])
+    return table_of("overview", "CoP rmse in mm, all scenarios", columns, [p for p in parts if len(p[1])])
 
 
 def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
@@ -151,7 +151,7 @@ def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
     }
     title = "Cells that fail while the robot walks"
     note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
-    return laid_out("faults", title, columns, parts, note) if parts else None
+    return table_of("faults", title, columns, parts, note) if parts else None
 
 
 def alarm_table(scores: Frame) -> Table:
@@ -172,7 +172,7 @@ def alarm_table(scores: Frame) -> Table:
         "95 % interval": exact,
     }
     parts = by_way(scores[scores["method"] != TRUE_MAP]).values()
-    return laid_out("alarms", "False alarms in all walks", columns, parts)
+    return table_of("alarms", "False alarms in all walks", columns, parts)
 
 
 def timing_table(timing: Frame) -> Table:
@@ -182,7 +182,7 @@ def timing_table(timing: Frame) -> Table:
         "median (µs)": lambda row: number(row.median_us),
         "mean (µs)": lambda row: number(row.mean_us),
     }
-    return laid_out("timing", "Time of one update", columns, timing.itertuples())
+    return table_of("timing", "Time of one update", columns, timing.itertuples())
 
 
 def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
@@ -212,7 +212,7 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
         f"the CoP of cells that are {loop['severity'].iloc[0]:g} times as bad; green, fewer than on raw "
         "readings."
     )
-    return laid_out("lead", title, columns, by_way(loop, "feed").items(), note)
+    return table_of("lead", title, columns, by_way(loop, "feed").items(), note)
 
 
 def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, str]]) -> Table:
@@ -252,7 +252,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
 def loop_table(runs: Frame, horizon: float) -> Table:
     """Return the closed loop: who fell, and when; one row a walk comes in, which lasts so many s at most."""
 
-    def halved(part: Frame) -> str:
+    def time_to_half(part: Frame) -> str:
         curve = survival(part["time"], part["fell"])
         times = curve.time[curve.share <= 0.5]
         return number(float(times[0])) if len(times) else f"> {horizon:g}"
@@ -262,7 +262,7 @@ def loop_table(runs: Frame, horizon: float) -> Table:
         "speed (m/s)": lambda part: decimal(part["speed"].iloc[0]),
         "CoP fed back": lambda part: look_of(part["feed"].iloc[0]).label,
         "falls": count_of("fell"),
-        "half have fallen after (s)": halved,
+        "half have fallen after (s)": time_to_half,
         f"time on its feet (s), of {horizon:g}": mean_of("time"),
         "error of the CoP fed back (mm)": mean_of("cop_error", 1e3),
         "true CoP from its plan (mm)": mean_of("tracking", 1e3),
@@ -270,7 +270,7 @@ def loop_table(runs: Frame, horizon: float) -> Table:
     note = "Paired: the same seeds, pushes, ground and sensors under every feedback. Errors up to the fall."
     groups = runs.groupby(["severity", "speed"], sort=False)
     parts = [part for _, walks in groups for part in by_way(walks, "feed").values()]
-    return laid_out("closed_loop", "The walker on different feet", columns, parts, note)
+    return table_of("closed_loop", "The walker on different feet", columns, parts, note)
 
 
 def sensitivity_table(runs: Frame, title: str) -> Table:

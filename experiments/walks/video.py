@@ -51,7 +51,7 @@ def prepare_rendering() -> None:
     """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
 
     To be called before MuJoCo draws first. Where EGL is missing nothing is chosen: MuJoCo cannot even be
-    imported by a process that is told to use what is not there.
+    imported by a process that is told to use a missing one.
     """
     if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
         os.environ.setdefault("MUJOCO_GL", "egl")
@@ -157,7 +157,9 @@ def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
     )
 
 
-def headed(picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8) -> None:
+def write_heading(
+    picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8
+) -> None:
     """Write a heading over a picture: a text, the time, and whether the robot fell."""
     draw, font = ImageDraw.Draw(picture), ImageFont.load_default(size=size)
     draw.rectangle((0, 0, WIDTH, height), fill="white")
@@ -173,7 +175,7 @@ def _sheet(feed: str, moment: Moment) -> NDArray[np.uint8]:
     sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
     sheet.paste(_from_above(feed, moment), (0, HEIGHT))
     name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
-    headed(sheet, name, moment, 30, 18, indent=28)
+    write_heading(sheet, name, moment, 30, 18, indent=28)
     draw = ImageDraw.Draw(sheet)
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)

@@ -54,7 +54,7 @@ STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, t
 
 
 def feed_named(name: str) -> str:
-    """Return the name of a feed, or raise ValueError with what there is."""
+    """Return the name of a feed, or raise ValueError with their names."""
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
     return name
@@ -64,18 +64,18 @@ class TruthTap(gym.Wrapper[Any, Any, Any, Any]):
     """Keep the last true observation, ``seen``, for who scores; nothing that is observed changes."""
 
     def reset(self, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Keep what is seen first."""
+        """Keep the first observation."""
         self.seen, info = self.env.reset(**options)
         return self.seen, info
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """Keep what is seen."""
+        """Keep the observation."""
         self.seen, *rest = self.env.step(action)
         return self.seen, *rest
 
 
 class TrueCop(gym.ObservationWrapper[Any, Any, Any]):
-    """Show the true centre of pressure, of a tap, beside what sensors say of joints and tilt: for bounds."""
+    """Show the true centre of pressure, of a tap, beside the sensors' joints and tilt: for bounds."""
 
     def __init__(self, env: gym.Env[Any, Any], tap: TruthTap) -> None:
         super().__init__(env)

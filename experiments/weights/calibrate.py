@@ -13,7 +13,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.tables import Cell, Table, decimal, laid_out, number, with_deviation
+from surefoot.experiments.study.tables import Cell, Table, decimal, number, table_of, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
 
@@ -32,8 +32,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
 
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
     and readings as ``raw_<cell>_count``, empty where not weighed. Readings that lie far off are left out.
-    ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at what cannot be
-    read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
+    ``accept`` is the reason to go on past what is refused. Raises LogError or ValueError at data that cannot
+    be read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
     weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
@@ -60,7 +60,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
         "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
     }
-    table = laid_out("weighings", "F = scale · count + offset", columns, range(len(names)))
+    table = table_of("weighings", "F = scale · count + offset", columns, range(len(names)))
     return CalibratedCells(out, table, notices)
 
 
@@ -81,7 +81,7 @@ def read_weighings(path: Path) -> Weighings:
             "'raw_left_front_left_count'."
         )
     unit = units[given[0]]
-    return Weighings(table.numbers(given[0]) * unit, table.stacked(cells), tuple(cells), given[0], unit)
+    return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
 
 
 def _deviations(fit: ChannelFit, code: Floats) -> Floats:

@@ -12,7 +12,7 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section, Words
-from surefoot.experiments.study.tables import Table, decimal, laid_out, number
+from surefoot.experiments.study.tables import Table, decimal, number, table_of
 from surefoot.experiments.weights.weighing import WeighingReport
 
 
@@ -82,7 +82,7 @@ def paper_table_2() -> tuple[Table, float]:
     note = "Counts as printed in the paper; c in 1e-6 kg per count, d in kg by regression of load on count."
     title = "Table 2: the paper's counts, fitted again"
     cells = range(len(TABLE_2.channel_names))
-    return laid_out("table2_paper", title, columns, cells, note), float(difference.max())
+    return table_of("table2_paper", title, columns, cells, note), float(difference.max())
 
 
 def table_2(report: WeighingReport) -> Table:
@@ -101,7 +101,7 @@ def table_2(report: WeighingReport) -> Table:
         "c in 1e-6 kg per count, d in kg."
     )
     cells = range(len(report.channel_names))
-    return laid_out("table2_simulated", "The same of simulated cells", columns, cells, note)
+    return table_of("table2_simulated", "The same of simulated cells", columns, cells, note)
 
 
 def table_3(report: WeighingReport) -> Table:

@@ -28,7 +28,7 @@ _STREAM = 7001  # keeps this randomness apart from every other stream with the s
 
 @dataclass(frozen=True)
 class WeighingSetup:
-    """What is weighed, and how carefully."""
+    """The loads, and how carefully they are weighed."""
 
     channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)  # kg
     placement_loads: tuple[float, ...] = (0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0)  # kg, at every hole
@@ -63,7 +63,7 @@ class Placements:
 
 @dataclass(frozen=True, eq=False)
 class WeighingReport:
-    """What known weights gave; feet are (left, right)."""
+    """The result of known weights; feet are (left, right)."""
 
     channel_names: tuple[str, ...]
     channel_load: NDArray[np.float64]  # on each cell in kg, shape (n,)
@@ -94,8 +94,8 @@ class _Cells:
         bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
         step = np.sqrt(self.setup.seconds_per_weighing)
         walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
-        wander = np.array([self.config.scale_drift, self.config.offset_drift])[:, None, None]
-        counts, error = np.empty_like(load), self.state.error[:, None] + wander * walk
+        density = np.array([self.config.scale_drift, self.config.offset_drift])[:, None, None]
+        counts, error = np.empty_like(load), self.state.error[:, None] + density * walk
         for i, one in enumerate(bowed):
             self.state = self.state._replace(error=error[:, i])
             repeated = np.tile(one, (self.setup.readings, 1))
@@ -200,13 +200,13 @@ def _pool(scores: list[PlacementScore]) -> PlacementScore:
     """Return the scores of both feet together."""
     both = pd.DataFrame(scores)
 
-    def pooled(name: str, count: str) -> float:
+    def pool(name: str, count: str) -> float:
         return float(np.sqrt((both[count] * both[name] ** 2).sum() / both[count].sum()))
 
     return PlacementScore(
         placements=int(both["placements"].sum()),
         weighings=int(both["weighings"].sum()),
-        cop_raw=pooled("cop_raw", "placements"),
-        cop=pooled("cop", "placements"),
-        vgrf=pooled("vgrf", "weighings"),
+        cop_raw=pool("cop_raw", "placements"),
+        cop=pool("cop", "placements"),
+        vgrf=pool("vgrf", "weighings"),
     )

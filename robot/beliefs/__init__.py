@@ -1,1 +1,1 @@
-"""What one robot believes of its own motion and of its contacts, and how wrong it is about itself."""
+"""One robot's beliefs of its own motion and of its contacts, and how wrong it is about itself."""

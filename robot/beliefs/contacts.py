@@ -30,7 +30,7 @@ COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
 """Its cosine, to second order."""
 
 
-def planned_window(lag: int) -> tuple[int, int]:
+def plan_window(lag: int) -> tuple[int, int]:
     """Return for how many samples a plan must have held, and how many of them are kept.
 
     Args:
@@ -58,7 +58,7 @@ robot may rest on more than its feet."""
 
 
 class Plan:
-    """Finds which feet surely stood, or surely swung, some samples ago, by what was planned.
+    """Finds which feet surely stood, or surely swung, some samples ago, by the plan.
 
     Args:
         lag: How many samples ago.
@@ -66,13 +66,13 @@ class Plan:
     """
 
     def __init__(self, lag: int, feet: int = 2) -> None:
-        self._needed, kept = planned_window(lag)
+        self._needed, kept = plan_window(lag)
         self._runs = deque([[0] * (2 * feet)], maxlen=kept)
 
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in what is planned now, and return what surely held then.
+        """Take in the present plan, and return which feet surely stood or swung then.
 
         Args:
             stance: Feet planned to stand, shape (F,).
@@ -92,7 +92,8 @@ class Kinematics:
     Args:
         gravity: Acceleration of free fall in m/s^2.
         feet: Number of the feet, F.
-        touching: Of round feet, what may touch: centres in the sole frames and radii in m, shape (F, n, 4).
+        touching: Of round feet, the parts that may touch: centres in the sole frames and radii in m, shape
+            (F, n, 4).
     """
 
     def __init__(
@@ -104,13 +105,13 @@ class Kinematics:
         self._runs = [0] * (2 * feet)
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in the robot's beliefs of one moment, and return what its feet surely did then.
+        """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
 
         Args:
             reference: The beliefs, of samples that follow each other.
 
         Returns:
-            Feet that surely stood and feet that surely swung then, shape (F,) each: what a foot does has to
+            Feet that surely stood and feet that surely swung then, shape (F,) each: a foot's state has to
             have been the same for :data:`CONTACT_MARGIN` samples.
         """
         height, flat = reference.position_sole[:, 2], reference.R_level_sole[:, 2, 2] > COS_FLAT
@@ -129,7 +130,7 @@ class Kinematics:
 
 
 def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Part what is sure of F feet that stand, and of as many that swing."""
+    """Split a row into F feet that surely stand and F that surely swing."""
     feet = len(sure) // 2
     return np.array(sure[:feet]), np.array(sure[feet:])
 
@@ -137,7 +138,7 @@ def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 class Upright:
     """Finds whether a robot stands, walks or runs: only then do its feet carry all of it.
 
-    Who leans far, lies or sits rests on more than its soles, and what it takes for level is not: its own
+    Who leans far, lies or sits rests on more than its soles, and its idea of level is wrong: its own
     weight and motion say nothing about its feet then. The mean acceleration that a robot believes to have is
     small while it is upright, and as large as gravity is off its supposed vertical when it is not.
 
@@ -161,7 +162,7 @@ class Upright:
 
         Args:
             reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.
-            force_bias: What the robot takes for an error of its accelerometer in m/s^2, shape (3,).
+            force_bias: The believed error of its accelerometer in m/s^2, shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
         self.fell = False

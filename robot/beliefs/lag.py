@@ -1,4 +1,4 @@
-"""By how many samples the feet wait for the telemetry of what the robot did."""
+"""By how many samples the feet wait for the telemetry of the robot's motion."""
 
 from math import ceil
 
@@ -14,7 +14,7 @@ JOINED_TIME = 0.01
 joint angles amplify noise and rounding of the encoders by one over its square."""
 
 
-def joined_packets(telemetry: Telemetry) -> int:
+def packets_per_join(telemetry: Telemetry) -> int:
     """Return how many packets of a link become one."""
     return max(1, round(JOINED_TIME / telemetry.period))
 
@@ -26,7 +26,7 @@ def usual_lag(telemetry: Telemetry, age: float) -> int:
         telemetry: The way of encoders and IMU to the host.
         age: How old a reading of the feet is when it is taken, in s.
     """
-    period = joined_packets(telemetry) * telemetry.period
+    period = packets_per_join(telemetry) * telemetry.period
     needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * period - age
     return max(ceil(needed / telemetry.dt), CONTACT_MARGIN)
 
@@ -52,7 +52,7 @@ def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
     """
     # The newest packet that can have come, when the jitter was kind.
     youngest = max(telemetry.link.delay - JITTER_BOUND * telemetry.link.jitter, 0.0)
-    period = joined_packets(telemetry) * telemetry.period
+    period = packets_per_join(telemetry) * telemetry.period
     packets = ceil((lag * telemetry.dt + age - youngest) / period) + 3
     if packets > HISTORY:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""What a robot knows of its momentum: velocity increments of its IMU, held by the legs that stand.
+"""A robot's knowledge of its momentum: velocity increments of its IMU, held by the legs that stand.
 
 The IMU's velocity and the torso's rotation are those of :mod:`surefoot.robot.beliefs.strapdown`, in axes that
 are level and whose heading follows the gyroscope. Nothing is differentiated but encoders.
@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
+from surefoot.robot.beliefs.believed import Believed
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.references import Beliefs, Believed, Posture
+from surefoot.robot.beliefs.references import Beliefs, Posture
 from surefoot.robot.beliefs.strapdown import Strapdown, StrapdownConstants, touching
 from surefoot.sensors.transport.link import Packets
 
@@ -63,9 +64,9 @@ class MomentumBeliefs(Believed):
 
     Attributes:
         beliefs: Those that hold accelerations.
-        believed: What the last :meth:`sample` found.
+        believed: The result of the last :meth:`sample`.
         corners: The same.
-        rows: What a row holds.
+        rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
         strapdown: Velocity and attitude.
         run: Rows in a row.
@@ -80,9 +81,9 @@ class MomentumBeliefs(Believed):
         self.run, self.number = 0, 0
         self.believed = unknown(beliefs.feet)
 
-    def begun(self) -> "MomentumBeliefs":
+    def begin_episode(self) -> "MomentumBeliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return MomentumBeliefs(self.beliefs.begun(), self.corners, self._radius)
+        return MomentumBeliefs(self.beliefs.begin_episode(), self.corners, self._radius)
 
     @property
     def constants(self) -> StrapdownConstants:
@@ -127,7 +128,7 @@ class MomentumBeliefs(Believed):
         row[: at.soles.stop] += self.strapdown.place
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
-        """Find what the robot believes for one sample of its feet; as :meth:`Beliefs.sample`."""
+        """Find the robot's beliefs for one sample of its feet; as :meth:`Beliefs.sample`."""
         fell = self.beliefs.sample(time, command, hold)
         self.believed = unknown(self.beliefs.feet)
         if self.beliefs.known:
@@ -164,11 +165,11 @@ class MomentumBeliefs(Believed):
 
 
 class Touching(NamedTuple):
-    """What of each foot may touch the ground.
+    """The parts of each foot that may touch the ground.
 
     Attributes:
         places: Centres in the sole frames and radii in m, shape (F, n, 4); radii are 0 of points.
-        rolls: Whether feet stand on any of their sides, so that a sole does not show what is level.
+        rolls: Whether feet stand on any of their sides, so that a sole does not show the level.
     """
 
     places: Floats

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
-from surefoot.native import c_header, required
-from surefoot.robot.beliefs.contacts import planned_window
+from surefoot.native import c_header, require
+from surefoot.robot.beliefs.believed import nothing
+from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
-from surefoot.robot.beliefs.references import Beliefs, nothing
+from surefoot.robot.beliefs.references import Beliefs
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
@@ -44,7 +45,7 @@ class NativeBeliefs:
         believed: The Python object.
 
     Attributes:
-        believed: What the last :meth:`sample` found; the next one overwrites it.
+        believed: The result of the last :meth:`sample`; the next one overwrites it.
         known: Whether it is anything.
         standing: Whether a foot surely stood.
 
@@ -58,7 +59,7 @@ class NativeBeliefs:
         momentum = believed if isinstance(believed, MomentumBeliefs) else None
         beliefs = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed
         self._layout = beliefs.layout
-        needed, window = planned_window(beliefs._lag)
+        needed, window = plan_window(beliefs._lag)
         timing = {
             "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs.dt,
             "period": beliefs.period, "delay": beliefs._delay, "joined": beliefs._join,
@@ -76,14 +77,14 @@ class NativeBeliefs:
         legs, record = None, "beliefs"
         if momentum is not None:
             legs, record = (
-                library.filled("strapdown_config", momentum.constants._asdict()),
+                library.record_of("strapdown_config", momentum.constants._asdict()),
                 "momentum_beliefs",
             )
             shapes |= {
                 "moved": (HISTORY, momentum.rows.width, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
                 "velocity_spin_bias": (3,), "vertical_bias": (), "velocities": (),
             }  # fmt: skip
-        found, state = library.filled("timing", timing), library.record(record, shapes)
+        found, state = library.record_of("timing", timing), library.record(record, shapes)
         if found is None or state is None or (legs is None and momentum is not None):
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
         self._timing, self._state, self._legs = found, np.zeros((), state), legs
@@ -106,8 +107,8 @@ class NativeBeliefs:
         self._addresses = tuple(record.ctypes.data for record in records)
         self._legs_at = None if legs is None else legs.ctypes.data
 
-    def begun(self) -> "NativeBeliefs":
-        """Go on at an episode's start; as :meth:`Beliefs.begun`, but in place."""
+    def begin_episode(self) -> "NativeBeliefs":
+        """Go on at an episode's start; as :meth:`Beliefs.begin_episode`, but in place."""
         self._functions.surefoot_beliefs_init(self._legs_at, self._addresses[1])
         self.believed.fill(nothing(FEET) if self._legs is None else unknown(FEET))
         self.known = self.standing = False
@@ -122,7 +123,7 @@ class NativeBeliefs:
         """Take over the model."""
         tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
-        model = None if tree is None else library.filled("model", {**sizes, **tree})
+        model = None if tree is None else library.record_of("model", {**sizes, **tree})
         if (
             model is None
             or model["hinges"] != self._state["angle"].size
@@ -190,7 +191,7 @@ class NativeBeliefs:
         return True
 
     def tell(self, found: int) -> None:
-        """Learn what the library found of a sample."""
+        """Take over the library's results of a sample."""
         self.known, self.standing = found & 2 > 0, found & 4 > 0
 
     def info(self) -> dict[str, Any]:
@@ -219,19 +220,19 @@ class NativeBeliefs:
 
     def unpack(self) -> Beliefs | MomentumBeliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        begun, state, believed = self._spec.begun(), self._state, self.believed.reference()
-        if not isinstance(begun, MomentumBeliefs):
-            self._unpack(begun)
-            begun.believed = believed
-            return begun
-        self._unpack(begun.beliefs)
+        started, state, believed = self._spec.begin_episode(), self._state, self.believed.reference()
+        if not isinstance(started, MomentumBeliefs):
+            self._unpack(started)
+            started.believed = believed
+            return started
+        self._unpack(started.beliefs)
         # What it believes of accelerations is made anew at each sample.
-        begun.believed, begun.ring[...] = believed, state["moved"]
-        begun.run, begun.number = int(state["run"]), int(state["number"])
+        started.believed, started.ring[...] = believed, state["moved"]
+        started.run, started.number = int(state["run"]), int(state["number"])
         for name, attribute in _STRAPDOWN.items():
             part = state[name].copy()
-            setattr(begun.strapdown, attribute, part if part.ndim else part.item())
-        return begun
+            setattr(started.strapdown, attribute, part if part.ndim else part.item())
+        return started
 
     def _unpack(self, found: Beliefs) -> None:
         state = self._state
@@ -246,7 +247,7 @@ class NativeBeliefs:
         found._kinematics._runs = state["found"].tolist()
         if found._seen:
             values = np.zeros(self._layout.size)
-            for name, part in _measured(self._layout):
+            for name, part in _packet_places(self._layout):
                 values[part] = state[name]
             found._last = Packet(int(state["number"]), 0.0, values)
 
@@ -262,7 +263,7 @@ class NativeBeliefs:
         state["found"] = beliefs._kinematics._runs
         if last is not None:
             state["number"] = last.number
-            for name, part in _measured(beliefs.layout):
+            for name, part in _packet_places(beliefs.layout):
                 state[name] = last.values[part]
 
     def __reduce__(self) -> Any:
@@ -289,7 +290,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    native = NativeBeliefs(required(installed()), beliefs)
+    native = NativeBeliefs(require(installed()), beliefs)
     model, timing = native._model, native._timing
     sizes = {
         "BODIES": int(model["bodies"]),
@@ -304,12 +305,12 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
 
 
 def _owners(beliefs: Beliefs) -> tuple[tuple[Any, dict[str, str]], ...]:
-    """Return what holds the parts of a state, and the attributes that do."""
+    """Return the objects that hold the parts of a state, and their attributes."""
     return (beliefs, _OWN), (beliefs._odometry, _ODOMETRY), (beliefs._upright, _UPRIGHT)
 
 
-def _measured(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:
-    """Return where a packet holds what is kept of it."""
+def _packet_places(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:
+    """Return where a packet holds the numbers that are kept of it."""
     return (
         ("angle", layout.joint_position),
         ("accelerometer", layout.accelerometer),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Masses(NamedTuple):
-    """What a robot believes of its bodies.
+    """A robot's beliefs of its bodies.
 
     Attributes:
         mass: Masses in kg, shape (B,).
@@ -32,7 +32,7 @@ class NominalModel:
     Everything is computed in the torso's frame, so that nothing depends on where the robot believes to be.
 
     Args:
-        spec: The robot's drawing; what only a simulation needs is taken out of it.
+        spec: The robot's drawing; parts for a simulation alone are taken out.
         errors: How far :meth:`draw` puts masses and centre of mass off; it is the torso's own centre of mass
             that is misplaced.
         sites: Names of the sites of the IMU and of the F soles, the left one first.
@@ -43,7 +43,7 @@ class NominalModel:
         revision: How often the masses have changed.
 
     Raises:
-        ValueError: If a name is not in the drawing; the message lists what is.
+        ValueError: If a name is not in the drawing; the message lists those that are.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class NominalModel:
 
     @classmethod
     def of_drawing(cls, drawing: "RobotDrawing", errors: BeliefErrors) -> "NominalModel":
-        """Make it of what the maker of a robot with feet hands out."""
+        """Make it of the drawing of a robot with feet."""
         return cls(
             drawing.spec(),
             errors,
@@ -163,7 +163,7 @@ class NominalModel:
         return self._com, self._momentum, self._site_position[self._sites], axes
 
     def velocities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return velocities relative to the torso's origin in its axes, of what was last evaluated.
+        """Return velocities relative to the torso's origin in its axes, of the last evaluation.
 
         Returns:
             Velocity of the centre of mass in m/s, shape (3,); and angular velocities in rad/s and velocities

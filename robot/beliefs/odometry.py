@@ -2,8 +2,8 @@
 
 Kept are two unit vectors in the torso's axes: u, which points up, and h, level, whose heading in the room
 follows the gyroscope alone. A fixed direction d obeys d' = -w x d in axes that turn with w. The upright g by
-the soles that are down pulls u with the time constant T, and what it keeps pulling is the bias b of the
-gyroscope:
+the soles that are down pulls u with the time constant T, and the lasting part of the pull is the bias b of
+the gyroscope:
 
     u' = -(w - b) x u + (g - u) / T,        b' = (u x g) / (T T_b).
 
@@ -46,7 +46,7 @@ class Odometry:
 
     Attributes:
         up: Unit vector against gravity in the torso's axes.
-        force_bias: What the accelerometer shows too much in m/s^2, in its own axes, shape (3,).
+        force_bias: Excess of the accelerometer in m/s^2, in its own axes, shape (3,).
     """
 
     def __init__(self, period: float, gravity: float = GRAVITY) -> None:
@@ -125,7 +125,7 @@ class Odometry:
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
         """Return which way is up by the lowest sole, or by those that are level with each other.
 
-        A sole counts by the product of what speaks for it against each other one: 1/2 for two at one height,
+        A sole counts by the product of the odds for it against each other one: 1/2 for two at one height,
         1 for one that is lower by :data:`SOLE_HEIGHT`, and nothing for the other.
         """
         height = sites[1:] @ self.up

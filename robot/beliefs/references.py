@@ -1,4 +1,4 @@
-"""What a robot can know of its own motion without its feet's sensors, on their timeline.
+"""A robot's knowledge of its own motion without its feet's sensors, on their timeline.
 
 Encoders and IMU come at 100 Hz or faster, numbered and late with jitter; packets of a faster link are joined
 into one of 10 ms, with the mean of the IMU and the last angles. The mean delay is known and taken off; the
@@ -10,10 +10,10 @@ the specific force f. In axes that are level and whose heading follows the gyros
     c'' = R f - g e_z + d^2/dt^2 [ R (c - p_imu) ],        L' = d/dt [ R L ]
 
 with the torso's rotation R and the place p_imu of the IMU; differences are centred, so that they delay
-nothing. What is ready then is kept, and read between packets by linear interpolation at the moments of the
+nothing. The results are kept, and read between packets by linear interpolation at the moments of the
 feet's samples, some samples ago (``lag``): when the packets that are needed have come.
 
-The soles show what is level: the floor is, and a foot that is down lies flat on it. They hold the
+The soles show the level: the floor is level, and a foot that is down lies flat on it. They hold the
 gyroscope's tilt upright, free of the accelerations of a gait, and then show the bias of the accelerometer
 (over many steps the specific force must point up and be g). An error of the tilt that is left does little
 harm: the ground's force points along f from the centre of mass, whatever way is up, so that in Eqs. 10 and 11
@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import MomentumReference, Reference
+from surefoot.calibration import Reference
+from surefoot.robot.beliefs.believed import Believed, nothing
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -64,7 +65,7 @@ class Rows(NamedTuple):
         force: Specific force in m/s^2.
         acceleration: Of the centre of mass in m/s^2, which follows from the row's neighbours in time.
         momentum_rate: In N m, likewise.
-        accelerometer: What was measured, in the IMU's own axes, in m/s^2.
+        accelerometer: The measurement, in the IMU's own axes, in m/s^2.
         gyroscope: Likewise, in rad/s.
         width: Number of the vectors.
     """
@@ -108,52 +109,28 @@ class Posture(NamedTuple):
     spin: NDArray[np.float64]
 
 
-class Believed:
-    """What beliefs of any kind say of the reference that was found last.
-
-    Attributes:
-        believed: What the last ``sample()`` found.
-    """
-
-    believed: Reference | MomentumReference
-
-    @property
-    def known(self) -> bool:
-        """Whether anything is believed."""
-        return bool(self.believed.com[0] == self.believed.com[0])
-
-    @property
-    def standing(self) -> bool:
-        """Whether a foot surely stood."""
-        return bool(self.believed.stance.any())
-
-    def info(self) -> dict[str, Any]:
-        """Return what is believed, for ``info``."""
-        return reference_info(self.believed)
-
-
 class Beliefs(Believed):
     """Makes references of telemetry, on the timeline of the feet's samples.
 
     Args:
         model: The robot as it believes itself to be.
-        layout: What a packet holds.
+        layout: Columns of a packet.
         period: Time between packets in s.
         delay: Mean delay of the link in s, as the robot knows it.
         averaged: Whether a sample of the IMU is the mean since the sample before.
         lag: How many samples of the feet ago :meth:`sample` is about.
         dt: Time between these samples in s.
         joined: How many packets become one.
-        touching: Of a robot on round feet, what may touch: centres in the sole frames and radii in m, shape
-            (F, n, 4). ``None`` for flat feet, whose soles show what is level.
+        touching: Of a robot on round feet, the parts that may touch: centres in the sole frames and radii in
+            m, shape (F, n, 4). ``None`` for flat feet, whose soles show the level.
 
     Attributes:
-        believed: What the last :meth:`sample` found.
-        layout: What a packet holds.
+        believed: The result of the last :meth:`sample`.
+        layout: Columns of a packet.
         period: Time between joined packets in s.
         dt: Time between the feet's samples in s.
         feet: Number of the feet, F.
-        rows: What a row holds.
+        rows: Columns of a row.
     """
 
     believed: Reference
@@ -194,7 +171,7 @@ class Beliefs(Believed):
         )
         self.believed = nothing(self.feet)
 
-    def begun(self) -> "Beliefs":
+    def begin_episode(self) -> "Beliefs":
         """Return beliefs of the same robot at an episode's start."""
         return Beliefs(
             self.model,
@@ -210,7 +187,7 @@ class Beliefs(Believed):
 
     @property
     def force_bias(self) -> NDArray[np.float64]:
-        """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
+        """The believed error of the robot's accelerometer in m/s^2, shape (3,)."""
         return self._odometry.force_bias
 
     @property
@@ -309,13 +286,13 @@ class Beliefs(Believed):
         row[at.momentum_rate] = (after[at.momentum] - before[at.momentum]) / (2.0 * period)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
-        """Find what the robot believes for one sample of its feet.
+        """Find the robot's beliefs for one sample of its feet.
 
         It is NaN while nothing is known, while the robot is not upright, and while it is held.
 
         Args:
             time: The moment that the reference describes in s of the host's clock.
-            command: What is planned now, with ``stance`` and ``swing``, shape (F,) each; or ``None`` for a
+            command: The present plan, with ``stance`` and ``swing``, shape (F,) each; or ``None`` for a
                 robot that plans nothing, whose contacts are found by kinematics.
             hold: Whether beliefs are not to be used.
 
@@ -339,7 +316,7 @@ class Beliefs(Believed):
         return False
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
-        """Return what the robot believed to do at a moment.
+        """Return the robot's believed motion at a moment.
 
         Before enough packets have come it is NaN, which calibrators know to leave alone.
 
@@ -409,7 +386,7 @@ class Beliefs(Believed):
         return self.interpolate(self._ring, time, low, high)
 
     def interpolate(self, ring: NDArray[np.float64], time: float, low: int, high: int) -> NDArray[np.float64]:
-        """Return what a ring of rows, of the middles before packets, holds at a moment.
+        """Interpolate a ring of rows, of the middles before packets, at a moment.
 
         Args:
             ring: A row for each of the last packets by number, shape (HISTORY, ...).
@@ -424,35 +401,6 @@ class Beliefs(Believed):
         part = index - number
         rows: NDArray[np.float64] = row + part * (ring[(number + 1) % HISTORY] - row)
         return rows
-
-
-def nothing(feet: int) -> Reference:
-    """Return the reference of a robot that knows nothing: NaN, and no foot in stance or swing."""
-    unknown, soles, unsure = np.full((5, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
-    return Reference(
-        com=unknown[0],
-        com_acceleration=unknown[1],
-        angular_momentum_rate=unknown[2],
-        position_sole=soles[:, 3],
-        R_level_sole=soles[:, :3],
-        stance=unsure[0],
-        swing=unsure[1],
-        accelerometer=unknown[3],
-        gyroscope=unknown[4],
-    )
-
-
-def reference_info(reference: Reference | MomentumReference) -> dict[str, Any]:
-    """Return references (...) for ``info``, as arrays of their own without NaN, which is unlike itself.
-
-    What nobody knows is 0 there, and ``"known"`` (...) says where something is known.
-    """
-    known = ~np.isnan(reference.com[..., 0])
-    info: dict[str, Any] = {"known": known if known.ndim else bool(known)}
-    for name, part in reference._asdict().items():
-        where = known.reshape(known.shape + (1,) * (part.ndim - known.ndim))
-        info[name] = part.copy() if part.dtype == bool else np.where(where, part, 0.0)
-    return info
 
 
 def _level(

@@ -1,7 +1,7 @@
 r"""Velocity of a robot's IMU and rotation of its torso: increments of its IMU, held by the legs that stand.
 
 In axes that are level and whose heading follows the gyroscope, the IMU's velocity and the torso's rotation
-follow from its own increments, and from what the points of feet that touch the ground say,
+follow from its own increments, and from the points of feet that touch the ground,
 
     V' = R (f - b_f) - g e_z + k_1 e,        e = V_legs - V
     R' = R [w - b_w]x + [k_2 e_z x e]x R,    b_w' = -k_2 R' (e_z x e) / T_b,     b_z' = -k_1 e_z / T_b
@@ -9,8 +9,8 @@ follow from its own increments, and from what the points of feet that touch the 
 with the specific force f and the angular velocity w. Soles that lie on a level floor show what both are wrong
 by, the accelerometer by b_s; of that b_f = b_s / (1 + (b_s / B)^2) is believed, as floors may lean. A tilt
 that is off by a small angle drives V sideways by g per second and rad, which is how the legs show it; the
-poles of the tilt's loop lie together at 1 / (2 s). The lowest points of feet stand still: V_legs is what they
-ask for.
+poles of the tilt's loop lie together at 1 / (2 s). The lowest points of feet stand still: V_legs is the
+velocity that this requires.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ that are off by 1e-3 rad make 1 to 3 mm of it over a leg."""
 
 
 class StrapdownConstants(NamedTuple):
-    """Constants by their names in C; module constants of the same names say what they are.
+    """Constants by their names in C; module constants of the same names explain them.
 
     Attributes:
         points: Number of each sole's points that may touch, n.
@@ -83,7 +83,7 @@ class Strapdown:
         self.spin_bias, self.vertical_bias = np.zeros(3), 0.0
 
     def begin(self, force: Floats) -> None:
-        """Begin with what the specific force of a robot at rest shows of up."""
+        """Begin with up as the specific force of a robot at rest shows it."""
         up = force / np.linalg.norm(force)
         forward = np.array([1.0, 0.0, 0.0]) - up[0] * up
         forward /= np.linalg.norm(forward)
@@ -153,13 +153,13 @@ def touching(
 class RollingOdometry:
     """Turns the torso of a robot on round feet on, as :class:`Odometry` does by the soles of flat ones.
 
-    A round foot says nothing of what is level by the way in which it is turned; its lowest point stands
-    still. What the accelerometer shows too much along the ground is part of the tilt.
+    A round foot does not show the level by the way in which it is turned; its lowest point stands
+    still. The accelerometer's excess along the ground is part of the tilt.
 
     Args:
         model: The robot as it believes itself to be.
         period: Time between packets in s.
-        corners: Centres of what may touch in the sole frames in m, shape (F, n, 3).
+        corners: Centres of the parts that may touch in the sole frames in m, shape (F, n, 3).
         radius: Their radii in m, shape (F, n).
 
     Attributes:

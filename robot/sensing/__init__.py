@@ -1,1 +1,1 @@
-"""What one robot senses: the instruments under its feet, its telemetry, and what is seen of both."""
+"""The senses of one robot: the instruments under its feet, its telemetry, and the view of both."""

@@ -26,7 +26,7 @@ class Condition(NamedTuple):
 
     Attributes:
         severity: Factor of all errors of the feet's sensors.
-        faults: What breaks when.
+        faults: The scheduled faults.
     """
 
     severity: float
@@ -34,13 +34,13 @@ class Condition(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What a robot's condition is drawn from.
+    """The distribution of a robot's condition.
 
     Attributes:
         lowest: Lowest severity.
         highest: Highest severity; all between are alike likely.
-        faults: What breaks when, on the clock of the power-up.
-        chances: What may happen in an episode, on the clock of the episode.
+        faults: Scheduled faults, on the clock of the power-up.
+        chances: Faults that may happen in an episode, on the clock of the episode.
     """
 
     lowest: float

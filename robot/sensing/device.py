@@ -1,4 +1,4 @@
-"""What can be under a foot, as a user gives it; needs no simulator."""
+"""Instruments under a foot, as a user gives them; needs no simulator."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -38,7 +38,7 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     return resolve(config, LoadCells)
 
 
-def fitted_device(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
+def device_for_feet(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
     """Make a configuration as :func:`foot_device` does; presets have a six-axis sensor a foot."""
     device = foot_device(config)
     return (
@@ -51,10 +51,10 @@ def fitted_device(config: str | Mapping[str, Any] | FootDevice, feet: int) -> Fo
 def first_steps(configs: tuple[FootDevice, ...], dt: float) -> list[float]:
     """Return after how long to read robots that start an episode, again and again, in s.
 
-    Every chip delivers at least once, and what is averaged or on its way runs through.
+    Every chip delivers at least once, and readings in filters or on their way run through.
 
     Args:
-        configs: What is under a foot.
+        configs: The instruments under a foot.
         dt: Duration of a control step in s.
     """
     slowest = max(

@@ -1,6 +1,5 @@
-"""What each robot of a kind is equipped with, and what one of them has under its feet in its condition."""
+"""The equipment of a kind of robot, and the instruments under one robot's feet in its condition."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from hashlib import sha256
 from typing import Any, Final, NamedTuple
@@ -9,15 +8,14 @@ from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.condition import (
     Condition,
     Conditions,
-    Faults,
-    Severity,
     faults_of,
     severity_range,
 )
-from surefoot.robot.sensing.device import FootDevice, fitted_device
+from surefoot.robot.sensing.device import device_for_feet
+from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.instruments import Instruments, check_capacity, usual_cells
-from surefoot.robot.streams import SENSOR_STREAM, check_stream, device_streams
-from surefoot.sensors import Encoders, Imu, Link, channel_faults, scaled
+from surefoot.robot.streams import check_stream, device_streams
+from surefoot.sensors import Encoders, Imu, channel_faults, scaled
 from surefoot.sensors.corruption import Corruption
 from surefoot.sensors.devices.native_device import NativeDevice, native_here
 from surefoot.sensors.devices.native_faults import FAULTS, Broken
@@ -39,13 +37,13 @@ ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
 
 
 class Fitted(NamedTuple):
-    """What one robot has under its feet, in its condition.
+    """The instruments under one robot's feet, in its condition.
 
     Attributes:
         condition: How bad it is.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
         broken: The faults of channels, or ``None``.
-        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` for what it
+        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` where it
             has no room for.
     """
 
@@ -56,32 +54,23 @@ class Fitted(NamedTuple):
 
 
 class Equipment:
-    """What each robot of a kind is equipped with.
+    """The equipment of a kind of robot.
 
     Args:
         owner: The wrapper that asks, for messages.
         drawing: The robot.
         joint_names: Its J hinge joints.
         dt: Duration of a control step in s.
-        config: As of :class:`~surefoot.wrappers.FootSensors`, like all that follow.
-        ankles: Six-axis sensors besides load cells.
-        imu: The IMU; ``None`` for a NAO's on a robot that has a NAO's joint ``"LHipYawPitch"``, and that of
-            an onboard computer on others.
-        encoders: The joint encoders, likewise.
-        link: The link over which encoders and IMU reach the host, likewise.
-        severity: Factor of all errors of the feet's sensors, or the lowest and the highest.
-        faults: What breaks when, or with what probability.
-        fresh: Whether every reset draws fresh sensors.
-        stream: Number of the random stream.
+        given: The sensors that the user put on it.
         seldom: Whether truth is read in one of several substeps of a control step.
 
     Attributes:
         seldom: The same.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
-        conditions: What a robot's condition is drawn from.
-        fitted: What a robot has under its feet before anything is drawn.
+        conditions: The distribution of a robot's condition.
+        fitted: The instruments under a robot's feet before anything is drawn.
         computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
 
     Raises:
@@ -95,41 +84,33 @@ class Equipment:
         drawing: RobotDrawing,
         joint_names: tuple[str, ...],
         dt: float,
-        config: str | Mapping[str, Any] | FootDevice | None = None,
-        *,
-        ankles: str | Mapping[str, Any] | FootDevice | None = None,
-        imu: str | Mapping[str, Any] | Imu | None = None,
-        encoders: str | Mapping[str, Any] | Encoders | None = None,
-        link: str | Mapping[str, Any] | Link | None = None,
-        severity: Severity = 1.0,
-        faults: Faults = (),
-        fresh: bool = False,
-        stream: int = SENSOR_STREAM,
+        given: FootEquipment,
         seldom: bool = False,
     ) -> None:
-        check_stream(owner, stream)
+        check_stream(owner, given.stream)
         self.seldom = seldom
         self.drawing, self._joint_names = drawing, joint_names
-        cells_or_ankles = usual_cells(drawing) if config is None else config
+        config = usual_cells(drawing) if given.config is None else given.config
         feet = len(drawing.feet)
-        self._devices = [fitted_device(part, feet) for part in (cells_or_ankles, ankles) if part is not None]
+        self._devices = [device_for_feet(part, feet) for part in (config, given.ankles) if part is not None]
         self._dt = dt
-        lowest, highest = severity_range(severity)
+        lowest, highest = severity_range(given.severity)
         # Of both ends, so that a severity that a device cannot have is refused here.
         self.fitted, *_ = [self.fit(Condition(end, ())) for end in dict.fromkeys((lowest, highest))]
         self._cells = self.fitted.instruments.layout.feet[0].channel_names
-        self.conditions = Conditions(lowest, highest, *faults_of(faults, drawing.sides, self._cells))
+        self.conditions = Conditions(lowest, highest, *faults_of(given.faults, drawing.sides, self._cells))
         if self.conditions.usual != self.fitted.condition:
             self.fitted = self.fit(self.conditions.usual)
         self.instruments = self.fitted.instruments
         check_capacity([part.config for part in self.instruments.parts], drawing)
         names = NAO_COMPUTER if NAO_JOINT in joint_names else ONBOARD_COMPUTER
-        imu, encoders = names[0] if imu is None else imu, names[1] if encoders is None else encoders
-        link = names[2] if link is None else link
+        imu = names[0] if given.imu is None else given.imu
+        encoders = names[1] if given.encoders is None else given.encoders
+        link = names[2] if given.link is None else given.link
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         self._link_by_name = isinstance(link, str)
         self.computer = tuple(part if isinstance(part, str) else "custom" for part in (imu, encoders, link))
-        self.fresh, self._stream = fresh, stream
+        self.fresh, self._stream = given.fresh, given.stream
 
     def with_severity(self, conditions: Conditions, severity: Any) -> Conditions:
         """Return conditions of another severity, a number or (lowest, highest).
@@ -153,7 +134,7 @@ class Equipment:
         return conditions._replace(faults=given, chances=chances)
 
     def fit(self, condition: Condition) -> Fitted:
-        """Return what a robot in some condition has under its feet.
+        """Make the instruments under the feet of a robot in some condition.
 
         Raises:
             ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
@@ -190,7 +171,7 @@ class Equipment:
         return telemetry_of(len(self._joint_names), imu, encoders, link, dt, substeps)
 
     def notes(self) -> dict[str, str]:
-        """Return what hardware that is saved belongs to."""
+        """Name the robot and the sensors that saved hardware belongs to."""
         return {
             "robot": _robot_note(self.drawing, self._joint_names),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
@@ -200,7 +181,7 @@ class Equipment:
 
 
 def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
-    """Return which robot it is, to be kept with what is saved of it."""
+    """Identify a robot in files that are saved of it."""
     places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
     mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
     return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"

@@ -1,7 +1,8 @@
 """The instruments under one robot's feet: load cells, six-axis sensors in the ankles, or both.
 
-Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). What a
-level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a calibrator.
+Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). A force
+that a level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a
+calibrator.
 """
 
 import warnings
@@ -34,7 +35,7 @@ PEAK: Final = 1.5
 
 
 class InstrumentsState(NamedTuple):
-    """What hardware keeps while the power is on.
+    """State that hardware keeps while the power is on.
 
     Attributes:
         cells: State of the load cells, or ``()``.
@@ -57,7 +58,7 @@ class CellsUnderFeet:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
-        kind: What they are in the library.
+        kind: Their kind in the library.
 
     Raises:
         ValueError: If a foot has no place for cells, or their numbers differ.
@@ -145,7 +146,7 @@ class SensorsInAnkles:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
-        kind: What they are in the library.
+        kind: Their kind in the library.
 
     Raises:
         ValueError: If there are more or fewer of them than feet.
@@ -213,7 +214,7 @@ class SensorsInAnkles:
         return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
     def cross_talk(self, state: ForceTorqueState) -> Floats:
-        """Return what each channel reads of the others' loads, a row a channel, shape (K, K)."""
+        """Return each channel's reading of the others' loads, a row a channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
         off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
@@ -271,14 +272,14 @@ class Instruments:
             )
         )
         self.nominal = self._parameters([part.nominal for part in self.parts])
-        self.slope = self.joined([part.slope for part in self.parts])
-        self.zero_code = self.joined([np.full(part.channels, part.zero_code) for part in self.parts])
-        low, high = (self.joined([part.code_range[i] for part in self.parts]) for i in (0, 1))
+        self.slope = self.join([part.slope for part in self.parts])
+        self.zero_code = self.join([np.full(part.channels, part.zero_code) for part in self.parts])
+        low, high = (self.join([part.code_range[i] for part in self.parts]) for i in (0, 1))
         self.code_range = low, high
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
-        self.ages = self.joined([np.full(part.channels, part.age) for part in self.parts])
+        self.ages = self.join([np.full(part.channels, part.age) for part in self.parts])
 
     def first_steps(self, dt: float) -> list[float]:
         """Return :func:`~surefoot.robot.sensing.device.first_steps` of these, dt apart."""
@@ -307,7 +308,7 @@ class Instruments:
             reading, after = part.read(truth, getattr(state, part.name), streams[part.name], dt)
             readings.append(reading)
             state = state._replace(**{part.name: after})
-        return readings[0] if self._one else self.joined(readings), state
+        return readings[0] if self._one else self.join(readings), state
 
     def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
         """Return the state under the loads of now, at an episode start."""
@@ -319,13 +320,13 @@ class Instruments:
         """Return the map that undoes their errors now: truth, to score calibrators against."""
         return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
 
-    def joined(self, parts: list[Floats]) -> Floats:
+    def join(self, parts: list[Floats]) -> Floats:
         """Put one row a device into one row, foot by foot."""
         row: Floats = np.concatenate(parts)[self.order]
         return row
 
     def _parameters(self, parts: list[Parameters]) -> Parameters:
-        return Parameters(*(self.joined([part[i] for part in parts]) for i in (0, 1)))
+        return Parameters(*(self.join([part[i] for part in parts]) for i in (0, 1)))
 
     def _foot_by_foot(self, feet: int) -> NDArray[np.intp]:
         per_foot = [part.channels // feet for part in self.parts]
@@ -357,17 +358,17 @@ def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None
 
 
 def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:
-    """Return whether a foot's instruments are rated for what it has to bear; ideal ones bear everything."""
+    """Return whether a foot's instruments are rated for its load; ideal ones bear everything."""
     if isinstance(device, LoadCells):
         ideal = device.adc_bits == 0 and not device.mechanics.acts
     else:
         ideal = not device.converts
     if ideal:
         return True
-    return _rated(device, drawing) >= PEAK * drawing.weight
+    return _capacity(device, drawing) >= PEAK * drawing.weight
 
 
-def _rated(device: FootDevice, drawing: RobotDrawing) -> float:
+def _capacity(device: FootDevice, drawing: RobotDrawing) -> float:
     """Return the load in N that a foot's instruments are rated for."""
     if isinstance(device, LoadCells):
         return device.channels // len(drawing.feet) * device.capacity
@@ -392,14 +393,14 @@ def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
     )
     least = f"{PEAK * drawing.weight:.0f} N"
     return (
-        f"{what} are rated for {_rated(device, drawing):.0f} N a foot, and a foot of this robot of "
+        f"{what} are rated for {_capacity(device, drawing):.0f} N a foot, and a foot of this robot of "
         f"{drawing.weight:.0f} N bears {least} when it lands: they are overloaded, or read too little. "
         f"To choose others, {way_out}."
     )
 
 
 def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float]:
-    """Return the options of a calibrator that follow from what is under the feet.
+    """Return the options of a calibrator that follow from the instruments under the feet.
 
     A foot whose channels have no places of their own gets a length.
 

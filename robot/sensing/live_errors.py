@@ -13,7 +13,7 @@ from surefoot.sensors import Corruption, channel_faults, parse_fault
 
 @dataclass
 class _Broken:
-    """A channel that is broken: in words, what it does to readings, and the state of that."""
+    """A channel that is broken: in words, its effect on readings, and the state of that."""
 
     words: str
     fault: Corruption[Any]
@@ -31,7 +31,7 @@ class LiveErrors:
     Args:
         instruments: What is under the feet; its hardware must not drift by itself.
         walks: Densities of the drift of scale and offset in 1/sqrt(s) and N/sqrt(s), at a ``drift`` of 1.
-        tempcos: Standard deviations of what a kelvin adds to them in 1/K and N/K, each channel its own.
+        tempcos: Standard deviations of their change by a kelvin in 1/K and N/K, each channel its own.
         feet: Names of the feet, for words.
         dt: Time between readings in s.
         rng: Where the drift comes from.
@@ -68,11 +68,11 @@ class LiveErrors:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What is broken, in words, in the order in which it broke."""
+        """The faults, in words, in the order in which they came."""
         return tuple(broken.words for broken in self._broken)
 
     def read(self, raw: NDArray[np.float64], hardware: Parameters) -> NDArray[np.float64]:
-        """Return what the host reads in place of the hardware's readings, in counts, shape (K,).
+        """Return the host's readings in place of the hardware's, in counts, shape (K,).
 
         Args:
             raw: Readings of the hardware in counts, shape (K,); NaN where none arrived.

@@ -1,4 +1,4 @@
-"""All sensors of one robot by the library: a step or an episode's start in one call, and what is seen."""
+"""All sensors of one robot by the library: a step or an episode's start in one call, with the observation."""
 
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
@@ -32,12 +32,12 @@ class NativeSensing:
 
     Args:
         truth: A control step, as long as all that it takes.
-        instruments: What is under the feet.
+        instruments: The instruments under the feet.
         devices: The same as the library has it, and the faults, by their places in ``DEVICES``.
         telemetry: The telemetry, if anybody listens.
         dt: Duration of a control step in s.
         kept: Where the newest packet's values and the counts that are held lie.
-        view: What is seen, if anything is put together.
+        view: The view, if an observation is put together.
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
@@ -72,7 +72,7 @@ class NativeSensing:
         for state in self._states.values():
             kind = state.owner.kind.name
             numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
-        observed, to, taken = _NOTHING if view is None else view.measured()
+        observed, to, taken = _NOTHING if view is None else view.state_places()
         self._observed = observed if len(observed) else None
         self._seen = Record(
             np.dtype(
@@ -100,7 +100,7 @@ class NativeSensing:
             "to": to,
         }
         self._shape = self._truth.shape
-        where = truth.sensed_columns()
+        where = truth.sensor_columns()
         numbers |= {
             "columns": self._shape[-1],
             "at_joints": where.joints,
@@ -126,7 +126,7 @@ class NativeSensing:
             }
         numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0}
         numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
-        records = library.filled(
+        records = library.record_of(
             "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
         )
         assert records is not None
@@ -146,7 +146,7 @@ class NativeSensing:
             state.take(faults if name == "faults" else getattr(instruments, name))
 
     def python(self) -> tuple[InstrumentsState, Any]:
-        """Return what is under the feet and what is broken about it as the Python has it, as a copy."""
+        """Return instruments and faults as the Python has them, as a copy."""
         states = {name: state.python() for name, state in self._states.items()}
         faults = states.pop("faults", ())
         return InstrumentsState(**states), faults
@@ -156,9 +156,9 @@ class NativeSensing:
 
         Args:
             truth: In which it starts.
-            at_rest: What the IMU feels before it, shape (6,).
+            at_rest: The IMU's input before it, shape (6,).
             fresh: Whether IMU and encoders are drawn.
-            observation: What the environment shows.
+            observation: The environment's observation.
         """
         if truth.rows.shape != self._shape:
             return None
@@ -175,7 +175,7 @@ class NativeSensing:
         Args:
             truth: The control step.
             time: The host's at its end in s.
-            observation: What the environment shows.
+            observation: The environment's observation.
         """
         return self._read(truth, time, 0, observation) if self.takes(truth.rows.shape) else None
 
@@ -190,7 +190,7 @@ class NativeSensing:
         return self._at
 
     def tell(self, told: int) -> None:
-        """Learn what the library says of a step: how many packets have arrived, and how many are coming."""
+        """Take over the library's counts of a step: packets that have arrived, and packets on their way."""
         if self._telemetry is not None:
             self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
 
@@ -202,9 +202,9 @@ class NativeSensing:
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
-        return raw, self._view.seen(observation, counts, None if self._observed is None else state)
+        return raw, self._view.compose(observation, counts, None if self._observed is None else state)
 
-    def arrived(self) -> tuple[int, int] | None:
+    def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
         return None if self._telemetry is None else (self._telemetry.arrived_address, self._count)
 
@@ -217,7 +217,7 @@ class ManySensing:
     """Control steps of many robots in one call of the library.
 
     Args:
-        robots: What reads each of them.
+        robots: The readers of each of them.
 
     Attributes:
         robots: The same.
@@ -263,17 +263,17 @@ def native_sensing(
     kept: tuple[NDArray[np.float64], NDArray[np.float32]],
     view: RawView | None,
 ) -> NativeSensing | None:
-    """Return what reads a robot by the library; ``None`` where Python does, as one of its parts does not fit.
+    """Make the library's reader of a robot; ``None`` where Python reads, as one of its parts does not fit.
 
     Args:
-        truth: As of :class:`NativeSensing`, like what is not described here.
-        instruments: What is under the feet.
-        devices: The same as the library has it; ``None`` for what does not fit.
+        truth: As of :class:`NativeSensing`, like all that is not described here.
+        instruments: The instruments under the feet.
+        devices: The same as the library has it; ``None`` for those that do not fit.
         telemetry: The telemetry; ``None`` where nobody listens.
         telemetry_state: Its state; ``None`` before an episode.
         dt: Duration of a control step in s.
-        kept: What is kept.
-        view: What is seen.
+        kept: The values that are kept.
+        view: The view.
     """
     if any(device is None for device in devices.values()) or truth.rows.dtype != np.float64:
         return None

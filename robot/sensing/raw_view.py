@@ -1,4 +1,4 @@
-"""What is observed of sensors instead of truth: counts under the feet, and telemetry in the state."""
+"""The observation of sensors instead of truth: counts under the feet, and telemetry in the state."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -25,13 +25,13 @@ class RawView:
     """Shows readings instead of truth, of one robot or of many.
 
     Args:
-        shown: The space of what the environment shows of one robot.
+        shown: The environment's observation space of one robot.
         readings: The space of the readings.
         state_layout: Where parts of ``"state"`` lie that telemetry has; ``None`` leaves it as it is.
-        packet: What a packet holds.
+        packet: Columns of a packet.
 
     Attributes:
-        space: What is shown.
+        space: The observation space.
         bounds: Those of the state, of which parts are measured; of nothing where none are.
     """
 
@@ -58,7 +58,7 @@ class RawView:
         """Show one step; the environment's arrays are not changed.
 
         Args:
-            observation: What the environment shows, of all robots at once.
+            observation: The environment's observation, of all robots at once.
             counts: The last reading of each channel that has arrived, shape (..., K).
             newest: Values of the newest packet, shape (..., C).
         """
@@ -70,15 +70,15 @@ class RawView:
             low, high = self.bounds
             np.maximum(state, low, out=state)
             np.minimum(state, high, out=state)
-        return self.seen(observation, counts.copy(), state)
+        return self.compose(observation, counts.copy(), state)
 
-    def seen(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
-        """Put together what is seen.
+    def compose(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
+        """Put together the observation.
 
         Args:
-            observation: What the environment shows.
-            counts: What is shown of the readings.
-            state: What is shown as the state; ``None`` for the environment's own.
+            observation: The environment's observation.
+            counts: The readings to show.
+            state: The state to show; ``None`` for the environment's own.
         """
         if not self._was_dict:
             return {"state": own_copy(observation), "foot_raw": counts}
@@ -90,7 +90,7 @@ class RawView:
         seen["foot_raw"] = counts
         return seen
 
-    def measured(self) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    def state_places(self) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
         """Return room for a state to be shown, and which of its numbers are which ones of a packet."""
         to, taken = (
             np.array([i for pair in self._measured for i in range(pair[k].start, pair[k].stop)], np.int32)

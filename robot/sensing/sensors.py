@@ -27,11 +27,11 @@ _EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
 
 
 class HardwareState(NamedTuple):
-    """What stays as it is while the power is on, whatever happens to the robot.
+    """State that stays as it is while the power is on, whatever happens to the robot.
 
     Attributes:
-        instruments: What is under the feet.
-        faults: What is broken about it, or ``()``; of faults by chance as well, which last for an episode.
+        instruments: The instruments under the feet.
+        faults: Its faults, or ``()``; of faults by chance as well, which last for an episode.
         telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
             where nobody listens.
         severity: Factor of its errors, or ``None`` where it is the same for all robots.
@@ -44,16 +44,16 @@ class HardwareState(NamedTuple):
 
 
 class RobotSensors:
-    """One robot's sensors, and what its host has of them.
+    """One robot's sensors, and the host's copies of their readings.
 
     Args:
-        equipment: What it is equipped with.
+        equipment: Its equipment.
         listening: Whether telemetry is sent.
-        view: What is seen of it, if the library is to put that together as well.
+        view: Its view, if the library is to put the observation together as well.
 
     Attributes:
         equipment: The same.
-        conditions: What its condition is drawn from: its severity with fresh sensors, faults by chance at
+        conditions: The distribution of its condition: its severity with fresh sensors, faults by chance at
             each reset. They may be changed, for the next one.
         listening: Whether telemetry is sent from the next reset on.
         time: The host's time since the reset in s.
@@ -92,10 +92,10 @@ class RobotSensors:
             dt: Duration of a control step in s.
             seed: Of the reset.
             choice: ``"fresh"`` or ``"keep"``, if it was asked for.
-            observation: What the environment shows, where there is a view.
+            observation: The environment's observation, where there is a view.
 
         Returns:
-            What is seen; ``None`` where the view is left to the caller.
+            The observation; ``None`` where the view is left to the caller.
         """
         if seed is not None:
             self._streams = self.equipment.streams(seed)
@@ -113,7 +113,7 @@ class RobotSensors:
         sensing = self._by_library(truth)
         read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
         if read is not None:
-            return self._seen(read)
+            return self._take_over(read)
         self._leave_library()
         self._begin(truth, at_rest, draws)
         return None
@@ -123,16 +123,16 @@ class RobotSensors:
 
         Args:
             truth: The step.
-            observation: What the environment shows, where there is a view.
+            observation: The environment's observation, where there is a view.
 
         Returns:
-            What is seen; ``None`` where the view is left to the caller.
+            The observation; ``None`` where the view is left to the caller.
         """
         self.time += self.telemetry.dt
         sensing = self._sensing or self._by_library(truth)
         read = None if sensing is None else sensing.step(truth, self.time, observation)
         if read is not None:
-            return self._seen(read)
+            return self._take_over(read)
         self._leave_library()
         self._read(truth, self.telemetry.dt)
         if self._telemetry_state is not None:
@@ -147,7 +147,7 @@ class RobotSensors:
         return None
 
     def reader(self, shape: tuple[int, ...]) -> NativeSensing | None:
-        """Return what reads the next control step by the library; ``None`` where :meth:`step` has to.
+        """Return the library's reader of the next control step; ``None`` where :meth:`step` has to.
 
         Args:
             shape: Of its rows of truth.
@@ -166,9 +166,9 @@ class RobotSensors:
             self._packets = () if self._sensing is None else self._sensing.packets()
         return self._packets
 
-    def arrived(self) -> tuple[int, int] | None:
+    def packet_rows(self) -> tuple[int, int] | None:
         """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
-        return None if self._packets is not None or self._sensing is None else self._sensing.arrived()
+        return None if self._packets is not None or self._sensing is None else self._sensing.packet_rows()
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -179,7 +179,7 @@ class RobotSensors:
 
     @property
     def telemetry(self) -> Telemetry:
-        """What the packets hold (``telemetry.layout``) and how often they are sent."""
+        """The layout of the packets (``telemetry.layout``) and their rate."""
         if self._telemetry is None:
             raise gym.error.ResetNeeded("There is no telemetry before the first reset().")
         return self._telemetry
@@ -199,7 +199,7 @@ class RobotSensors:
         return self.conditions.by_chance or self.conditions != self.equipment.conditions
 
     def true_condition(self) -> dict[str, NDArray[Any]]:
-        """Return what was drawn, as truth for a critic: ``severity``, and ``fault`` (K,) of each channel.
+        """Return the condition, as truth for a critic: ``severity``, and ``fault`` (K,) of each channel.
 
         A channel's is 0, or 1 plus the place of its fault in :data:`~surefoot.sensors.faults.channels.KINDS`.
         """
@@ -208,7 +208,7 @@ class RobotSensors:
         return {"severity": np.array(severity), "fault": states}
 
     def hardware(self) -> HardwareState:
-        """Return what the hardware is now, telemetry's part included, as the Python has it."""
+        """Return the present hardware, telemetry's part included, as the Python has it."""
         found, conditions = self._devices, self.conditions
         if conditions.chances:
             found = found._replace(faults=())
@@ -229,13 +229,13 @@ class RobotSensors:
             self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
 
     def notes(self) -> dict[str, str]:
-        """Return what hardware that is saved belongs to."""
+        """Name the robot and the sensors that saved hardware belongs to."""
         read = "none" if self._telemetry_state is None else "an IMU and encoders, which are read"
         return {**self.equipment.notes(), "telemetry": read}
 
     @property
     def _devices(self) -> HardwareState:
-        """What is under the feet and what is broken about it, as the Python has it."""
+        """The instruments under the feet and their faults, as the Python has them."""
         if self._hardware is None:
             raise RuntimeError("There are no sensors before the first reset(), which draws them.")
         return self._hardware if self._sensing is None else HardwareState(*self._sensing.python(), None)
@@ -266,7 +266,7 @@ class RobotSensors:
         if self._sensing is not None:
             self._packets, self._hardware, self._sensing = self.packets, self._devices, None
 
-    def _seen(self, read: Seen) -> dict[str, Any] | None:
+    def _take_over(self, read: Seen) -> dict[str, Any] | None:
         self._packets = None  # made of the library's rows when somebody asks
         self._raw, seen = read
         return seen
@@ -278,7 +278,7 @@ class RobotSensors:
         return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "_sensing": None}
 
     def _renew(self, fresh: bool) -> None:
-        """Draw what an episode begins with; sensors of the telemetry are drawn as that begins."""
+        """Draw the hardware of an episode's start; sensors of the telemetry are drawn as that begins."""
         before, streams, equipment = self._fitted, self._streams, self.equipment
         condition = self.conditions.draw(
             before.condition, fresh, before.instruments.channels, streams["condition"]
@@ -321,7 +321,7 @@ class RobotSensors:
         self._hardware = hardware
 
     def _note(self) -> None:
-        """Keep what has arrived."""
+        """Keep the readings that have arrived."""
         arrived = ~np.isnan(self.raw)
         self.held[arrived] = self.raw[arrived]
         if self.packets:
@@ -329,7 +329,7 @@ class RobotSensors:
 
 
 def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
-    """Write what the hardware of robots keeps while the power is on to an ``.npz``.
+    """Write the hardware's lasting state of robots to an ``.npz``.
 
     Raises:
         RuntimeError: If nothing was drawn yet.

@@ -200,9 +200,9 @@ class ForceTorqueState(NamedTuple):
 
     Attributes:
         error: E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales
-            beside it (row: what reads, column: what is felt), shape (sensors, 6, 6).
+            beside it (row: the channel that reads, column: the load), shape (sensors, 6, 6).
         offset: z in N and N m, shape (sensors, 6).
-        wire: What is on the wire; ``()`` where nothing happens to codes.
+        wire: State of the wire; ``()`` where nothing happens to codes.
     """
 
     error: Array

@@ -17,7 +17,7 @@ NO_STEP = 2.0**-60
 class Imu:
     """An inertial measurement unit; the defaults are a NAO V5's, at a resolution read off a real log.
 
-    Noise, biases and walks are typical of consumer chips; a bias is what is left after the usual
+    Noise, biases and walks are typical of consumer chips; a bias is the rest after the usual
     zeroing of the gyroscope at rest.
     """
 
@@ -78,8 +78,8 @@ class ImuState(NamedTuple):
 
     Attributes:
         bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,).
-        matrix: What the accelerometers and the gyroscopes read of the three components (row: what reads,
-            column: what is felt), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right.
+        matrix: Readings of the accelerometers and the gyroscopes of the three components (row: the sensor,
+            column: the component), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right.
     """
 
     bias: Array

@@ -1,4 +1,4 @@
-"""What a set of load cells is: its data sheet, its errors and what a robot may know of it."""
+"""A set of load cells: its data sheet, its errors and the map that a robot may know."""
 
 from dataclasses import dataclass
 

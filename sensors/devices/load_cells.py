@@ -4,7 +4,7 @@ The order of the stages is the order in the instrument. The spring element acts 
 (:mod:`surefoot.sensors.stages.mechanics`), unless it is left ideal. A bridge turns the load into a voltage
 with a scale that is not quite the data sheet's and adds an offset; both drift. The converter averages over
 a conversion, and over its last few ones if it has a filter, adds noise, clips, rounds, and finishes a
-conversion when its own clock says so. The host reads what the wire
+conversion when its own clock says so. The host reads the codes that the wire
 (:mod:`surefoot.sensors.transport.wire`) brings.
 
     s = round(s_0 + k ((1 + g) F + z) + n)
@@ -35,10 +35,10 @@ from surefoot.sensors.stages.clock import (
     settle,
 )
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
-from surefoot.sensors.stages.mechanics import mechanics, shifted_offset
+from surefoot.sensors.stages.mechanics import mechanics, offset_shift
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.nonlinearity import bent
-from surefoot.sensors.stages.temperature import thermal_drift, warmed
+from surefoot.sensors.stages.temperature import temperature_rise, thermal_drift
 from surefoot.sensors.transport.wire import WireState, wire
 
 
@@ -50,16 +50,16 @@ class LoadCellState(NamedTuple):
         due: Time to the next conversion in s, shape (K,).
         charge: Integral of the load since the last conversion up to now in N s, shape (K,).
         held: The last conversion in counts, shape (K,); NaN before the first.
-        error: What drifts, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the
+        error: The drifting errors, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the
             offset of the bridge in N at the nominal scale (row :data:`OFFSET`).
-        thermal: For cells that warm up, shape (3, K): what a kelvin adds to each of the two errors, in
+        thermal: For cells that warm up, shape (3, K): the change of the two errors by a kelvin, in
             1/K and N/K, and the rise of the temperature since power-up in K (row :data:`RISE`); empty, shape
             (0,), for others.
         window: For converters that average, their last conversions in N (see
             :func:`~surefoot.sensors.stages.clock.settle`; without a clock a
             :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others.
-        mechanics: What the spring elements remember; ``()`` where nothing happens to loads.
-        wire: What is on the wire; ``()`` where nothing happens to codes.
+        mechanics: State of the spring elements; ``()`` where nothing happens to loads.
+        wire: State of the wire; ``()`` where nothing happens to codes.
     """
 
     period: Array
@@ -179,7 +179,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             error[walking] += dt**0.5 * walks[walking] * drawn[: len(walking)]
         if warms:
             tempco, before = thermal[:RISE], thermal[RISE]
-            temperature = warmed(before, ramp, rise, dt)
+            temperature = temperature_rise(before, ramp, rise, dt)
             error = error + tempco * (temperature - before)
             thermal = np.concatenate([tempco, temperature[None]])
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
@@ -228,7 +228,7 @@ def static_counts(
     if state.mechanics:
         if state.mechanics.nonlinearity:
             load = bent(load, state.mechanics.nonlinearity, config.capacity)
-        load = load + shifted_offset(config.mechanics, state.mechanics)
+        load = load + offset_shift(config.mechanics, state.mechanics)
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
         (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )
@@ -241,7 +241,7 @@ def static_counts(
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
-    What impacts and overloads have done is part of the offsets. Nonlinearity, hysteresis and creep, which no
+    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis and creep, which no
     map of counts can undo, are left out.
 
     Returns:
@@ -251,7 +251,7 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     scale = 1.0 / (config.slope * scale_true)
     offset = -config.zero_code * scale - state.error[OFFSET] / scale_true
     if state.mechanics:
-        offset = offset - shifted_offset(config.mechanics, state.mechanics)
+        offset = offset - offset_shift(config.mechanics, state.mechanics)
     return scale, offset
 
 

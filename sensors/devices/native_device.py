@@ -1,7 +1,7 @@
 """Devices of one robot by the library: the same states, the same counts, the same random numbers.
 
-The Python is the specification. It alone reads what is larger than the library's room, and what draws from a
-generator of NumPy's.
+The Python is the specification. It alone reads devices that are larger than the library's room, and those
+that draw from a generator of NumPy's.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     Attributes:
         name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
         build: Makes the Python of a configuration.
-        constants: Returns what is in the first record of a configuration, by its names there.
+        constants: Returns the values of the first record of a configuration, by its names there.
         blocks: Whether it reads blocks of substeps rather than an instant.
         loads: How many loads it reads; ``None`` for as many as it has channels.
     """
@@ -37,7 +37,7 @@ class Kind(NamedTuple):
     blocks: bool = False
     loads: int | None = None
 
-    def felt(self, config: Any) -> int:
+    def count_loads(self, config: Any) -> int:
         """Return how many loads a device of a configuration reads."""
         return int(self.loads or config.channels)
 
@@ -71,19 +71,19 @@ class NativeDevice:
 
     Args:
         library: The library.
-        kind: What it is.
+        kind: Its kind.
         config: The instrument.
         constants: Its constants, as the library has them.
 
     Attributes:
-        kind: What it is.
+        kind: Its kind.
         constants: Its constants.
         layout: Of its states' records.
     """
 
     def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
         self.kind, self._config, self.constants = kind, config, constants
-        self._felt = kind.felt(config)
+        self._felt = kind.count_loads(config)
         self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
         leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
         dtype = library.record(kind.name, leaves)
@@ -124,7 +124,7 @@ class NativeDevice:
             dt: Time since the reading before in s.
 
         Raises:
-            ValueError: If the wire cannot hold what is under way, see
+            ValueError: If the wire cannot hold the readings under way, see
                 :func:`~surefoot.sensors.transport.wire.check_wire`.
         """
         if dt != self._checked:
@@ -145,7 +145,7 @@ def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDev
     """Return the device of one robot by a library; ``None`` for one that it is not made for."""
     if library is None:
         return None
-    record = library.filled(f"{kind.name}_config", kind.constants(config))
+    record = library.record_of(f"{kind.name}_config", kind.constants(config))
     fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
     if record is None or not fits(record.ctypes.data):
         return None

@@ -44,7 +44,7 @@ def _constants(broken: Broken) -> dict[str, Any]:
     every, faults = channels_of(broken.converter), broken.faults
     own = [every[fault.channel] for fault in faults]
     ends = [
-        channel.saturated(fault.level) if fault.kind == "saturated" else (channel.low, channel.high)
+        channel.limits_at(fault.level) if fault.kind == "saturated" else (channel.low, channel.high)
         for fault, channel in zip(faults, own, strict=True)
     ]
     return {

@@ -1,4 +1,4 @@
-"""What a six-axis sensor of strain gauges is: its maker's matrix, its errors and its converter."""
+"""A six-axis sensor of strain gauges: its maker's matrix, its errors and its converter."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from surefoot.sensors.configuration import is_whole, require, require_not_negati
 from surefoot.sensors.devices.force_torque import AXES, per_axis
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import check_creep
-from surefoot.sensors.stages.nonlinearity import coupled_slope
+from surefoot.sensors.stages.nonlinearity import cross_slope
 
 Matrix = tuple[tuple[float, ...], ...]
 """Rows of a matrix; nested tuples, so that configurations compare, hash and travel through JSON."""
@@ -99,7 +99,7 @@ class StrainGauges:
 
     nonlinearity: float = 0.0
     """Largest departure of an axis's cubic term in shares of the full scale, drawn at power-up (see
-    :func:`~surefoot.sensors.stages.nonlinearity.coupled_nonlinearity`) ..."""
+    :func:`~surefoot.sensors.stages.nonlinearity.cross_nonlinearity`) ..."""
 
     cross_nonlinearity: float = 0.0
     """... and of what two axes at their full scales add to each. An affine map left errors up to 16 N of a
@@ -152,7 +152,7 @@ class StrainGauges:
             most = getattr(self, f"full_scale_{name}")
             field = f"hysteresis_true_{name}"
             require(getattr(self, field) <= most, self, field, f"be at most the full scale, {most}")
-        possible = coupled_slope(self.nonlinearity, self.cross_nonlinearity, AXES) < 1.0
+        possible = cross_slope(self.nonlinearity, self.cross_nonlinearity, AXES) < 1.0
         rule = "keep 5.2 nonlinearity + 30 cross_nonlinearity below 1, or two loads could have one reading"
         require(possible, self, "cross_nonlinearity", rule)
         check_creep(self)

@@ -6,14 +6,14 @@ Nori, 2015, Eq. 2, turned round),
 .. math:: r = \mathrm{round}(A w + o + n), \qquad w = C (r - o), \quad C A = I.
 
 The maker measured :math:`A_0` once and supplies :math:`C_0 = A_0^+`. Since then every axis has changed a
-little, many times, and each change acted on what the ones before had left:
+little, many times, and each change acted on the result of the ones before:
 
 .. math:: A = A_0 (I + D X D^{-1} / N)^N, \qquad N = 64,
 
 with the full scales :math:`D` of the axes and a normal :math:`X`, errors of the scales on its diagonal and
 cross-talk beside it. To first order this is :math:`A_0 (I + D X D^{-1})`, but no scale changes its sign and
 no sensor loses an axis, however large the errors. Offsets, their drift and the noise are those of the gauges,
-and are given as what :math:`C_0` makes of them. More than six gauges have offsets and noise of the same size
+and are given as forces by :math:`C_0`. More than six gauges have offsets and noise of the same size
 that no wrench could cause: that is the redundancy of such gauges.
 
 The element bends out of proportion, creeps and lags (see :mod:`surefoot.sensors.stages.nonlinearity`,
@@ -33,8 +33,8 @@ from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
-from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
-from surefoot.sensors.stages.temperature import warmed
+from surefoot.sensors.stages.nonlinearity import cross_nonlinearity
+from surefoot.sensors.stages.temperature import temperature_rise
 
 DOUBLINGS = 6
 """The matrix has changed in N = 2^6 small steps: squared six times."""
@@ -51,12 +51,12 @@ class StrainGaugeState(NamedTuple):
 
     Attributes:
         response: A without the heat in counts per N and N m, shape (k, 6); constant from power-up.
-        tempco: What a kelvin adds to a gauge, shape (2, k): to its scale, relative, in 1/K (row
+        tempco: The change of a gauge by a kelvin, shape (2, k): to its scale, relative, in 1/K (row
             :data:`SCALE`), and to its offset in counts/K (row :data:`OFFSET`); constant from power-up.
         offset: o in counts, with drift and heat, shape (k,).
         temperature: Rise since power-up in K, shape ().
-        creep: What the loads have left to creep.
-        hysteresis: What the loads have left in the slacks.
+        creep: The creep of the loads so far.
+        hysteresis: The slacks under the loads so far.
         bend: A ``CoupledState``; ``()`` where the element is linear.
     """
 
@@ -101,7 +101,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
     creeping = creep(config.creep_shares, config.creep_time_constants)
     bends = config.bends
-    bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
+    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         check_channels(shape, k)
@@ -138,7 +138,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             offset = offset + dt**0.5 * (drawn @ walk_map)
         temperature = before
         if config.temperature_ramp:
-            temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
+            temperature = temperature_rise(before, config.temperature_ramp, config.temperature_rise, dt)
             offset = offset + tempco[OFFSET] * (temperature - before)
             counts = counts * (1.0 + tempco[SCALE] * temperature)
         counts = counts + offset
@@ -189,7 +189,7 @@ def shift_offset(
 
 
 def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each of what lags, the axes or the gauges, is at its full scale, and where it reads true.
+    """Return where each axis or gauge that lags is at its full scale, and where it reads true.
 
     Returns:
         The largest amplitudes in N and N m or in counts, and those that read true in shares of them.

@@ -1,6 +1,6 @@
 """Faults by chance: ``{"dies": 0.02, "within 20 s drops 30 %": 0.05}``.
 
-A key says what may happen to a channel, in the words of :mod:`surefoot.sensors.faults.words` without the
+A key names a fault of a channel, in the words of :mod:`surefoot.sensors.faults.words` without the
 cell, and when: from the first reading on unless it begins with a time. Its value is the probability that this
 happens to a channel in an episode::
 
@@ -28,7 +28,7 @@ _TIMED = re.compile(r"(at t=\S+ s|from t=\S+ s to t=\S+ s) (.+)")
 
 
 class FaultChance(NamedTuple):
-    """What may happen to each channel of a robot.
+    """A fault that may happen to each channel of a robot.
 
     Attributes:
         fault: The fault, of channel 0.
@@ -57,10 +57,10 @@ def parse_chances(chances: Mapping[str, float]) -> tuple[FaultChance, ...]:
 
 
 def draw_faults(chances: tuple[FaultChance, ...], channels: int, rng: Rng) -> tuple[Fault, ...]:
-    """Draw what happens to a robot's channels in one episode; at most one fault a channel.
+    """Draw the faults of a robot's channels in one episode; at most one fault a channel.
 
     Args:
-        chances: What may happen; what stands first comes first.
+        chances: The possible faults; the first one comes first.
         channels: Number of the channels, K.
         rng: Where chance comes from: 3 numbers a chance and a channel, whatever happens.
     """

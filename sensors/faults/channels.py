@@ -1,10 +1,10 @@
-"""Faults of single channels: what wires, chips and bridges do when they break.
+"""Faults of single channels: how wires, chips and bridges break.
 
 A fault acts on the counts that a host reads, from its start to its stop, and leaves everything before and
 after as it was. Faults are applied in the order in which they are given: to swap a dead channel is not the
 same as to kill a swapped one.
 
-| Kind | What the host reads | Parameters |
+| Kind | The host reads | Parameters |
 |------|---------------------|------------|
 | ``"dead"`` | the code of an unloaded cell, whatever the load | |
 | ``"stuck"`` | the last reading before the fault | |
@@ -35,7 +35,7 @@ ROUNDING = 1e-6
 
 
 class Converter(Protocol):
-    """What faults need of an instrument, such as :class:`~surefoot.sensors.LoadCells`."""
+    """The part of an instrument that faults need, such as :class:`~surefoot.sensors.LoadCells`."""
 
     @property
     def slope(self) -> NDArray[np.float64]:
@@ -234,7 +234,7 @@ class Channel(NamedTuple):
         """Return a code that a converter can put out."""
         return float(limit(code, self.low, self.high))
 
-    def saturated(self, level: float | None) -> tuple[float, float]:
+    def limits_at(self, level: float | None) -> tuple[float, float]:
         """Return the lowest and the highest code that is left; without a level both are the rail."""
         presses = self.slope > 0.0
         if level is None:
@@ -259,7 +259,7 @@ def _misread(fault: Fault, channel: Channel, code: float, draws: Any, dt: float)
         case "dead":
             return code * 0.0 + channel.unloaded
         case "saturated":
-            return float(limit(code, *channel.saturated(fault.level)))
+            return float(limit(code, *channel.limits_at(fault.level)))
         case "spiking":
             if draws[0] >= 1.0 - np.exp(-fault.rate * dt):
                 return code

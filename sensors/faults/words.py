@@ -1,6 +1,6 @@
 """Faults in words: ``"at t=12 s cell left/2 dies"``.
 
-A line says when, which cell and what, in this order::
+A line names moment, cell and fault, in this order::
 
     at t=12 s cell left/2 dies
     from t=3 s to t=5 s cell right/front-left sticks

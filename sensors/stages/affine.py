@@ -1,4 +1,4 @@
-"""Scale and offset, fixed or drifting: what turns a load into a voltage, and a voltage into a count.
+"""Scale and offset, fixed or drifting: the map from a load to a voltage, and a voltage into a count.
 
 The drifting ones are random walks, b_{k+1} = b_k + sigma sqrt(dt) w_k with w_k ~ N(0, 1): their spread
 depends on the time that has passed and not on how finely that time was stepped.
@@ -48,7 +48,7 @@ def scale(value: ArrayLike) -> Corruption[FixedState]:
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
         return reading * state.value, state
 
-    return Corruption(_fixed_init(value), apply)
+    return Corruption(_constant_init(value), apply)
 
 
 def offset(value: ArrayLike) -> Corruption[FixedState]:
@@ -61,7 +61,7 @@ def offset(value: ArrayLike) -> Corruption[FixedState]:
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
         return reading + state.value, state
 
-    return Corruption(_fixed_init(value), apply)
+    return Corruption(_constant_init(value), apply)
 
 
 def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
@@ -102,7 +102,7 @@ def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkStat
     return Corruption(_walk_init(initial_std), apply)
 
 
-def _fixed_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
+def _constant_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
     def init(shape: tuple[int, ...], rng: Rng) -> FixedState:
         return FixedState(np.asarray(value, dtype=np.float64))
 

@@ -15,17 +15,17 @@ from surefoot.sensors.randomness import uniform
 
 
 class ClockState(NamedTuple):
-    """The clocks of K chips and what they last put out.
+    """The clocks of K chips and their last outputs.
 
     Attributes:
         period: Time between conversions in s, shape (K,); constant from power-up.
         due: Time from now to the next conversion in s, shape (K,).
         charge: Integral of the signal since the last conversion up to now, in its unit times s, shape (K,).
         held: The last finished conversion, shape (K,); NaN before the first.
-        inner: State of what happens to a signal when it is converted.
+        inner: State of the stages between a signal and its conversion.
         window: The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles
             at once.
-        converter: State of what happens to their mean.
+        converter: State of the stages after the mean.
     """
 
     period: Array
@@ -149,13 +149,13 @@ def sample_and_hold(
     The result has shape (K,). A conversion is the mean since the one before.
 
     Args:
-        inner: What happens to the mean of a conversion, such as noise and rounding. It is stepped
+        inner: Stages on the mean of a conversion, such as noise and rounding. It is stepped
             once a block; chips that finish no conversion in it keep their last, and what their signals
             go through meanwhile is the block's mean.
         rate: Lowest and highest conversion rate of a chip in 1/s; each draws its own.
         settling: Over how many conversions a chip averages, as a sigma-delta converter's filter does: a step
             has settled after as many, and the mean is late by (settling - 1) / 2 of them.
-        converter: What happens to the mean after that, once a block.
+        converter: Stages on the mean after that, once a block.
 
     Raises:
         ValueError: If the rates are not positive and in order, or the number is not a positive whole one.

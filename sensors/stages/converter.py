@@ -1,4 +1,4 @@
-"""What a converter does to a voltage: it adds noise, it clips, and it rounds."""
+"""The converter of a voltage: it adds noise, clips and rounds."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-r"""Hysteresis: what a spring element reads depends on whether the load rose or fell.
+r"""Hysteresis: the reading of a spring element depends on whether the load rose or fell.
 
 The Prandtl-Ishlinskii operator is a sum of play operators, each a slack of half-width :math:`r_i` that lags
 behind the load :math:`x`,
@@ -30,7 +30,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class HysteresisState(NamedTuple):
-    """What a spring element remembers of its loads.
+    """The memory of a spring element.
 
     Attributes:
         plays: Where each slack stands in shares of the full scale, the widest first, shape (P, K); zero for

@@ -1,4 +1,4 @@
-"""What happens to a load before a bridge turns it into a voltage: the metal's part of a load cell.
+"""Stages on a load before a bridge turns it into a voltage: the metal's part of a load cell.
 
 In this order: the characteristic bends (:mod:`~surefoot.sensors.stages.nonlinearity`), the element lags
 (:mod:`~surefoot.sensors.stages.hysteresis`) and creeps (:mod:`~surefoot.sensors.stages.creep`), impacts move
@@ -17,7 +17,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mounting import WARP, mounting
-from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity
+from surefoot.sensors.stages.nonlinearity import random_nonlinearity
 from surefoot.sensors.stages.overload import overload
 
 CELLS_OF_A_FOOT = len(WARP)
@@ -134,7 +134,7 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
     """
     on: dict[str, Corruption[Any]] = {}
     if config.nonlinearity:
-        on["nonlinearity"] = drawn_nonlinearity(config.nonlinearity, capacity)
+        on["nonlinearity"] = random_nonlinearity(config.nonlinearity, capacity)
     if config.hysteresis:
         on["hysteresis"] = hysteresis(config.hysteresis, capacity, smallest=SMALLEST_LOOP)
     if any(config.creep_shares):
@@ -153,7 +153,7 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
     return Corruption(elements.init, apply)
 
 
-def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
+def offset_shift(config: Mechanics, state: MechanicsState) -> Array | float:
     """Return the change of offsets by impacts and overloads in N, shape (K,); 0.0 without."""
     offset: Array | float = 0.0
     if state.mounting:

@@ -1,4 +1,4 @@
-r"""What impacts do to a foot's offsets: bolts and plates settle, and the cells press against each other.
+r"""The effect of impacts on a foot's offsets: bolts and plates settle, and cells press against each other.
 
 A rigid sole on four cells has one support too many: the cells can press against each other in the one mode
 that changes neither the foot's load nor its moments, (+, -, +, -) around the corners, which is **(+, -, -, +)
@@ -9,7 +9,7 @@ in the order front-left, front-right, rear-left, rear-right**. An impact changes
 
 with the same two random numbers for the whole foot, for good. A force plate was seen to keep (2.55, -2.52,
 2.58, -2.60) N and another (-5.0, 6.3, -5.7, 6.3) N after it was unloaded (recordings of Kistler plates in the
-files of ezc3d). Nobody has published what one impact of a robot's foot does: choose it within these.
+files of ezc3d). Nobody has published the effect of one impact of a robot's foot: choose it within these.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class MountingState(NamedTuple):
     """The mounting of F feet of C cells.
 
     Attributes:
-        offset: What impacts have done to each offset, in the unit of the readings, shape (F * C,).
+        offset: The change of each offset by impacts, in the unit of the readings, shape (F * C,).
         load: Each foot's load at the last reading, shape (F,); NaN before the first.
         impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,).
     """

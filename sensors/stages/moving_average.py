@@ -22,7 +22,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class MovingAverageState(NamedTuple):
-    """What a filter remembers.
+    """The state of a filter.
 
     Attributes:
         window: The readings before, the oldest first, shape (L, K) with L = m (n - 1); NaN before the first,
@@ -75,7 +75,7 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
         block = reading if blocks else reading[None]
         window, came = state.window, np.isfinite(block)
         if not came.all():
-            block = _filled_up(block, came, window[-1])
+            block = _fill_gaps(block, came, window[-1])
         rows = np.concatenate([np.where(np.isnan(window), block[:1], window), block])
         # The kernel is its own mirror image: the oldest row comes first either way.
         averaged = weights[0] * rows[: len(block)]
@@ -88,7 +88,7 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     return Corruption(init, apply)
 
 
-def _filled_up(block: Array, came: NDArray[np.bool_], before: Array) -> Array:
+def _fill_gaps(block: Array, came: NDArray[np.bool_], before: Array) -> Array:
     """Replace each reading that did not come by the one before it, or at the start by the one after it."""
     rows = []
     for row, here in zip(block, came, strict=True):

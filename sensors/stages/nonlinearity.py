@@ -5,11 +5,11 @@ and the full scale, the two ends that a terminal-based straight line joins (ISA-
 
 .. math:: y = x + x_{FS} \Big( 4 a\, u (1 - u) + \tfrac{3 \sqrt 3}{2} b\, u (1 - u^2) \Big).
 
-The factors make :math:`a` and :math:`b` what a data sheet says: the largest departure of each term from the
-line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`. The quadratic term is that
-of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
-The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar
-cell of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
+The factors make :math:`a` and :math:`b` the numbers of a data sheet: the largest departure of each term from
+the line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`. The quadratic term is
+that of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
+The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar cell
+of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
 
 The element of a six-axis sensor bends in all directions at once. There the cubic term of each axis has
 company of products, :math:`x_{FS} \sum_{j < k} c_{jk} u_j u_k`, that vanish while one axis alone is loaded.
@@ -80,7 +80,7 @@ class NonlinearityState(NamedTuple):
     quadratic: Array
 
 
-def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
+def random_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
     """Add a quadratic error that each channel draws for itself at power-up.
 
     Args:
@@ -107,7 +107,7 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
 
 
 def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
-    """Apply :func:`drawn_nonlinearity` to readings, shape (K,) or (N, K)."""
+    """Apply :func:`random_nonlinearity` to readings, shape (K,) or (N, K)."""
     u = limit(reading / full_scale, -1.0, 1.0)
     off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
     return reading + off
@@ -126,15 +126,15 @@ class CoupledState(NamedTuple):
     cross: Array
 
 
-def coupled_slope(cubic: float, cross: float, axes: int) -> float:
-    """Return the most by which a row of the slopes of :func:`coupled_nonlinearity` misses the identity.
+def cross_slope(cubic: float, cross: float, axes: int) -> float:
+    """Return the most by which a row of the slopes of :func:`cross_nonlinearity` misses the identity.
 
     Below one no two loads have one reading.
     """
     return 2.0 * CUBIC_PEAK * cubic + axes * (axes - 1) * cross
 
 
-def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
+def cross_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
     """Add cubic errors and products of two axes, which each axis draws for itself at power-up.
 
     Loads beyond the full scale keep the error that they have there.
@@ -142,7 +142,7 @@ def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> C
     Args:
         cubic: Largest departure of the cubic terms in shares of the full scale: they are drawn uniformly from
             ``-cubic`` to ``cubic``.
-        cross: The same for what two axes at their full scales add to each.
+        cross: The same for the effect of two axes at their full scales on each.
         full_scale: Full scale of each axis, shape (K,).
 
     Raises:
@@ -151,7 +151,7 @@ def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> C
     check_not_negative(cubic=cubic, cross=cross)
     scale = np.asarray(full_scale, dtype=np.float64)
     axes = len(scale)
-    if coupled_slope(cubic, cross, axes) >= 1.0:
+    if cross_slope(cubic, cross, axes) >= 1.0:
         raise ValueError(
             f"'cubic' and 'cross' must keep {2.0 * CUBIC_PEAK:.3g} cubic + {axes * (axes - 1)} cross below "
             f"1, or two loads could have one reading, got {cubic!r} and {cross!r}."

@@ -8,7 +8,7 @@ they break), a cell keeps its offset. Of the largest excesses so far to either s
 
 with the share :math:`s`. This is how an elastic-plastic element with linear hardening behaves, each side on
 its own. A second overload as large as the first changes nothing. Data sheets give the end of the safe range,
-not what happens beyond: choose the share yourself.
+not the behaviour beyond: choose the share yourself.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng, limit
 
 
 class OverloadState(NamedTuple):
-    """How far spring elements were loaded beyond what is safe.
+    """How far spring elements were loaded beyond the safe limit.
 
     Attributes:
         excess: Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe

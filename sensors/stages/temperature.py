@@ -1,4 +1,4 @@
-r"""What temperature does to a strain-gauge bridge: its offset and its scale change.
+r"""The effect of temperature on a strain-gauge bridge: its offset and its scale change.
 
 A device warms up after it was switched on, along a ramp :math:`T = r t` or, as one with a heat loss does,
 levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides drifting at random, follow
@@ -21,7 +21,7 @@ class ThermalState(NamedTuple):
 
     Attributes:
         error: Its error now, shape (K,).
-        tempco: What a kelvin adds to it, shape (K,); constant from power-up.
+        tempco: Its change by a kelvin, shape (K,); constant from power-up.
         temperature: Rise since power-up in K, shape (K,).
     """
 
@@ -30,7 +30,7 @@ class ThermalState(NamedTuple):
     temperature: Array
 
 
-def warmed(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
+def temperature_rise(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
     """Return the rise of a device's temperature since power-up in K, after it has warmed for a while more.
 
     Args:
@@ -76,7 +76,7 @@ def thermal_drift(
         error, tempco, before = state
         if density:
             error = error + density * dt**0.5 * normal(rng, error.shape)
-        temperature = warmed(before, ramp, rise, dt)
+        temperature = temperature_rise(before, ramp, rise, dt)
         error = error + tempco * (temperature - before)
         read = reading * (1.0 + error) if relative else reading + error
         return read, ThermalState(error, tempco, temperature)

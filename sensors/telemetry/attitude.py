@@ -8,7 +8,7 @@ angular velocity w, the bias b and the direction v of the specific force,
     u' = u x (w - b) + k_P e x u
     b' = k_I e
 
-for u' = -w x u is what a fixed direction does in turning axes, and e x u turns u towards v. On a walking
+for u' = -w x u is the motion of a fixed direction in turning axes, and e x u turns u towards v. On a walking
 robot the specific force points up on average only, so that the gains are slow. Three numbers are handled as
 plain floats, which for arrays this small is several times faster than NumPy.
 """
@@ -33,7 +33,7 @@ Vector = tuple[float, float, float]
 
 
 class Attitude(NamedTuple):
-    """What the filter believes.
+    """The state of the filter.
 
     Attributes:
         up: Unit vector against gravity in the IMU's axes.

@@ -1,4 +1,4 @@
-"""What the robot's own computer measures and sends: encoders, IMU and the tilt that it makes of them.
+"""The measurements that the robot's own computer sends: encoders, IMU and the tilt that it makes of them.
 
 A packet is one flat vector, parts of which :class:`TelemetryLayout` names. It is measured between two
 substeps of the simulation, leaves at once and reaches the host late.
@@ -71,12 +71,12 @@ class TelemetryLayout:
 
 
 class Computer(NamedTuple):
-    """The sensors and what the robot's computer makes of them.
+    """The sensors and the results of the robot's computer.
 
     Attributes:
         imu: State of the IMU.
         encoders: State of the encoders.
-        attitude: What the computer believes of its tilt.
+        attitude: The computer's belief of its tilt.
         position: The last encoder readings in rad, shape (J,).
         velocity: Their filtered differences in rad/s, shape (J,).
     """
@@ -89,7 +89,7 @@ class Computer(NamedTuple):
 
 
 class Hardware(NamedTuple):
-    """What an IMU and encoders are, whatever the robot does.
+    """The constants of an IMU and encoders, whatever the robot does.
 
     Attributes:
         imu: State of the IMU.

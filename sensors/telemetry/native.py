@@ -47,8 +47,8 @@ class NativeTelemetry(Telemetry):
         substeps: Rows of truth in a control step.
 
     Attributes:
-        inputs: What it measures next: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
-        address: Where the library finds what stays where it is.
+        inputs: Its next inputs: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
+        address: Where the library finds the parts that stay in place.
         arrived_address: Where rows lie of the packets that the last step has delivered.
 
     Raises:
@@ -67,7 +67,7 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
-        config = library.filled(
+        config = library.record_of(
             "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps)
         )
         assert config is not None

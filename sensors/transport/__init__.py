@@ -1,1 +1,1 @@
-"""What happens to a reading between the chip and the robot: clocks, delays, lost and wrong words."""
+"""Errors of a reading between the chip and the robot: clocks, delays, lost and wrong words."""

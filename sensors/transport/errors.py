@@ -1,17 +1,17 @@
-r"""What can happen to a reading on its way to the host: spikes, wrong words, stale repeats, gaps.
+r"""Errors of a reading on its way to the host: spikes, wrong words, stale repeats, gaps.
 
 **Spikes** are single readings that are off. They come as a Poisson process of the rate :math:`r` in each
 channel, so that a reading which stands for the time :math:`\Delta t` is off with the probability
 :math:`1 - e^{-r \Delta t}`, and by a normal number: a few are far out and some hide in the noise, which is
-what makes them hard to gate.
+the reason why they are hard to gate.
 
 **Wrong words**: a bit of a code arrives the wrong way round, because of an interrupt between two clock edges
-of a bit-banged bus or noise on its line. Which bit it is decides what that does: from one count, which nobody
+of a bit-banged bus or noise on its line. Which bit it is decides the effect: from one count, which nobody
 sees, to half of the range. Readings of HX711 chips were seen off by 320,000 counts now and then
 (esphome#2996); how often depends on the host, and nobody has published a rate.
 
 **Stale repeats**: a reader that finds no new value returns the last one again. A reader that polls its chips
-in turn, and a bus that misses one, keep what they have: in a log of a NAO's feet 73 % of the values repeat
+in turn, and a bus that misses one, keep their old value: in a log of a NAO's feet 73 % of the values repeat
 the one before. Each reading is a repeat with the probability p, independent of the others, so that a value
 stays for 1 / (1 - p) readings in the mean. (:func:`~surefoot.sensors.stages.clock.sample_and_hold` repeats
 because clocks differ.)
@@ -27,7 +27,7 @@ and the correlation over a time :math:`t` are
 however finely time is stepped. A log of an iCub has a gap of 0.17 s, one of a balance board's radio a gap of
 22.6 s.
 
-All of these are properties of an instrument. What breaks in one channel at a given time is a
+All of these are properties of an instrument. A break in one channel at a given time is a
 :class:`~surefoot.sensors.Fault`.
 """
 
@@ -46,7 +46,7 @@ CODINGS = ("offset-binary", "two's complement")
 
 
 class RepeatState(NamedTuple):
-    """What a reader returned last.
+    """The last output of a reader.
 
     Attributes:
         held: Shape (K,); NaN before the first.
@@ -73,8 +73,8 @@ def spikes(
     Args:
         rate: Mean number of spikes of a channel in a second in 1/s; 0 adds none.
         size: Standard deviation of a spike in the unit of the readings, a number or shape (K,).
-        code_range: Lowest and highest code of a converter, numbers or shapes (K,), to which what is off is
-            clipped and rounded; ``None`` for readings that are no codes.
+        code_range: Lowest and highest code of a converter, numbers or shapes (K,), to which readings beyond
+            are clipped and rounded; ``None`` for readings that are no codes.
 
     Raises:
         ValueError: If an argument is negative.
@@ -97,7 +97,7 @@ def spikes(
 def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary") -> Corruption[tuple[()]]:
     """Turn one bit of a reading over now and then, every bit alike.
 
-    Readings are counts, whole numbers that the word can hold; what is not (NaN) stays as it is.
+    Readings are counts, whole numbers that the word can hold; NaN stays as it is.
 
     Args:
         probability: Probability that a word is wrong, for each channel and reading on its own.

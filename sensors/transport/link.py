@@ -64,7 +64,7 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
     Args:
         delay: Mean delay in s.
         jitter: Its standard deviation in s.
-        depth: How many readings can be under way; what has not arrived after that many is dropped.
+        depth: How many readings can be under way; those that have not arrived after that many are dropped.
 
     Raises:
         ValueError: If a time is negative or the depth is not positive.

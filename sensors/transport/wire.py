@@ -1,8 +1,8 @@
-"""What happens to a code between a converter and the host: on its wire, its bus and its radio.
+"""The errors of a code between a converter and the host: on its wire, its bus and its radio.
 
-In this order: spikes couple into the converter, bits of words turn over, a reader repeats what it has,
+In this order: spikes couple into the converter, bits of words turn over, a reader repeats its last,
 packets get lost, alone and in bursts (:mod:`~surefoot.sensors.transport.errors`), and the others come late
-(:mod:`~surefoot.sensors.transport.link`). What is lost is NaN. Every part is off where its field is zero,
+(:mod:`~surefoot.sensors.transport.link`). A lost reading is NaN. Every part is off where its field is zero,
 costs nothing then and draws nothing.
 """
 
@@ -86,11 +86,11 @@ class Wired(Protocol):
 
     @property
     def wire(self) -> Wire:
-        """What happens to a code on its way to the host."""
+        """The stages on a code on its way to the host."""
 
 
 def check_wire(config: Wire | Wired, dt: float) -> None:
-    """Raise ValueError if a wire cannot hold what is under way; call it before the first step.
+    """Raise ValueError if a wire cannot hold the readings under way; call it before the first step.
 
     Args:
         config: The wire, or an instrument that has one.

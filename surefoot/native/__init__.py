@@ -1,11 +1,11 @@
-"""What runs in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
+"""The code in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
 
 A package with C has a folder ``native`` with its headers and a ``library.c`` that includes them. Nothing here
 knows which packages have one.
 """
 
 from surefoot.native.build import Sources, compiler
-from surefoot.native.library import ADDRESS, Library, Native, places_at, required
+from surefoot.native.library import ADDRESS, Library, Native, places_at, require
 from surefoot.native.records import Record, c_header, leaves_of, rebuilt
 from surefoot.native.threads import call_for_many, cores
 
@@ -22,5 +22,5 @@ __all__ = [
     "leaves_of",
     "places_at",
     "rebuilt",
-    "required",
+    "require",
 ]

@@ -9,7 +9,7 @@ from surefoot.native.build import SHARED, Sources, sources_below
 
 
 def main(arguments: Sequence[str] = ()) -> str | None:
-    """Do what arguments say, by default compile the libraries; return what went wrong."""
+    """Run a command line, by default compile the libraries; return the failures."""
     parser = ArgumentParser(prog="python -m surefoot.native", description=__doc__)
     parser.add_argument("--include", action="store_true", help="print the folders of headers as -I options")
     parser.add_argument("--cmakedir", action="store_true", help="print the folder of surefoot-config.cmake")

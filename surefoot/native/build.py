@@ -39,7 +39,7 @@ COMPILER = 'ziglang>=0.14; platform_machine in "x86_64 AMD64 aarch64 arm64"'
 def compiler(platform: str | None = None) -> tuple[str, ...] | None:
     """Return the command of a C compiler; ``None`` without one.
 
-    What ``CC`` says, or ``cc``, ``gcc`` or ``clang`` of the system, or that of the package ziglang.
+    The compiler of ``CC``, or ``cc``, ``gcc`` or ``clang`` of the system, or that of the package ziglang.
 
     Args:
         platform: One of :data:`PLATFORMS`, for which ziglang compiles; this machine by default.
@@ -97,7 +97,7 @@ class Sources(NamedTuple):
         Args:
             target: Where to; by default beside the sources.
             flags: Options of the compiler.
-            platform: For what, as of :func:`compiler`.
+            platform: The target, as of :func:`compiler`.
         """
         program = compiler(platform)
         if program is None:

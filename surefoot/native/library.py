@@ -50,7 +50,7 @@ class Library(NamedTuple):
         functions: Its functions.
         real: The dtype of its numbers.
         places: Kind, offset and size in bytes of each field, by record and field; of a whole record under "".
-        found: What :meth:`record` has returned so far, by its arguments: an episode asks for the same again.
+        found: Results of :meth:`record` so far, by its arguments: an episode asks for the same again.
     """
 
     functions: Any
@@ -91,7 +91,7 @@ class Library(NamedTuple):
                 zeros[field] = 0 if size == _KINDS.get(kind, self.real).itemsize else ()
         return zeros
 
-    def filled(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
+    def record_of(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
         """Return one of its records with these values, shape (); ``None`` if it has no room for one."""
         dtype = self.record(name, {field: np.shape(value) for field, value in values.items()})
         if dtype is None:
@@ -120,7 +120,7 @@ class Native:
     """The library of one package.
 
     Args:
-        sources: What it is compiled from.
+        sources: Its sources.
         signatures: Result (``None`` for none) and arguments of each of its functions, as types of ctypes.
         many: Functions of many robots, which run without the interpreter's lock.
     """
@@ -184,7 +184,7 @@ class Native:
         return None
 
 
-def required(library: Library | None) -> Library:
+def require(library: Library | None) -> Library:
     """Return a library that there has to be.
 
     Raises:
@@ -197,7 +197,7 @@ def required(library: Library | None) -> Library:
 
 @cache
 def say_once(problem: str) -> None:
-    """Say in one line of the log what is slower than it could be, and the way out."""
+    """Log in one line that Python runs in place of the library, and the way out."""
     logging.getLogger("surefoot").warning(
         "surefoot runs in Python, slower: %s; compile it with: %s", problem, _BY_HAND
     )

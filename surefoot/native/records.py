@@ -1,4 +1,4 @@
-"""Records that a library fills or reads, and what they hold: states of Python, and constants written as C."""
+"""Records that a library fills or reads, and their contents: states of Python, and constants written as C."""
 
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
@@ -17,7 +17,7 @@ class Record:
         dtype: Its layout.
 
     Attributes:
-        now: What it holds, shape ().
+        now: Its values, shape ().
         address: Where the library finds it.
         bytes: The same memory, byte by byte.
     """
@@ -51,7 +51,7 @@ def rebuilt(like: Any, leaf: Callable[[Path, Any], Any], path: Path = ()) -> Any
 
     Args:
         like: The other one.
-        leaf: Makes each part, of the way to it and what is there in the other one.
+        leaf: Makes each part, of the way to it and the other one's value there.
         path: The way to this state.
     """
     if not isinstance(like, tuple):

@@ -5,7 +5,7 @@ import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference
-from surefoot.calibration.front_end.ages import SLOPE_SAMPLES, carried_time, with_total_kept
+from surefoot.calibration.front_end.ages import SLOPE_SAMPLES, extrapolation_time, with_total_kept
 
 AGE = 0.006
 METHODS = ["tare", "window", "moment"]
@@ -40,7 +40,7 @@ def rms(values):
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
-def stacked(estimates, name):
+def stack(estimates, name):
     return np.array([getattr(one, name) for one in estimates])
 
 
@@ -48,26 +48,26 @@ def stacked(estimates, name):
 def test_chips_are_brought_to_now(log, seed):
     raw, age = chips(log, np.random.default_rng(seed))
     read, now = play(log, raw), play(log, raw, age=age)
-    truth = stacked(play(log, log.raw), "cop")
-    assert rms(stacked(now, "cop") - truth) < 0.75 * rms(stacked(read, "cop") - truth)
-    assert rms(stacked(now, "force") - log.force) < 0.75 * rms(stacked(read, "force") - log.force)
-    np.testing.assert_array_equal(stacked(now, "cop_measured"), stacked(read, "cop"))
+    truth = stack(play(log, log.raw), "cop")
+    assert rms(stack(now, "cop") - truth) < 0.75 * rms(stack(read, "cop") - truth)
+    assert rms(stack(now, "force") - log.force) < 0.75 * rms(stack(read, "force") - log.force)
+    np.testing.assert_array_equal(stack(now, "cop_measured"), stack(read, "cop"))
     np.testing.assert_allclose(
-        stacked(now, "vgrf").sum(axis=1), stacked(read, "vgrf").sum(axis=1), rtol=1e-12, atol=1e-12
+        stack(now, "vgrf").sum(axis=1), stack(read, "vgrf").sum(axis=1), rtol=1e-12, atol=1e-12
     )
 
 
 def test_without_a_calibration_readings_are_as_they_were_read(log):
     aged, read = play(log, log.raw, "none", age=AGE), play(log, log.raw, "none")
-    np.testing.assert_array_equal(stacked(aged, "force"), stacked(read, "force"))
-    np.testing.assert_array_equal(stacked(aged, "cop"), stacked(aged, "cop_measured"))
+    np.testing.assert_array_equal(stack(aged, "force"), stack(read, "force"))
+    np.testing.assert_array_equal(stack(aged, "cop"), stack(aged, "cop_measured"))
 
 
 @pytest.mark.parametrize("samples", [1, 2, 4])
 def test_a_late_wire_is_made_up_for(log, samples):
     late = np.concatenate([log.raw[:1].repeat(samples, axis=0), log.raw[:-samples]])
-    truth = stacked(play(log, log.raw), "cop")
-    off = [rms(stacked(play(log, late, age=age), "cop") - truth) for age in (0.0, samples * DT)]
+    truth = stack(play(log, log.raw), "cop")
+    off = [rms(stack(play(log, late, age=age), "cop") - truth) for age in (0.0, samples * DT)]
     assert off[1] < 0.75 * off[0]
 
 
@@ -75,21 +75,21 @@ def test_a_late_wire_is_made_up_for(log, samples):
 def test_without_an_age_nothing_changes(log, method):
     plain, told = play(log, log.raw, method), play(log, log.raw, method, age=np.zeros(8))
     for name in ("force", "cop", "scale", "offset"):
-        np.testing.assert_array_equal(stacked(told, name), stacked(plain, name))
-    np.testing.assert_array_equal(stacked(plain, "cop_measured"), stacked(plain, "cop"))
+        np.testing.assert_array_equal(stack(told, name), stack(plain, name))
+    np.testing.assert_array_equal(stack(plain, "cop_measured"), stack(plain, "cop"))
 
 
 @pytest.mark.parametrize("lag", [0, 2, 5])
 def test_what_is_learnt_does_not_depend_on_the_age(log, lag):
     plain, told = (play(log, log.raw, "moment", lag=lag, age=age) for age in (0.0, AGE))
     for name in ("scale", "offset"):
-        np.testing.assert_allclose(stacked(told, name), stacked(plain, name), rtol=1e-9)
-    assert rms(stacked(told, "cop") - stacked(plain, "cop")) > 1e-5
+        np.testing.assert_allclose(stack(told, name), stack(plain, name), rtol=1e-9)
+    assert rms(stack(told, "cop") - stack(plain, "cop")) > 1e-5
 
 
 def test_only_channels_with_an_age_are_carried_on(log):
     age = np.array([AGE, AGE, AGE, AGE, 0.0, 0.0, 0.0, 0.0])
-    plain, told = (stacked(play(log, log.raw, age=part), "force") for part in (0.0, age))
+    plain, told = (stack(play(log, log.raw, age=part), "force") for part in (0.0, age))
     np.testing.assert_array_equal(told[:, 4:], plain[:, 4:])
     assert rms(told[:, :4] - plain[:, :4]) > 0.01
 
@@ -99,7 +99,7 @@ def test_what_did_not_come_is_not_carried_on(log, method):
     raw = log.raw.copy()
     raw[200, 2] = np.nan
     plain, told = (play(log, raw, method, lag=0, age=age) for age in (0.0, AGE))
-    plain, told = stacked(plain, "force"), stacked(told, "force")
+    plain, told = stack(plain, "force"), stack(told, "force")
     assert np.isfinite(told).all()
     same = np.abs(told - plain).max(axis=1) < 1e-9
     assert same[:SLOPE_SAMPLES].all()
@@ -111,7 +111,7 @@ def test_what_did_not_come_is_not_carried_on(log, method):
 def test_a_clock_that_jumps_starts_slopes_afresh(log, spoilt):
     times = np.full(len(log.raw), DT)
     times[200] = spoilt
-    plain, told = (stacked(play(log, log.raw, lag=0, times=times, age=age), "force") for age in (0.0, AGE))
+    plain, told = (stack(play(log, log.raw, lag=0, times=times, age=age), "force") for age in (0.0, AGE))
     same = np.abs(told - plain).max(axis=1) < 1e-9
     np.testing.assert_array_equal(same[199:205], [False, True, True, True, False, False])
 
@@ -119,14 +119,14 @@ def test_a_clock_that_jumps_starts_slopes_afresh(log, spoilt):
 def test_a_bad_reference_is_nothing_to_go_by(log):
     broken = Reference(*(part.copy() for part in log.reference))
     broken.com[200] = np.nan
-    plain, told = (stacked(play(log, log.raw, reference=broken, age=age), "force") for age in (0.0, AGE))
+    plain, told = (stack(play(log, log.raw, reference=broken, age=age), "force") for age in (0.0, AGE))
     np.testing.assert_array_equal(told[200:203], plain[200:203])
 
 
 def test_samples_that_come_late_have_a_slope_that_is_as_much_smaller(log):
     twice = play(log, log.raw, times=np.full(len(log.raw), 2.0 * DT), age=2.0 * AGE)
     once = play(log, log.raw, age=AGE)
-    np.testing.assert_allclose(stacked(twice, "force"), stacked(once, "force"), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(stack(twice, "force"), stack(once, "force"), rtol=1e-9, atol=1e-9)
 
 
 def test_changes_leave_the_vertical_force_and_do_not_grow_without_bound():
@@ -145,7 +145,7 @@ def test_changes_leave_the_vertical_force_and_do_not_grow_without_bound():
 
 def test_the_longest_age_is_four_samples():
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, age=np.array([0.0, 0.01, 1.0, *5 * [0.0]]))
-    np.testing.assert_allclose(carried_time(setup)[:3], [0.0, 0.01, 4.0 * DT])
+    np.testing.assert_allclose(extrapolation_time(setup)[:3], [0.0, 0.01, 4.0 * DT])
 
 
 @pytest.mark.parametrize("age", [-1e-3, np.nan, np.inf, np.zeros(7), np.zeros((8, 1))])

@@ -52,7 +52,7 @@ def make(method="moment", **options):
     return FootCalibrator(LAYOUT, method, **{"mass": MASS, "initial": NOMINAL} | options)
 
 
-def changed(saved, path, leaf, value, at=...):
+def change(saved, path, leaf, value, at=...):
     entries = dict(saved)
     entries[f"state.{leaf}"] = entries[f"state.{leaf}"].copy()
     entries[f"state.{leaf}"][at] = value
@@ -74,7 +74,7 @@ def test_no_number_that_is_impossible_is_loaded_and_what_was_learnt_stays(method
         refusal = rf"feet\.npz' is no state to go on with: '{leaf}' holds"
         for value, at in zip(wrong, (..., (0,) * entry.ndim), strict=True):
             with pytest.raises(ValueError, match=refusal):
-                calibrator.load(changed(saved[method], tmp_path / "feet.npz", leaf, value, at))
+                calibrator.load(change(saved[method], tmp_path / "feet.npz", leaf, value, at))
             tried += 1
     assert tried >= 6
     for a, b in zip(calibrator.update(log.raw[1], row(1)), untouched.update(log.raw[1], row(1)), strict=True):
@@ -107,14 +107,14 @@ ONE_SIDED = {
 @pytest.mark.parametrize("case", ONE_SIDED)
 def test_what_no_filter_can_hold_is_named(case, saved, tmp_path):
     leaf, value, at, message = ONE_SIDED[case]
-    path = changed(saved["moment"], tmp_path / "feet.npz", leaf, value, at)
+    path = change(saved["moment"], tmp_path / "feet.npz", leaf, value, at)
     with pytest.raises(ValueError, match=re.escape(message)):
         make().load(path)
 
 
 def test_limits_of_methods_are_their_own(saved, tmp_path):
     for method, leaf, value in (("window", "theta", 5.0), ("tare", "offset", 30.0)):
-        path = changed(saved[method], tmp_path / "feet.npz", leaf, value)
+        path = change(saved[method], tmp_path / "feet.npz", leaf, value)
         with pytest.raises(
             ValueError, match=rf"'{leaf}' holds {value:g} at \(0,\), and .*{re.escape(FRESH)}"
         ):

@@ -228,6 +228,21 @@ def test_options_of_the_moment_filter_have_the_defaults_that_the_page_says() -> 
     assert all(getattr(config, name) == float(default) for name, default in rows)
 
 
+def test_messages_of_the_troubleshooting_page_are_those_of_the_code() -> None:
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    table = page.partition("## Messages")[2].partition("## ")[0]
+    messages = [
+        part for row in re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE) for part in row.split("...")
+    ]
+    files = (
+        path for folder in (*FOLDERS.split("|")[:7], "surefoot") for path in (ROOT / folder).rglob("*.py")
+    )
+    joined = re.compile(r"[\"']\s*\n\s*f?[\"']")  # a message that goes on in the next line
+    code = "".join(joined.sub("", path.read_text(encoding="utf-8")) for path in files)
+    assert len(messages) > 12
+    assert [message for message in messages if message.strip() not in code] == []
+
+
 def test_the_readme_fits_on_a_screen_and_its_results_are_those_of_the_results_page() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.split()) <= 700

@@ -12,7 +12,7 @@ import surefoot  # noqa: F401
 from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.ground import lay_out
 from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
-from surefoot.envs.gait.route import Leg, checked_route, plan_legs
+from surefoot.envs.gait.route import Leg, parse_route, plan_legs
 from surefoot.envs.nao.walk import NaoWalkEnv
 
 STAND = Leg(2.0, 0.0, 0.0)
@@ -114,7 +114,7 @@ def test_routes_come_back_from_json_and_are_walked():
     while not (terminated or truncated):
         _, _, terminated, truncated, _ = again.step(np.zeros(11, dtype=np.float32))
     assert not terminated
-    legs = checked_route(json.loads(json.dumps(route)))
+    legs = parse_route(json.loads(json.dumps(route)))
     np.testing.assert_array_equal(bare.pattern.qpos, plan_route(legs, 8.6).qpos)
     planned = bare.pattern.com[-1] - bare.pattern.com[0]
     np.testing.assert_allclose((bare.truth.com[-1] - start)[:2], planned[:2], atol=0.02)

@@ -1,10 +1,10 @@
-"""What a robot does before an episode: planned, written, read, and played."""
+"""A robot's motion before an episode: planned, written, read, and played."""
 
 import numpy as np
 import pytest
 
 from surefoot.envs import ExerciseEnv, NaoStandEnv, NaoWalkEnv, Prelude
-from surefoot.envs.exercise.motion import motions_of, motions_offered
+from surefoot.envs.exercise.moves import motions_of, motions_offered
 from surefoot.envs.prelude import BLEND_TIME, Player
 
 

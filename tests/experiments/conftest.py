@@ -16,7 +16,7 @@ import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
-from surefoot.experiments.episodes.episode import failed_row
+from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
@@ -101,7 +101,12 @@ def invented(monkeypatch):
         ran.append(episode)
         total = MEANS[episode.feed] + np.sin(episode.seed + len(episode.feed))
         total += 1000.0 if episode.controller == "zero" else 0.0
-        return failed_row(episode, "") | {"return": total, "time": 18.0, "cop_error": 0.0, "tracking": 0.0}
+        return row_of_failure(episode, "") | {
+            "return": total,
+            "time": 18.0,
+            "cop_error": 0.0,
+            "tracking": 0.0,
+        }
 
     monkeypatch.setattr("surefoot.experiments.episodes.episode.episode_row", row)
     monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)

@@ -105,7 +105,7 @@ def test_calibrating_from_weights(tmp_path: Path) -> None:
 
 
 def as_json(arguments: list[str]) -> dict[str, Any]:
-    """Return what a command prints as JSON: all of its output, and not a word beside it on a pipe."""
+    """Parse the JSON that a command prints: all of its output, and not a word beside it on a pipe."""
     result = RUNNER.invoke(app, [*arguments, "--json"])
     assert result.exit_code == 0, result.output
     assert result.stderr == ""

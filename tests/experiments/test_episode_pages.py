@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
 from surefoot.experiments.episodes.comparisons import COMPARISONS
-from surefoot.experiments.episodes.episode import VERSIONS, failed_row
+from surefoot.experiments.episodes.episode import VERSIONS, row_of_failure
 from surefoot.experiments.episodes.findings import controller_findings, target_table
 from surefoot.experiments.episodes.page import check_episodes, commands_of, write_evaluation, write_sweep
 from surefoot.experiments.episodes.run import in_order
-from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, won_back
+from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, share_recovered
 from surefoot.experiments.episodes.tables import difference_table, outcome_table, score_table, two_by_two
-from surefoot.experiments.policy.controllers import drawn_names, labels
+from surefoot.experiments.policy.controllers import figure_names, labels
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.study.statistics import fall_share, survival
 from surefoot.experiments.study.tables import Table, Verdict
@@ -128,14 +128,14 @@ def test_the_answer_on_randomisation_follows_the_numbers(wild, choice, both):
 def test_a_loss_that_is_none_is_not_won_back():
     flat = dict.fromkeys(MEANS, 100.0)
     frame = frame_of(episodes("zero", flat))
-    assert won_back(frame, "moment", 1.0) is None
+    assert share_recovered(frame, "moment", 1.0) is None
     assert all(row[3] == "" for row in score_table(frame).rows)
     said = tuple(controller_findings(frame, "zero"))
     assert "no clear loss" in said[1]
     assert "nothing to win back" in said[1]
     # Exactly the same returns on all feet: no division by nothing.
     same = frame.assign(**{"return": 100.0})
-    assert won_back(same, "window", 2.0) is None
+    assert share_recovered(same, "window", 2.0) is None
     assert "moment wins 94." in tuple(controller_findings(frame_of(episodes()), "clean"))[1]
 
 
@@ -237,14 +237,14 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
     cost = np.where(np.arange(30) < 15, 0.0, 100.0)
     totals = {"true": noise[0], "none": noise[1] - cost, "moment": noise[2][:15]}
     frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
-    assert won_back(frame, "moment", 1.0) is None
+    assert share_recovered(frame, "moment", 1.0) is None
 
 
 @pytest.mark.slow
 def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undrawn):
     ending = "/a/very/long/path/that/two/policies/share/policy.npz"
     controllers = [f"{first}{ending}" for first in "ab"] + ["c/policy.npz", "price$\\frac{"]
-    drawn = drawn_names(controllers)
+    drawn = figure_names(controllers)
     assert len(set(drawn.values())) == 4
     assert max(map(len, drawn.values())) <= 41
     assert drawn["price$\\frac{"] == "price\\$\\frac{"
@@ -389,7 +389,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> None:
             "fell": fell,
             "cop_error": 0.01,
         }
-        return failed_row(episode, "") | outcome | {"tracking": 0.02, "digest": "0"}
+        return row_of_failure(episode, "") | outcome | {"tracking": 0.02, "digest": "0"}
 
     monkeypatch.setattr("surefoot.experiments.episodes.episode.episode_row", made)
     monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)
@@ -475,14 +475,14 @@ def test_the_loss_won_back_is_the_share_of_the_means_and_its_interval_holds_it()
     noisy = base + 0.5 * gap + rng.normal(0.0, 3.0, 60)
     totals = {"true": base + gap, "none": base, "moment": base + 0.8 * gap, "window": noisy}
     frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
-    assert won_back(frame, "moment", 1.0) == pytest.approx((0.8, 0.8, 0.8))
-    won, low, high = won_back(frame, "window", 1.0)
+    assert share_recovered(frame, "moment", 1.0) == pytest.approx((0.8, 0.8, 0.8))
+    won, low, high = share_recovered(frame, "window", 1.0)
     assert low < won < high
     assert low < 0.5 < high
     interval = difference(frame, Run("true"), Run("none"), 1.0)
     assert interval.mean == pytest.approx(gap.mean())
     assert interval.half < 1.0
-    assert won_back(frame, "tare", 1.0) is None
+    assert share_recovered(frame, "tare", 1.0) is None
     assert difference(frame, Run("true"), Run("tare")) is None
     with pytest.raises(ValueError, match="was run more than once with the same seed"):
         difference(pd.concat([frame, frame]), Run("true"), Run("none"))

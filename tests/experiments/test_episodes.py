@@ -22,7 +22,7 @@ from surefoot.experiments.episodes import (
     run_plan,
 )
 from surefoot.experiments.episodes import episode as episodes
-from surefoot.experiments.episodes.episode import OUTCOME, episode_row, failed_row
+from surefoot.experiments.episodes.episode import OUTCOME, episode_row, row_of_failure
 from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
 from surefoot.experiments.walks.walkers import walk_moments
@@ -291,6 +291,6 @@ def test_a_plan_is_taken_up_again_by_the_same_versions_alone(
 
 
 def test_the_outcome_is_in_every_row() -> None:
-    row = failed_row(SHORT.episodes[0], "it broke")
+    row = row_of_failure(SHORT.episodes[0], "it broke")
     assert set(OUTCOME) <= set(row)
     assert {field.name for field in dataclasses.fields(Episode)} & set(row) >= {"controller", "feed", "seed"}

@@ -22,7 +22,7 @@ from surefoot.experiments.episodes.run import Origin, in_order, origins_of, read
 from surefoot.experiments.episodes.scores import controllers_of
 from surefoot.experiments.episodes.tables import score_table
 from surefoot.experiments.policy.card import own_scores, write_card
-from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
+from surefoot.experiments.policy.controllers import controller_hash, load_controller, training_sensors
 from surefoot.experiments.policy.tasks import SENSORS, TASKS, TRAINING_SEEDS, shipped_policy
 from surefoot.experiments.policy.view import make_task
 from surefoot.experiments.study.store import StudyError
@@ -123,12 +123,12 @@ def test_controllers_have_names(tmp_path):
     for name, sensors in (("shipped", "true"), ("shipped-randomised", "randomised")):
         policy = load_controller(name, env)
         assert isinstance(policy, PolicyNetwork)
-        assert policy.notes["options"]["sensors"] == trained_on(name) == sensors
+        assert policy.notes["options"]["sensors"] == training_sensors(name) == sensors
     policy.save(tmp_path / "mine.npz")
     layout = env.unwrapped.state_layout
     env.close()
-    assert trained_on(str(tmp_path / "mine.npz")) == "randomised"
-    assert trained_on("zero") == trained_on(str(tmp_path / "gone.npz")) == ""
+    assert training_sensors(str(tmp_path / "mine.npz")) == "randomised"
+    assert training_sensors("zero") == training_sensors(str(tmp_path / "gone.npz")) == ""
     hashes = {
         controller_hash(name, TASKS["balance"].env_id)
         for name in ("zero", "shipped", "shipped-randomised", str(tmp_path / "mine.npz"))

@@ -69,7 +69,7 @@ def own(tmp_path, monkeypatch):
 
 
 def walk(feet, method="none"):
-    """Return what a few steps on feet show, and the wrapped environment."""
+    """Return the observations of a few steps, and the wrapped environment."""
     bare = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, disable_env_checker=True)
     env = SelfCalibration(FootSensors(bare, feet), method)
     env.reset(seed=0)

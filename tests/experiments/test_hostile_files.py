@@ -153,7 +153,7 @@ def test_a_line_that_was_edited_costs_its_case_and_lines_without_a_digest_count(
         Outcome(f"{i}", f"case {i}", "code", {"walks": [{"time": 0.1 * i, "fell": i > 1}]}) for i in range(4)
     ]
     store = Store(tmp_path)
-    with store.opened():
+    with store.open_for():
         for outcome in kept:
             store.add(outcome)
     lines = (tmp_path / JOURNAL).read_text().splitlines()
@@ -164,13 +164,13 @@ def test_a_line_that_was_edited_costs_its_case_and_lines_without_a_digest_count(
     store.read()
     assert list(store.outcomes) == ["0", "2", "3"]
     assert store.damaged == 4
-    with store.opened():
+    with store.open_for():
         assert list(store.rows("walks")["time"]) == [0.0, 0.2, pytest.approx(0.3)]
     store.read()
     assert (store.damaged, len(store.outcomes)) == (0, 3)
     (tmp_path / PLAN).write_text(DEEP)
     with pytest.raises(ValueError, match=r"is not a study's plan \(study\.json: not JSON: it is nested more"):
-        store.opened({"seeds": 1}).__enter__()
+        store.open_for({"seeds": 1}).__enter__()
     assert (tmp_path / PLAN).read_text() == DEEP
 
 

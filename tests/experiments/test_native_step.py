@@ -31,7 +31,7 @@ def test_it_tells_a_row(script, capsys):
 
 def test_other_forces_than_those_of_the_recording_stop_it(script, tmp_path):
     source, rows, forces = script.walk(STEPS)
-    program, data = script.compiled(source, tmp_path), tmp_path / "walk"
+    program, data = script.compile_program(source, tmp_path), tmp_path / "walk"
     rows.tofile(data)
     script.check(program, data, forces)
     forces[50, 3] += 1e-6

@@ -184,7 +184,7 @@ def test_the_file_and_stable_baselines_give_the_same_actions(trained, tmp_path):
     observation, _ = env.reset(seed=2)
     largest = 0.0
     for _ in range(40):
-        theirs = model.predict(looking.seen(observation), deterministic=True)[0]
+        theirs = model.predict(looking.inputs_of(observation), deterministic=True)[0]
         np.testing.assert_allclose(exact.speeds(observation), theirs, atol=1e-6)
         np.testing.assert_allclose(loaded.speeds(observation), theirs, atol=1e-6)
         largest = max(largest, float(np.abs(theirs).max()))
@@ -223,7 +223,7 @@ def test_the_view_and_the_network_act_alike(trained):
         seen, *_ = view.step(model.predict(seen, deterministic=True)[0])
         for _ in range(view.hold):
             observation, *_ = second.step(network(observation))
-    np.testing.assert_allclose(view.seen(observation), seen, atol=1e-3)
+    np.testing.assert_allclose(view.inputs_of(observation), seen, atol=1e-3)
     assert len(input_names(view.task)) > 4
     assert set(PARTS) <= set(second.observation_space.spaces)
 
@@ -324,7 +324,7 @@ def test_a_walking_policy_sees_the_gait_as_well():
     env.reset(seed=1)
     for _ in range(60):
         observation, *_ = env.step(np.zeros(11))
-    seen, layout = view.seen(observation), env.unwrapped.state_layout
+    seen, layout = view.inputs_of(observation), env.unwrapped.state_layout
     # Twelve joints, the parts of the state in their order, then the feet.
     parts = np.concatenate(
         [observation["state"][layout[name]] / scale for name, scale in TASKS["walk"].scales.items()]

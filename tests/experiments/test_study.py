@@ -52,13 +52,13 @@ def cases(seeds: int = 3) -> list[Case]:
 
 def run(folder: Path, listed: list[Case], jobs: int = 1, **options: Any) -> tuple[Store, int]:
     store = Store(folder)
-    with store.opened(), runner(jobs, **options) as work:
+    with store.open_for(), runner(jobs, **options) as work:
         return store, work.run("walk", listed, store)
 
 
 def test_a_whole_study(tmp_path: Path) -> None:
     listed, seconds = cases(), dict[str, float]()
-    with Store(tmp_path / "results").opened() as store, runner(1, seconds) as work:
+    with Store(tmp_path / "results").open_for() as store, runner(1, seconds) as work:
         assert work.run("walk", listed, store) == 6
         rows, failures = store.rows("walks", listed), store.failures(listed)
     assert list(rows["seed"]) == [0, 1, 2] * 2
@@ -106,7 +106,7 @@ def test_a_case_that_fails_is_kept_as_such_and_tried_again_if_wanted(tmp_path: P
     assert list(store.failures(listed)) == ["bad"]
     (section,) = failure_section(store.failures(listed))
     assert section.tables[0].rows == (("bad", "ValueError: seed 7 cannot walk"),)
-    with store.opened(), runner(1) as work:
+    with store.open_for(), runner(1) as work:
         assert work.run("walk", listed, store, retry_failed=False) == 0
         named = work.run("walk", listed, store, failed=lambda case, error: {"walks": [{"error": error}]})
     assert named == 1
@@ -122,7 +122,7 @@ def test_a_study_that_is_killed_goes_on(tmp_path: Path) -> None:
         "def slow(i):\n    time.sleep(0.05)\n    return {'rows': [{'i': i}]}\n"
         "if __name__ == '__main__':\n"
         "    store = Store(Path(sys.argv[1]))\n"
-        "    with store.opened(), runner(1) as work:\n"
+        "    with store.open_for(), runner(1) as work:\n"
         "        print(work.run('s', [Case(str(i), slow, (i,)) for i in range(9)], store))\n"
     )
     folder = tmp_path / "results"
@@ -161,29 +161,29 @@ def test_a_worker_that_dies_ends_work_that_is_not_kept() -> None:
 
 
 def test_a_folder_serves_one_study_at_a_time(tmp_path: Path) -> None:
-    with Store(tmp_path).opened(), pytest.raises(StudyError, match="Another study is at work"):  # noqa: SIM117
-        with Store(tmp_path).opened():
+    with Store(tmp_path).open_for(), pytest.raises(StudyError, match="Another study is at work"):  # noqa: SIM117
+        with Store(tmp_path).open_for():
             pass
 
 
 def test_a_folder_with_a_plan_refuses_others(tmp_path: Path) -> None:
     plan, now = {"seeds": [0, 1], "task": "walk"}, {"numpy": "2"}
-    with Store(tmp_path).opened(plan, now):
+    with Store(tmp_path).open_for(plan, now):
         pass
     refused = [
         ({**plan, "seeds": [0]}, now, r"holds another study: seeds \[0, 1\] and not \[0\]"),
         (plan, {"numpy": "3"}, "started with numpy 2, which is not what runs now"),
     ]
     for other, versions, match in refused:
-        with pytest.raises(StudyError, match=match), Store(tmp_path).opened(other, versions):
+        with pytest.raises(StudyError, match=match), Store(tmp_path).open_for(other, versions):
             pass
-    with Store(tmp_path).opened(plan, {"numpy": "3"}, any_version=True):
+    with Store(tmp_path).open_for(plan, {"numpy": "3"}, any_version=True):
         pass
 
 
 def test_a_full_disk_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
-    with store.opened():
+    with store.open_for():
         store.add(attempt(cases()[0]))
         before = (tmp_path / JOURNAL).read_bytes()
 

@@ -37,7 +37,7 @@ SHORT = ((0.0, 6.0), (30.0, 3.0), (60.0, 3.0), (90.0, 6.0), (60.0, 3.0), (30.0, 
 
 
 def record(cells: LoadCells, seed: int, program: Program) -> tuple[Recording, LoadCellState]:
-    """Return what cells read under loads, and their state at power-up."""
+    """Return the readings of cells under loads, and their state at power-up."""
     rng, K = np.random.default_rng(seed), cells.channels
     load = np.concatenate([np.full(round(HOST * seconds), float(newtons)) for newtons, seconds in program])
     device = load_cells(cells)

@@ -177,7 +177,7 @@ def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
     from surefoot.experiments.view.player import LogFeet, LogPage
 
     feet = LogFeet(log, "none")
-    shown = feet.shown(30)
+    shown = feet.state_to_draw(30)
     assert log.truth is not None
     np.testing.assert_allclose(shown.readings["raw"].force, log.truth.force[30], atol=1e-6)
     assert shown.cop_error("raw") < 1e-3

@@ -11,7 +11,7 @@ import pytest
 from surefoot.calibration import Parameters
 from surefoot.calibration.estimate import Flag
 from surefoot.experiments.logs.format import read_log, write_log
-from surefoot.experiments.view.session import Session, repeated
+from surefoot.experiments.view.session import Session, repeat_session
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.sensors.presets import BAR_CELLS_ON_HX711, HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -33,7 +33,7 @@ def test_without_changes_it_is_self_calibration() -> None:
     for _ in range(80):
         session.step()
         observation, *_ = env.step(np.zeros(11, dtype=np.float32))
-    shown = session.shown()
+    shown = session.state_to_draw()
     np.testing.assert_array_equal(shown.readings["calibrated"].force, env.estimate.force)
     np.testing.assert_array_equal(shown.flags, env.estimate.flags)
     np.testing.assert_array_equal(session._fed["cop"], observation["cop"])
@@ -41,7 +41,9 @@ def test_without_changes_it_is_self_calibration() -> None:
 
 def test_severity_scales_the_errors_of_the_hardware() -> None:
     truth, usual, worse = (
-        run(Session(STAND, seed=4, start={"severity": s, "drift": 0.0}, controller="zero"), 40).shown()
+        run(
+            Session(STAND, seed=4, start={"severity": s, "drift": 0.0}, controller="zero"), 40
+        ).state_to_draw()
         for s in (0.0, 1.0, 3.0)
     )
     raw = truth.readings["raw"]
@@ -60,7 +62,7 @@ def test_the_true_map_undoes_all_errors(start: dict[str, float]) -> None:
     run(session, 40)
     scale, offset = session.errors.parameters
     np.testing.assert_allclose(
-        scale * session._raw + offset, session.shown().readings["true"].force, atol=0.5
+        scale * session._raw + offset, session.state_to_draw().readings["true"].force, atol=0.5
     )
 
 
@@ -70,7 +72,10 @@ def test_a_changed_scale_and_offset_move_the_raw_cop() -> None:
     run(changed, 20)
     changed.change("scale", (0, 0.5))
     changed.change("offset", (3, -2.0))
-    before, after = run(plain, 3).shown().readings["raw"], run(changed, 3).shown().readings["raw"]
+    before, after = (
+        run(plain, 3).state_to_draw().readings["raw"],
+        run(changed, 3).state_to_draw().readings["raw"],
+    )
     assert after.force[0] > 1.2 * before.force[0]
     assert after.force[3] == pytest.approx(before.force[3] - 2.0, abs=0.01)
     np.testing.assert_allclose(np.delete(after.force, [0, 3]), np.delete(before.force, [0, 3]))
@@ -83,8 +88,8 @@ def test_warm_cells_err_by_what_a_kelvin_adds_to_each() -> None:
     spread = BAR_CELLS_ON_HX711.scale_tempco, BAR_CELLS_ON_HX711.offset_tempco
     np.testing.assert_allclose(tempco.std(axis=1), spread, rtol=0.6)
     warm.change("temperature", 40.0)
-    before, after = (run(session, 10).shown().readings["raw"].force for session in (usual, warm))
-    load = warm.shown().readings["true"].force
+    before, after = (run(session, 10).state_to_draw().readings["raw"].force for session in (usual, warm))
+    load = warm.state_to_draw().readings["true"].force
     np.testing.assert_allclose(after - before, 2.0 * 40.0 * (tempco[0] * load + tempco[1]), atol=2e-3)
     # Nothing of it is left where the temperature is that of the power-up.
     warm.change("temperature", 0.0)
@@ -115,12 +120,12 @@ def test_drift_is_as_fast_as_it_is_set() -> None:
 )
 def test_a_broken_cell_is_flagged(words: str, flag: Flag) -> None:
     session = run(Session("surefoot/NaoBalance-v0", seed=1), 160)
-    assert not session.shown().flags.any()
+    assert not session.state_to_draw().flags.any()
     session.change("fault", words)
     run(session, 160)
     channel = 1 if words.startswith("left") else 6
-    assert session.shown().flags[channel] & flag
-    assert not np.delete(session.shown().flags, channel).any()
+    assert session.state_to_draw().flags[channel] & flag
+    assert not np.delete(session.state_to_draw().flags, channel).any()
     assert session.errors.faults == (words,)
     session.change("repair")
     assert session.errors.faults == ()
@@ -159,7 +164,7 @@ def test_what_is_done_to_the_robot() -> None:
     session.change("slope", 0.0)
     session.change("payload", 0.4)
     run(session, 80)
-    load = session.shown().readings["true"].vgrf.sum()
+    load = session.state_to_draw().readings["true"].vgrf.sum()
     assert load == pytest.approx((mass + 0.4) * 9.81, rel=0.02)
     session.change("reset")
     assert session.source.model.body_subtreemass[0] == pytest.approx(mass + 0.4)
@@ -201,7 +206,7 @@ def test_a_recording_is_read_back_calibrated_and_repeated(tmp_path: Path, undraw
     session.change("method", "tare")
     run(session, 40)
     raw, time = session._raw, session.time
-    log = read_log(write_log(session.recorded(), tmp_path / "stand.parquet"))
+    log = read_log(write_log(session.stop_recording(), tmp_path / "stand.parquet"))
     assert not session.recording
     assert len(log) == 80
     assert log.time[-1] == time
@@ -212,8 +217,8 @@ def test_a_recording_is_read_back_calibrated_and_repeated(tmp_path: Path, undraw
 
     # A recording from before there was a temperature is repeated as well.
     older = [change for change in log.about["view"]["changes"] if change[1] != "temperature"]
-    assert repeated(log.about | {"view": log.about["view"] | {"changes": older}})[1][0].what == "fault"
-    again, changes = repeated(log.about)
+    assert repeat_session(log.about | {"view": log.about["view"] | {"changes": older}})[1][0].what == "fault"
+    again, changes = repeat_session(log.about)
     assert [change.what for change in changes] == ["fault", "payload", "method"]
     for k in range(120):
         for change in changes:
@@ -228,14 +233,14 @@ def test_a_recording_ends_with_its_episode() -> None:
     session = Session(STAND, seed=7)
     session.record()
     with pytest.raises(ValueError, match=r"^Nothing was recorded yet: record, and let the robot go on"):
-        session.recorded()
+        session.stop_recording()
     session.record()
     session.change("push", (4.0, 0.0))
     while not session.over:
         session.step()
     assert session.fell
     assert session.record_is_full
-    assert session.recorded().about["fell"]
+    assert session.stop_recording().about["fell"]
     with pytest.raises(RuntimeError, match=r"^The episode has ended; change\('reset'\)"):
         session.step()
 
@@ -290,8 +295,8 @@ def test_any_robot_on_two_feet() -> None:
     session = Session("Humanoid-v5", seed=1, soles=True)
     assert session.feeds == ("raw", "calibrated")
     run(session, 5)
-    assert np.isfinite(session.shown().readings["raw"].force).all()
+    assert np.isfinite(session.state_to_draw().readings["raw"].force).all()
     with pytest.raises(ValueError, match=r"with --soles\.$"):
         Session("Humanoid-v5")
     with pytest.raises(ValueError, match=r"This log was not recorded by 'surefoot view'"):
-        repeated({})
+        repeat_session({})

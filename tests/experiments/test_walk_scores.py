@@ -11,7 +11,7 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.walks.play import FALLING, Consistency, Played, Stream, _normalise, cut_fall, play
 from surefoot.experiments.walks.run_score import running_rmse, score_run
-from surefoot.experiments.walks.score import cop_world, held, score_forces
+from surefoot.experiments.walks.score import cop_world, hold_last, score_forces
 from surefoot.sensors import Fault
 
 RNG = np.random.default_rng(11)
@@ -151,7 +151,7 @@ def test_a_covariance_that_is_none_is_infinitely_wrong(broken: np.ndarray) -> No
 
 def test_readings_that_do_not_arrive_are_held() -> None:
     readings = np.array([[1.0, 2.0], [np.nan, 3.0], [np.nan, np.nan]])
-    np.testing.assert_array_equal(held(readings), [[1.0, 2.0], [1.0, 3.0], [1.0, 3.0]])
+    np.testing.assert_array_equal(hold_last(readings), [[1.0, 2.0], [1.0, 3.0], [1.0, 3.0]])
 
 
 def test_a_fall_is_cut_off(log: Log) -> None:

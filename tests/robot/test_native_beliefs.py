@@ -18,13 +18,14 @@ from surefoot.calibration.native import NATIVE, Library
 from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.native import Record, compiler
+from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.errors import BeliefErrors
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.references import Beliefs, nothing
+from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.foot_view import CERTAINTY, DETERMINED, PARTS, FootView
-from surefoot.robot.native import shown_dtype, view_record
+from surefoot.robot.native import view_dtype, view_record
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -246,7 +247,7 @@ def test_an_episode_begins_with_nothing_believed(library, model):
     native, fresh = (NativeBeliefs(library, python(model)) for _ in range(2))
     native.update(motion(len(model.joint_names))[:60])
     native.sample(0.4, None)
-    assert native.begun() is native
+    assert native.begin_episode() is native
     for name in native._state.dtype.names:
         np.testing.assert_array_equal(native._state[name], fresh._state[name], err_msg=name)
     same_info(fresh.info(), native.info())
@@ -306,8 +307,8 @@ def test_what_does_not_fit_is_found(library):
     sizes = {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
 
     def fits(timing, **changes):
-        model = library.filled("model", {**sizes, **tree, **changes})
-        record = library.filled("timing", timing)
+        model = library.record_of("model", {**sizes, **tree, **changes})
+        record = library.record_of("timing", timing)
         return library.functions.surefoot_beliefs_fit(model.ctypes.data, record.ctypes.data)
 
     assert fits(timing)
@@ -425,7 +426,7 @@ class Estimates:
             "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (2,),
         }  # fmt: skip
         self.estimate = Record(library.record("estimate", shapes))
-        self.config = library.filled("config", {"channels": K})
+        self.config = library.record_of("config", {"channels": K})
 
     def draw(self) -> Estimate:
         now, rng = self.estimate.now, self.rng
@@ -448,7 +449,7 @@ def test_what_is_shown_is_the_python_s(library, model, flaw):
     parts = tuple(part for part in SHOWN if not (flaw and part == "cop_foot"))
     one, two = (FootView(parts, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
     source, config = Estimates(library, one, 1), view_record(library, one)
-    shown, soles = Record(shown_dtype(library, one)), np.zeros((2, 4))
+    shown, soles = Record(view_dtype(library, one)), np.zeros((2, 4))
     for step in range(300):
         estimate, time = source.draw(), 0.5 + 0.001 * step
         places, (found, held) = native.soles(time), (shown.now, two.held)

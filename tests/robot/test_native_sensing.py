@@ -59,7 +59,7 @@ def same(one: FootSensors, other: FootSensors) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_episodes_are_the_same(case: str) -> None:
-    """The library's robot is pickled on the way, and Python goes on for a step with what the library had."""
+    """The library's robot is pickled on the way, and Python goes on for a step with the library's state."""
     without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
 
     def made() -> FootSensors:

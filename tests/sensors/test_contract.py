@@ -44,7 +44,7 @@ from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import mechanics
 from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
-from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity, drawn_nonlinearity, nonlinearity
+from surefoot.sensors.stages.nonlinearity import cross_nonlinearity, nonlinearity, random_nonlinearity
 from surefoot.sensors.stages.overload import overload
 from surefoot.sensors.stages.temperature import thermal_drift
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
@@ -149,8 +149,8 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "faults": (lambda: channel_faults(FAULTS, LoadCells()), 8, False),
     "warming load cells": (cells_with(**WARM), 8, True),
     "warming load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WARM)), 8, True),
-    "drawn nonlinearity": (lambda: drawn_nonlinearity(0.05, 10.0), 8, False),
-    "coupled nonlinearity": (lambda: coupled_nonlinearity(0.04, 0.01, [10.0] * 8), 8, False),
+    "drawn nonlinearity": (lambda: random_nonlinearity(0.05, 10.0), 8, False),
+    "coupled nonlinearity": (lambda: cross_nonlinearity(0.04, 0.01, [10.0] * 8), 8, False),
     "bent gauges": (
         lambda: strain_gauges(StrainGauges(nonlinearity=0.04, cross_nonlinearity=0.01)),
         6,
@@ -192,8 +192,8 @@ NULL = {
     "empty chain": (chain, False),
     "ideal mechanics": (lambda: mechanics(Mechanics(), 10.0), False),
     "direct wire": (lambda: wire(Wire(), 1.0, (-1.0, 1.0), 0), False),
-    "drawn nonlinearity": (lambda: drawn_nonlinearity(0.0, 10.0), False),
-    "coupled nonlinearity": (lambda: coupled_nonlinearity(0.0, 0.0, [10.0] * 8), False),
+    "drawn nonlinearity": (lambda: random_nonlinearity(0.0, 10.0), False),
+    "coupled nonlinearity": (lambda: cross_nonlinearity(0.0, 0.0, [10.0] * 8), False),
     "no faults": (lambda: channel_faults((), LoadCells(adc_bits=0)), False),
     "thermal drift": (lambda: thermal_drift(0.0, 0.0, 0.0, ramp=1.0), False),
     "hysteresis": (lambda: hysteresis(0.0, 1.0), False),

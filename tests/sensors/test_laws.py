@@ -12,7 +12,7 @@ from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP, mechanics
 from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
-from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity, drawn_nonlinearity, nonlinearity
+from surefoot.sensors.stages.nonlinearity import cross_nonlinearity, nonlinearity, random_nonlinearity
 from surefoot.sensors.stages.overload import overload
 
 # Nonlinearity
@@ -51,7 +51,7 @@ def test_what_is_allowed_grows_with_the_load(terms):
 
 def test_drawn_terms_are_uniform_within_the_data_sheet():
     loads = np.broadcast_to(np.array([0.0, 50.0, 100.0])[:, None], (3, 32_000))
-    off = stream(drawn_nonlinearity(0.002, 100.0), loads) - loads
+    off = stream(random_nonlinearity(0.002, 100.0), loads) - loads
     np.testing.assert_allclose(off[[0, 2]], 0.0, atol=1e-12)
     assert np.abs(off[1]).max() == pytest.approx(0.2, rel=0.01)
     # Uniform: the standard deviation is the range over the root of 12.
@@ -60,7 +60,7 @@ def test_drawn_terms_are_uniform_within_the_data_sheet():
 
 def test_coupled_axes_bend_by_their_cubic_terms_and_by_products_of_two():
     scale = np.array([100.0, 10.0, 1.0])
-    stage = coupled_nonlinearity(0.04, 0.02, scale)
+    stage = cross_nonlinearity(0.04, 0.02, scale)
     rng = np.random.default_rng(8)
     states = [stage.init((3,), rng) for _ in range(4000)]
 
@@ -80,7 +80,7 @@ def test_coupled_axes_bend_by_their_cubic_terms_and_by_products_of_two():
 
 
 def test_no_two_loads_of_coupled_axes_have_one_reading():
-    stage = coupled_nonlinearity(0.08, 0.018, [1.0] * 6)
+    stage = cross_nonlinearity(0.08, 0.018, [1.0] * 6)
     rng = np.random.default_rng(9)
     for _ in range(200):
         state, at = stage.init((6,), rng), rng.uniform(-1.0, 1.0, 6)
@@ -274,7 +274,7 @@ def test_no_time_changes_nothing_and_loads_add_up():
 @pytest.mark.parametrize(
     ("fields", "stage"),
     [
-        ({"nonlinearity": 0.01}, drawn_nonlinearity(0.01, 40.0)),
+        ({"nonlinearity": 0.01}, random_nonlinearity(0.01, 40.0)),
         ({"hysteresis": 0.01}, hysteresis(0.01, 40.0, smallest=SMALLEST_LOOP)),
         ({"creep_shares": (0.1,), "creep_time_constants": (2.0,)}, creep((0.1,), (2.0,))),
         (
@@ -304,8 +304,8 @@ def test_each_field_of_the_mechanics_is_one_stage_with_its_numbers(fields, stage
         (lambda: nonlinearity(-0.09, 0.0, 1.0), "must leave readings that grow"),
         (lambda: nonlinearity(0.0, 0.2, 1.0), "must leave readings that grow"),
         (lambda: nonlinearity(0.0, [0.0, -0.4], 1.0), "must leave readings that grow"),
-        (lambda: coupled_nonlinearity(-0.1, 0.0, [1.0] * 6), "'cubic' must be finite and not negative"),
-        (lambda: coupled_nonlinearity(0.1, 0.02, [1.0] * 6), r"keep 5.2 cubic \+ 30 cross below 1"),
+        (lambda: cross_nonlinearity(-0.1, 0.0, [1.0] * 6), "'cubic' must be finite and not negative"),
+        (lambda: cross_nonlinearity(0.1, 0.02, [1.0] * 6), r"keep 5.2 cubic \+ 30 cross below 1"),
         (lambda: mounting(-1.0, 1.0), "'threshold' must be finite and not negative, got -1.0"),
         (lambda: mounting(1.0, 1.0, warp=(1, 0)), r"'warp' must hold \+1 or -1.*got \(1, 0\)"),
         (lambda: mounting(1.0, 1.0).init((6,), None), r"whole feet of 4 cells, got shape \(6,\)"),

@@ -167,7 +167,7 @@ def play(library: Library, config: Any, seed: int, exchange: int, substeps: int 
     expected = device.init((config.channels,), one)
     state = native.pack(device.init((config.channels,), other))
     same(expected, state.python())
-    blocks = loads(kind.felt(config), rng)[:, :substeps].copy()
+    blocks = loads(kind.count_loads(config), rng)[:, :substeps].copy()
     rows: list[tuple[Any, Any]] = []
     with np.errstate(invalid="ignore"):
         for k, load in enumerate(blocks if kind.blocks else blocks[:, 0]):

@@ -12,7 +12,7 @@ from surefoot.sensors import StrainGauges, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
 from surefoot.sensors.devices.strain_gauges import OFFSET, SCALE, shift_offset, true_response
 from surefoot.sensors.presets import resolve
-from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
+from surefoot.sensors.stages.nonlinearity import cross_nonlinearity
 
 LEG = preset("icub-ftsens-leg", StrainGauges)
 PERFECT = preset("perfect", StrainGauges)
@@ -195,7 +195,7 @@ def test_an_element_bends_in_shares_of_its_full_scales():
     for seed in range(5):
         sensor, state, rng = drawn(config, seed)
         counts, _ = sensor.apply(WRENCH, state, rng, 0.01)
-        bent, _ = coupled_nonlinearity(0.04, 0.01, config.full_scale).apply(WRENCH, state.bend, rng, 0.01)
+        bent, _ = cross_nonlinearity(0.04, 0.01, config.full_scale).apply(WRENCH, state.bend, rng, 0.01)
         np.testing.assert_allclose(wrenches(config, counts), bent, rtol=1e-9)
         assert abs(bent - WRENCH).max() > 0.2
 

@@ -105,7 +105,7 @@ def test_robots_that_measure_velocities_are_calibrators_side_by_side(lag, log):
 
 
 def compare_with_alone(method, lag, log, given):
-    """To rounding in double precision, with what they do at a reset, and closely in single."""
+    """To rounding in double precision, with all that they do at a reset, and closely in single."""
     module, single = make(method, lag=lag, dtype=torch.float64), make(method, lag=lag)
     options = {"standing_start": False} if method in ("window", "quasi-static") else {}
     alone = [FootCalibrator(LAYOUT, method, mass=MASS, dt=DT, lag=lag, **options) for _ in range(N)]

@@ -201,7 +201,7 @@ def test_a_device_in_a_kernel_is_that_of_the_library(module, tmp_path, name):
     kind, library, rng = INSTRUMENTS[name], library_of(DEVICES, tmp_path), np.random.default_rng(3)
     config = next(preset(name, family) for family in PRESETS if name in PRESETS[family])
     native = native_device(library, kind, config)
-    rows, felt = (SUBSTEPS if kind.blocks else 1), kind.felt(config)
+    rows, felt = (SUBSTEPS if kind.blocks else 1), kind.count_loads(config)
     streams = of_robots([Stream.of(9, robot).record for robot in range(ROBOTS)])
     states = [
         native.pack(kind.build(config).init((config.channels,), Stream.of(1, robot)))

@@ -10,9 +10,10 @@ from gymnasium.envs.registration import EnvSpec
 
 from surefoot.calibration import Parameters
 from surefoot.robot.beliefs.errors import NO_ERRORS, BeliefErrors
+from surefoot.robot.sensing.foot_equipment import FootOptions
 from surefoot.sensors import Fault, ForceTorque, Imu, LoadCells, preset
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers import FootEquipment, FootSensors, SelfCalibration
 
 STACKS = {
     "preset": lambda env: FootSensors(env),
@@ -81,6 +82,27 @@ def test_observations_lie_in_their_space_and_are_nobody_elses(name: str, make_ba
             np.testing.assert_array_equal(seen[key], copy[key])
     arrays = [part for seen, _ in kept for part in seen.values()]
     assert not any(np.shares_memory(a, b) for i, a in enumerate(arrays) for b in arrays[:i])
+
+
+def test_equipment_is_a_value_and_its_fields_are_keywords(make_bare) -> None:
+    value = FootEquipment("icub-force-torque", severity=(0.5, 2.0), faults=["at t=1 s cell left/fz dies"])
+    env = FootSensors(make_bare(), value, fresh=True)
+    same = FootSensors(make_bare(), **value.options | {"fresh": True})
+    assert env.spec.to_json() == same.spec.to_json()
+    assert_same(steps(env), steps(same))
+    assert FootOptions.__annotations__.keys() | {"config"} == value.options.keys()
+
+
+def test_equipment_refuses_what_has_no_meaning(make_bare) -> None:
+    with pytest.raises(
+        ValueError,
+        match=r"^'severity' is given twice, in FootEquipment\(...\) and as a keyword; leave one out.$",
+    ):
+        FootSensors(make_bare(), FootEquipment(severity=0.5), severity=2.0)
+    with pytest.raises(ValueError, match=r"^'severity' must be finite and not negative, got -1.0.$"):
+        FootEquipment(severity=-1)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'sevrity'"):
+        FootSensors(make_bare(), sevrity=2.0)
 
 
 def test_what_only_truth_has_is_gone(make_bare) -> None:

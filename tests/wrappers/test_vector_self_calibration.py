@@ -43,7 +43,7 @@ def _vector(
 
 
 def _learnt(env: VectorSelfCalibration) -> np.ndarray:
-    """Return what the filters of all robots have learnt."""
+    """Return the calibrations of all robots."""
     return np.array([robot.calibrator.state.published.mean for robot in env.calibration.robots])
 
 

@@ -1,4 +1,4 @@
-"""What modules over many robots have in common: who is meant, which step it is, and their records."""
+"""The common part of modules over many robots: who is meant, which step it is, and their records."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -108,7 +108,7 @@ class BatchModule(nn.Module, ABC):
         self.counter = counter
         self._last: int | None = None
         self._records: dict[str, Tensor] = {}
-        self._starting = self._kept("starting", torch.ones(num_envs, dtype=torch.bool))
+        self._starting = self._register("starting", torch.ones(num_envs, dtype=torch.bool))
         self._asked = True  # whether an episode may have started since the last call
 
     @abstractmethod
@@ -132,7 +132,7 @@ class BatchModule(nn.Module, ABC):
         self._last = step
         return not again
 
-    def _kept(self, name: str, values: Tensor) -> Tensor:
+    def _register(self, name: str, values: Tensor) -> Tensor:
         """Move values to the device, and let them be saved and restored in place."""
         self._records[name] = values.to(self.device, copy=True).contiguous()
         return self._records[name]
@@ -149,13 +149,13 @@ class BatchModule(nn.Module, ABC):
         self._asked = True
         return mask
 
-    def _saved(self, kernel: Kernel, identity: dict[str, Any]) -> dict[str, Any]:
+    def _state_of(self, kernel: Kernel, identity: dict[str, Any]) -> dict[str, Any]:
         """Return all that is kept, for ``state_dict()``."""
         kept = {name: record.clone() for name, record in self._records.items()}
         return {"identity": identity | {"records": kernel.layout}, "last": self._last, **kept}
 
     def _restore(self, kernel: Kernel, saved: dict[str, Any], identity: dict[str, Any]) -> None:
-        """Go on from what :meth:`_saved` returned.
+        """Go on from a result of :meth:`_state_of`.
 
         Raises:
             ValueError: If it is of another module, with the first difference.
@@ -215,7 +215,7 @@ def views(records: Tensor, layout: np.dtype[Any]) -> dict[str, Tensor]:
 
     Args:
         records: The records in bytes, shape (N, size).
-        layout: What is in one.
+        layout: Columns of one.
     """
     found = {}
     for name, (field, offset, *_) in (layout.fields or {}).items():

@@ -139,8 +139,10 @@ class FootSensorsModule(BatchModule):
         streams = [device_streams(SENSOR_STREAM, seed + robot) for robot in range(num_envs)]
         drawn = self._draw((own[self._part], own["faults"]) for own in streams)
         names = "sensors", "faults", "streams"
-        self._sensors, self._faults, self._streams = map(self._kept, names, drawn)
-        self._reading = self._kept("reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype))
+        self._sensors, self._faults, self._streams = map(self._register, names, drawn)
+        self._reading = self._register(
+            "reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype)
+        )
 
     def forward(self, force: Tensor, step: int | None = None) -> Tensor:
         """Read the sensors.
@@ -192,7 +194,7 @@ class FootSensorsModule(BatchModule):
                 kept[those] = new.to(self.device)
 
     def newtons(self, counts: Tensor) -> Tensor:
-        """Return counts in N (and N m) by the data sheet: what a robot without a calibrator believes."""
+        """Return counts in N (and N m) by the data sheet, as a robot without a calibrator believes them."""
         return (counts - self.config.zero_code) / self._slope
 
     def true_parameters(self) -> Parameters:
@@ -214,10 +216,10 @@ class FootSensorsModule(BatchModule):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return everything for ``state_dict()``: sensors, the last readings and the random streams."""
-        return self._saved(self._kernel, self._identity())
+        return self._state_of(self._kernel, self._identity())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from what :meth:`get_extra_state` returned.
+        """Go on, bit for bit, from a result of :meth:`get_extra_state`.
 
         Raises:
             ValueError: If it is of other sensors.
@@ -278,7 +280,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
-    """Make a fault of what a user gives."""
+    """Make a fault of a user's words."""
     if not isinstance(given, str):
         return resolve(given, Fault)
     cells = CELL_NAMES if isinstance(config, LoadCells) else AXES

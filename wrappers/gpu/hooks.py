@@ -39,9 +39,9 @@ def modifier_class(feet: Feet, base: type = object, *, unit: str = "N", fresh: b
     """Make a modifier of an observation that holds the true forces.
 
     Args:
-        feet: The sensors, or what makes them.
+        feet: The sensors, or a function that makes them.
         base: The simulator's base class of modifiers.
-        unit: What comes out, one of :data:`UNITS`.
+        unit: The unit of the result, one of :data:`UNITS`.
         fresh: Whether a robot gets other sensors at each reset.
 
     Returns:
@@ -58,7 +58,7 @@ def modifier_class(feet: Feet, base: type = object, *, unit: str = "N", fresh: b
         def __init__(self, cfg: Any, data_dim: tuple[int, ...], device: str) -> None:
             if base is not object:
                 super().__init__(cfg, data_dim, device)
-            self.feet = _made(feet, data_dim[0], device)
+            self.feet = _make_feet(feet, data_dim[0], device)
             if tuple(data_dim) != (self.feet.num_envs, self.feet.channels):
                 raise ValueError(
                     f"The sensors read forces of shape {(self.feet.num_envs, self.feet.channels)}, but the "
@@ -78,9 +78,9 @@ def noise_model_class(feet: Feet, base: type = object, *, unit: str = "N", fresh
     """Make a noise model of an observation that holds the true forces.
 
     Args:
-        feet: The sensors, or what makes them.
+        feet: The sensors, or a function that makes them.
         base: The simulator's base class of noise models, of which its manager asks for a subclass.
-        unit: What comes out, one of :data:`UNITS`.
+        unit: The unit of the result, one of :data:`UNITS`.
         fresh: Whether a robot gets other sensors at each reset.
 
     Returns:
@@ -98,7 +98,7 @@ def noise_model_class(feet: Feet, base: type = object, *, unit: str = "N", fresh
         def __init__(self, noise_model_cfg: Any, num_envs: int, device: str) -> None:
             if base is not object:
                 super().__init__(noise_model_cfg, num_envs, device)
-            self.feet = _made(feet, num_envs, device)
+            self.feet = _make_feet(feet, num_envs, device)
 
         def reset(self, env_ids: RobotIds = None) -> None:
             self.feet.reset(env_ids, fresh)
@@ -132,7 +132,7 @@ def observation_term_class(
     """
 
     class FeetTerm(base):  # type: ignore[misc]
-        """What robots observe of their feet."""
+        """The robots' observations of their feet."""
 
         def __init__(self, cfg: Any, env: Any) -> None:
             # Base classes keep these two and no more, but do not agree on which are handed to them.
@@ -150,7 +150,7 @@ def observation_term_class(
     return FeetTerm
 
 
-def _made(feet: Feet, num_envs: int, device: str) -> FootSensorsModule:
+def _make_feet(feet: Feet, num_envs: int, device: str) -> FootSensorsModule:
     """Make the sensors, or take those there are."""
     made = feet if isinstance(feet, FootSensorsModule) else feet(num_envs, device)
     _check_robots(made, num_envs)

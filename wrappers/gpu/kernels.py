@@ -40,12 +40,12 @@ Bytes = wp.array2d[wp.uint8]
 
 
 class Kernel:
-    """What one thread does for one robot.
+    """The work of one thread for one robot.
 
     Args:
         package: Whose headers, a key of :data:`SOURCES`.
         headers: Those that are needed.
-        body: What is done for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
+        body: The work for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
             what :meth:`launch` is given.
         fits: Functions of ``library.c`` that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
@@ -53,7 +53,7 @@ class Kernel:
 
     Attributes:
         library: Where the fields of its records lie, and the functions.
-        layout: What tells this layout from others.
+        layout: The mark of this layout.
     """
 
     library: Library
@@ -70,7 +70,7 @@ class Kernel:
         told = "surefoot_places()", "surefoot_places_count()", *fits
         tell = "".join(f"((size_t *)config.data)[{i}] = (size_t){one};" for i, one in enumerate(told))
         table = torch.zeros((1, len(told)), dtype=torch.int64)
-        self._steps = _compiled(package, [*lines, '#include "library.c"'], tell)
+        self._steps = _new_kernel(package, [*lines, '#include "library.c"'], tell)
         self.launch(1, [table])
         first, count, *functions = table[0].tolist()
         kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
@@ -80,7 +80,7 @@ class Kernel:
         places = places_at(first, count)
         self.library = Library(library, np.dtype("f4" if single else "f8"), places, {})
         self.layout = sha256(repr(places).encode()).hexdigest()[:16]
-        self._steps = _compiled(package, [*lines, *(f'#include "{name}.h"' for name in headers)], body)
+        self._steps = _new_kernel(package, [*lines, *(f'#include "{name}.h"' for name in headers)], body)
 
     def launch(
         self, robots: int, arrays: Sequence[Tensor], what: int = 0, rows: int = 0, count: int = 0,
@@ -134,7 +134,7 @@ def threads_at_once(device: torch.device) -> int:
     return THREADS * torch.cuda.get_device_properties(device).multi_processor_count
 
 
-def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
+def _new_kernel(package: str, lines: Sequence[str], body: str) -> Any:
     """Return a kernel of Warp in a module of its own; nothing is compiled yet."""
 
     @wp.func_native(body)

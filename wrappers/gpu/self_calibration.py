@@ -50,7 +50,7 @@ def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
 
 
 class _Steps(NamedTuple):
-    """A method in C: its state, what it works in, its own constants, calls of its functions, its sizes."""
+    """A method in C: its state, its workspace, its own constants, calls of its functions, its sizes."""
 
     state: str
     work: str
@@ -122,11 +122,11 @@ class SelfCalibrationModule(BatchModule):
     **Steps.** As of :class:`~surefoot.wrappers.gpu.FootSensorsModule`: with a step's number, from the
     argument ``step`` or from ``counter``, a sample is taken in once however often it is handed over.
 
-    **Resets.** A robot that begins a new episode keeps what it has learnt, and nothing is learnt before its
+    **Resets.** A robot that begins a new episode keeps its calibration, and nothing is learnt before its
     references are of the new episode. With ``fresh=True``, for a robot that got fresh sensors, it starts
     fresh.
 
-    **Beliefs.** A reference must hold what a robot can know of itself, never the simulator's truth: joint
+    **Beliefs.** A reference must hold a robot's own knowledge of itself, never the simulator's truth: joint
     encoders and an IMU with their errors, and a model with a mass and a centre of mass that are a little off.
 
     Each robot is a :class:`~surefoot.calibration.FootCalibrator` of its own, with its numbers to rounding.
@@ -149,7 +149,7 @@ class SelfCalibrationModule(BatchModule):
 
     Attributes:
         method: The method's name.
-        setup: What the method was given.
+        setup: The method's setup.
         frozen: Whether nothing is learnt for the time being.
 
     Raises:
@@ -209,9 +209,9 @@ class SelfCalibrationModule(BatchModule):
         given = native.references
         self._beliefs = {kind: self._record(record, num_envs) for kind, record in given.items()}
         estimate = self._nothing(num_envs, library.places["estimate"][""][2])
-        self._state = self._kept("state", self._fresh.expand(num_envs, -1))
-        self._estimate = self._kept("estimate", estimate)
-        self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
+        self._state = self._register("state", self._fresh.expand(num_envs, -1))
+        self._estimate = self._register("estimate", estimate)
+        self._waiting = self._register("waiting", torch.zeros(num_envs, dtype=torch.int32))
         self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.record.dtype, native.estimate.now.dtype
         self._view()
@@ -278,7 +278,7 @@ class SelfCalibrationModule(BatchModule):
             self._run(_FRESH, mask, self._fresh)
 
     def retract(self, env_ids: RobotIds = None) -> None:
-        """Take back what robots have learnt in the last seconds: they have fallen, which began before.
+        """Take back the learning of the last seconds: they have fallen, which began before.
 
         Args:
             env_ids: These robots; all by default.
@@ -289,9 +289,10 @@ class SelfCalibrationModule(BatchModule):
         self._run(_RETRACT, mask_of(env_ids, self.num_envs, self.device), self._fresh)
 
     def freeze(self, frozen: bool = True) -> None:
-        """Stop learning, or go on: what was learnt is applied either way.
+        """Stop learning, or go on: the calibration is applied either way.
 
-        What was measured by now still counts, so that estimates may move for another fraction of a second.
+        Samples that were measured by now still count, so that estimates may move for another fraction of a
+        second.
 
         Args:
             frozen: Whether to stop.
@@ -300,13 +301,13 @@ class SelfCalibrationModule(BatchModule):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return everything for ``state_dict()``."""
-        return self._saved(self._kernel, self._identity()) | {"frozen": self.frozen}
+        return self._state_of(self._kernel, self._identity()) | {"frozen": self.frozen}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from what :meth:`get_extra_state` returned.
+        """Go on, bit for bit, from a result of :meth:`get_extra_state`.
 
         Raises:
-            ValueError: If it is of another calibrator, or holds what no state can; nothing is changed.
+            ValueError: If it is of another calibrator, or holds impossible values; nothing is changed.
         """
         if getattr(state.get("state"), "shape", None) == self._state.shape:
             saved = views(state["state"], self._layouts[0])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
-from surefoot.robot.foot_view import seen_below
+from surefoot.robot.foot_view import drop_counts
 from surefoot.robot.native import feed_many
 from surefoot.wrappers.vector.sensors import BatchSensors
 
@@ -30,9 +30,9 @@ class BatchCalibration:
     Attributes:
         robots: The beliefs of each robot, and its calibrator.
         setup: How they are calibrated.
-        shown: What is observed now, with the robots in front; arrays that later steps do not change.
+        shown: The present observation, with the robots in front; arrays that later steps do not change.
         ended: The same before the last episodes started.
-        told: What ``info`` holds now.
+        told: The present ``info``.
 
     Raises:
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
@@ -67,11 +67,11 @@ class BatchCalibration:
         self._sample(which)
 
     def around(self, observed: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
-        """Put parts beside what the sensors show."""
-        return {**seen_below(observed, self.setup.show), **parts}
+        """Put parts beside the sensors' observation."""
+        return {**drop_counts(observed, self.setup.show), **parts}
 
     def last_of(self, robot: int) -> dict[str, NDArray[Any]]:
-        """Return what one robot observed before its last episode started, as arrays of its own."""
+        """Return one robot's observation before its last episode started, as arrays of its own."""
         return {name: part[robot].copy() for name, part in self.ended.items()}
 
     @property
@@ -85,7 +85,7 @@ class BatchCalibration:
             robot.frozen = frozen
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what was learnt, and the masses that it rests on, to an ``.npz`` without pickles.
+        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
 
         Raises:
             RuntimeError: If the environments have not been reset.
@@ -93,7 +93,7 @@ class BatchCalibration:
         save_learnt(path, self.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with what a file of :meth:`save` has learnt; a reset without a seed keeps it.
+        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
 
         Raises:
             RuntimeError: If the environments have not been reset.
@@ -121,7 +121,7 @@ class BatchCalibration:
                 feed_many(those, samples, self._sensors.threads)
             for i in which:
                 self.robots[i].note()
-            self.shown, self.told = natives[0].told_by(natives)
+            self.shown, self.told = natives[0].outputs_of(natives)
         else:
             shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)
             self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)
@@ -129,7 +129,7 @@ class BatchCalibration:
 
 
 class CalibrationFace:
-    """What wrappers of :class:`BatchCalibration` hand on.
+    """The common part of wrappers of :class:`BatchCalibration`.
 
     Attributes:
         calibration: The calibration of all robots.
@@ -147,11 +147,11 @@ class CalibrationFace:
         self.calibration.freeze(frozen)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what was learnt, as :meth:`BatchCalibration.save` does."""
+        """Write the calibration, as :meth:`BatchCalibration.save` does."""
         self.calibration.save(path)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with what a file has learnt, as :meth:`BatchCalibration.load` does."""
+        """Go on with the calibration of a file, as :meth:`BatchCalibration.load` does."""
         self.calibration.load(path)
 
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from surefoot.envs.batch import BatchVectorEnv
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import split_options
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorsFace, merge_rows
 from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
 Infos = dict[str, Any]
@@ -38,11 +39,11 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
 
     Args:
         env: A vector environment.
-        config: What is under the feet: a preset's name, a mapping or a configuration; ``None`` for the cells
-            of ``"hx711-load-cells"``, or larger ones for a robot that is too heavy for these.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
-        options: ``ankles``, ``imu``, ``encoders``, ``link``, ``severity``, ``faults``, ``fresh`` and
-            ``stream``, as of :class:`~surefoot.wrappers.FootSensors`.
+        config: The instruments under the feet, or all sensors as one value, a
+            :class:`~surefoot.wrappers.FootEquipment`.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
+        options: Fields of :class:`~surefoot.wrappers.FootEquipment`, as of
+            :class:`~surefoot.wrappers.FootSensors`.
 
     Attributes:
         sensors: The sensors of all robots.
@@ -56,10 +57,10 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
     def __init__(
         self,
         env: VectorEnv[Any, Any, Any],
-        config: str | Mapping[str, Any] | FootDevice | None = None,
+        config: str | Mapping[str, Any] | FootDevice | FootEquipment | None = None,
         *,
         measure_state: bool = True,
-        **options: Unpack[SensorOptions],
+        **options: Unpack[FootOptions],
     ) -> None:
         if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
             env = VectorTruthRow(env)
@@ -67,7 +68,7 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
         copies: Any = env if isinstance(env, VectorTruthRow) else env.unwrapped
         space, count = env.single_observation_space, env.num_envs
         self.sensors = BatchSensors(
-            "VectorFootSensors", count, space, copies.get_attr, config, measure_state, **options
+            "VectorFootSensors", count, space, copies.get_attr, equip(config, **options), measure_state
         )
         self.single_observation_space = self.sensors.view.space
         self.observation_space = batch_space(self.single_observation_space, count)
@@ -113,5 +114,9 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
 
     def _with_truth(self, infos: Infos) -> Infos:
         known, below, sensors = infos.get("surefoot", {}), self.env, self.sensors
-        truth = below.mean_truth | sensors.drawn() if isinstance(below, VectorTruthRow) else sensors.truth
+        truth = (
+            below.mean_truth | sensors.true_conditions()
+            if isinstance(below, VectorTruthRow)
+            else sensors.truth
+        )
         return {**infos, "surefoot": {**known, "truth": truth}}

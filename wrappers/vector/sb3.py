@@ -1,6 +1,6 @@
 """Sensors and calibrators for many robots in Stable-Baselines3, which has vector environments of its own.
 
-Needs the extra ``surefoot[rl]``. What happens to readings is in :mod:`surefoot.wrappers.vector.sensors`
+Needs the extra ``surefoot[rl]``. Readings are treated in :mod:`surefoot.wrappers.vector.sensors`
 and :mod:`surefoot.wrappers.vector.calibration`; here is only how SB3 gathers robots: it resets one in the
 step in which its episode ends, and hands the last observation over as ``infos[i]["terminal_observation"]``.
 """
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import OPTIONS, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, SensorsFace, merge_rows
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorsFace, merge_rows
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -34,12 +35,12 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
     Args:
         venv: A vector environment of SB3.
         config: As of :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`, like all others.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
-        options: ``ankles`` and so on.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
+        options: Fields of :class:`~surefoot.wrappers.FootEquipment`.
 
     Attributes:
         sensors: The sensors of all robots.
-        seeds: What each robot was seeded with at the last reset; ``None`` without a seed.
+        seeds: The seed of each robot at the last reset; ``None`` without a seed.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -49,19 +50,18 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
     def __init__(
         self,
         venv: VecEnv,
-        config: str | Mapping[str, Any] | FootDevice | None = None,
+        config: str | Mapping[str, Any] | FootDevice | FootEquipment | None = None,
         *,
         measure_state: bool = True,
-        **options: Unpack[SensorOptions],
+        **options: Unpack[FootOptions],
     ) -> None:
         self.sensors = BatchSensors(
             "VecFootSensors",
             venv.num_envs,
             venv.observation_space,
             venv.get_attr,
-            config,
+            equip(config, **options),
             measure_state,
-            **options,
         )
         super().__init__(venv, observation_space=self.sensors.view.space)
         self.seeds: Sequence[int | None] = [None] * venv.num_envs
@@ -108,7 +108,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What really happened at the end of the last step, to score against."""
+        """The truth at the end of the last step, to score against."""
         return self.sensors.truth
 
 

@@ -1,4 +1,4 @@
-"""Self-calibration of many robots while they walk, each with what it knows of itself."""
+"""Self-calibration of many robots while they walk, each with its knowledge of itself."""
 
 from typing import Any
 
@@ -18,13 +18,13 @@ from surefoot.wrappers.vector.truth_row import AnyVectorWrapper
 class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
-    The observation loses ``"foot_raw"`` and gains what ``show`` names, ``infos["surefoot"]`` gains
+    The observation loses ``"foot_raw"`` and gains the parts that ``show`` names, ``infos["surefoot"]`` gains
     ``"parameters"``, ``"covariance"``, ``"flags"``, ``"vgrf"``, ``"reference"`` and ``"lag"``: all as
     :class:`~surefoot.wrappers.SelfCalibration` has it for one robot, in arrays with the robots in front. Each
-    robot has beliefs and a calibrator of its own, and what it learns does not depend on who stands beside
+    robot has beliefs and a calibrator of its own, and its learning does not depend on who stands beside
     it.
 
-    What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
+    The calibration is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
     robots that are not upright (:class:`~surefoot.robot.beliefs.contacts.Upright`). Calibration starts fresh
     at a reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
     ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
@@ -72,7 +72,7 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             ValueError: If a choice does not exist.
         """
         observations, infos = self.env.reset(seed=seed, options=options)
-        return self._shown(observations), self._with_calibration(infos)
+        return self._show(observations), self._with_calibration(infos)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and calibrate by one sample."""
@@ -83,9 +83,9 @@ class VectorSelfCalibration(CalibrationFace, AnyVectorWrapper):
             for robot in np.flatnonzero(done).tolist():
                 finals[robot] = calibration.around(finals[robot], calibration.last_of(robot))
             infos = {**infos, "final_obs": finals}
-        return self._shown(observations), rewards, terminations, truncations, self._with_calibration(infos)
+        return self._show(observations), rewards, terminations, truncations, self._with_calibration(infos)
 
-    def _shown(self, observations: dict[str, Any]) -> dict[str, Any]:
+    def _show(self, observations: dict[str, Any]) -> dict[str, Any]:
         return self.calibration.around(observations, self.calibration.shown)
 
     def _with_calibration(self, infos: Infos) -> Infos:

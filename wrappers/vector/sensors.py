@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from operator import is_not
 from os import PathLike
-from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -15,13 +15,12 @@ from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.envs.numbers import MANY
 from surefoot.native import cores
-from surefoot.robot.sensing.condition import Faults, Severity
-from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.condition import Faults
 from surefoot.robot.sensing.equipment import Equipment
+from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
@@ -35,21 +34,8 @@ Attribute = Callable[[str], Sequence[Any]]
 """Asks each copy for an attribute."""
 
 
-class SensorOptions(TypedDict, total=False):
-    """Keyword arguments of :class:`~surefoot.wrappers.FootSensors` that wrappers of many robots have."""
-
-    ankles: str | Mapping[str, Any] | FootDevice | None
-    imu: str | Mapping[str, Any] | Imu | None
-    encoders: str | Mapping[str, Any] | Encoders | None
-    link: str | Mapping[str, Any] | Link | None
-    severity: Severity
-    faults: Faults
-    fresh: bool
-    stream: int
-
-
 class Planned(NamedTuple):
-    """What a robot plans for its feet, as :class:`~surefoot.envs.Command` has it.
+    """A robot's plan for its feet, as :class:`~surefoot.envs.Command` has it.
 
     Attributes:
         stance: Feet planned to stand, shape (F,).
@@ -61,13 +47,13 @@ class Planned(NamedTuple):
 
 
 class Listener(Protocol):
-    """Who takes in what the sensors read, at the moment at which they do."""
+    """Who takes in the sensors' readings, at the moment of the reading."""
 
     def step(self, starting: Mask | None, fell: Mask | None) -> None:
         """Take in a step, in which some robots were reset instead and some have fallen, shape (N,) each."""
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
-        """Take in robots that were reset, shape (N,), with what."""
+        """Take in robots that were reset, shape (N,), with their seeds and the choice."""
 
 
 class BatchSensors:
@@ -78,17 +64,16 @@ class BatchSensors:
         count: Number of robots N.
         space: Observation space of one copy.
         attribute: Asks each copy for an attribute.
-        config: What is under the feet, as of :class:`~surefoot.wrappers.FootSensors`.
-        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
-        options: As of :class:`~surefoot.wrappers.FootSensors`.
+        given: The sensors that the user put on each.
+        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
 
     Attributes:
         drawing: The robot.
-        equipment: What each is equipped with.
+        equipment: The equipment of each.
         robots: The sensors of each.
-        view: What is seen of them.
-        planned: What each robot plans; ``None`` for one that plans nothing.
-        listeners: Who takes in what they read.
+        view: Their view.
+        planned: The plan of each robot; ``None`` for one that plans nothing.
+        listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
 
     Raises:
@@ -102,16 +87,13 @@ class BatchSensors:
         count: int,
         space: Any,
         attribute: Attribute,
-        config: str | Mapping[str, Any] | FootDevice | None,
+        given: FootEquipment,
         measure_state: bool = True,
-        **options: Unpack[SensorOptions],
     ) -> None:
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
         meaning = self._meaning
-        self.equipment = Equipment(
-            owner, self.drawing, joints, meaning.dt, config, **options, seldom=meaning.seldom
-        )
+        self.equipment = Equipment(owner, self.drawing, joints, meaning.dt, given, meaning.seldom)
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
@@ -138,7 +120,7 @@ class BatchSensors:
         Args:
             rows: One row of truth a robot, shape (N, R).
             mask: Robots that were reset, shape (N,); ``None`` for all.
-            seed: What they were reset with.
+            seed: The seeds of the reset.
             asked: ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
         """
         count = len(self.robots)
@@ -182,7 +164,7 @@ class BatchSensors:
         Args:
             rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
             mask: These robots, shape (N,).
-            seeds: What each was reset with.
+            seeds: The seed of each.
             asked: As of :meth:`reset`.
         """
         substeps, asked = self._look(rows), asked or {}
@@ -195,22 +177,22 @@ class BatchSensors:
             listener.begin(mask, seeds, asked.get("calibration"))
 
     def show(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Show what the hosts have now; arrays of the environment are not changed."""
+        """Show the hosts' present data; arrays of the environment are not changed."""
         held = np.array([robot.held for robot in self.robots])
         return self.view.show(observations, held, np.array([robot.newest for robot in self.robots]))
 
     def show_one(self, observation: Mapping[str, Any], robot: int) -> dict[str, Any]:
-        """Show what one host has now."""
+        """Show one host's present data."""
         own = self.robots[robot]
         return self.view.show(observation, own.held, own.newest)
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What happened: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`drawn`."""
-        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.drawn()
+        """The truth: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
+        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.true_conditions()
 
-    def drawn(self) -> dict[str, NDArray[Any]]:
-        """Return what was drawn of the robots' conditions, (N, ...); nothing where these do not differ."""
+    def true_conditions(self) -> dict[str, NDArray[Any]]:
+        """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
 
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
@@ -225,7 +207,7 @@ class BatchSensors:
             IndexError: If there is no such robot.
             ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
         """
-        named = self._named(robots)
+        named = self._robots_of(robots)
         own = isinstance(severity, list | np.ndarray)
         values = list(severity) if own else [severity]
         if own and len(values) != len(named):
@@ -248,7 +230,7 @@ class BatchSensors:
             IndexError: If there is no such robot.
             ValueError: If a fault or a probability is refused.
         """
-        named = self._named(robots)
+        named = self._robots_of(robots)
         found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
         for robot, conditions in zip(named, found, strict=True):
             robot.conditions = conditions
@@ -259,7 +241,7 @@ class BatchSensors:
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what all robots' hardware keeps, as :meth:`FootSensors.save` does of one.
+        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
 
         Raises:
             RuntimeError: If nothing was drawn yet.
@@ -275,7 +257,7 @@ class BatchSensors:
         """
         load_hardware(path, self.robots)
 
-    def _named(self, robots: Sequence[int] | None) -> list[RobotSensors]:
+    def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
         count = len(self.robots)
         numbers = range(count) if robots is None else np.asarray(robots, dtype=np.intp).ravel().tolist()
@@ -285,7 +267,7 @@ class BatchSensors:
         return [self.robots[number] for number in numbers]
 
     def _note_conditions(self) -> None:
-        """Keep what was drawn of the robots' conditions, shape (N, ...); nothing where they do not differ."""
+        """Keep the robots' drawn conditions, shape (N, ...); nothing where they do not differ."""
         differ = any(robot.differs for robot in self.robots)
         drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
         self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
@@ -294,7 +276,7 @@ class BatchSensors:
         """Let the library read a control step of all robots for whom it can, in one call.
 
         Args:
-            truth: What the simulator read in each substep, shape (N, S, columns).
+            truth: The simulator's readings in each substep, shape (N, S, columns).
             steps: Robots that have made a step, shape (N,).
 
         Returns:
@@ -314,7 +296,7 @@ class BatchSensors:
         return steps
 
     def _look(self, rows: Floats) -> Floats:
-        """Keep what each robot plans, and return what the simulator read in each substep."""
+        """Keep each robot's plan, and return the simulator's readings in each substep."""
         self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
         if (plans[:, 0] == NO_PLAN).all():
@@ -324,13 +306,13 @@ class BatchSensors:
         return self._substeps(rows)
 
     def _substeps(self, rows: Floats) -> Floats:
-        """Return what the simulator read in each substep, shape (N, S, columns)."""
+        """Return the simulator's readings in each substep, shape (N, S, columns)."""
         meaning = self._meaning
         return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
 
 
 class SensorsFace:
-    """What wrappers of :class:`BatchSensors` hand on.
+    """The common part of wrappers of :class:`BatchSensors`.
 
     Attributes:
         sensors: The sensors of all robots.
@@ -347,11 +329,11 @@ class SensorsFace:
         self.sensors.set_severity(severity, robots)
 
     def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Change what breaks on robots, as :meth:`BatchSensors.set_faults` does."""
+        """Change the faults of robots, as :meth:`BatchSensors.set_faults` does."""
         self.sensors.set_faults(faults, robots)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what the hardware keeps, as :meth:`BatchSensors.save` does."""
+        """Write the hardware's lasting state, as :meth:`BatchSensors.save` does."""
         self.sensors.save(path)
 
     def load(self, path: str | PathLike[str]) -> None:
@@ -383,7 +365,7 @@ def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDr
         attribute: Asks each copy for an attribute.
 
     Returns:
-        The robot, and what rows hold.
+        The robot, and the meaning of its rows.
 
     Raises:
         TypeError: If copies have no row of truth.

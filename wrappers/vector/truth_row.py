@@ -5,7 +5,7 @@ processes of their own, and hands over the last one of an episode where it reset
 observation travels that way for free. The wrapper around the vector environment takes it out before anyone
 sees it.
 
-The row is what the simulator's sensors read at each substep; what it means is worked out where it is read.
+The row holds the simulator's readings at each substep; its meaning is worked out where it is read.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -34,7 +34,7 @@ NO_PLAN = -1.0
 
 
 class RowMeaning(NamedTuple):
-    """What the rows of a robot's copies hold.
+    """The meaning of the rows of a robot's copies.
 
     Attributes:
         rows: Number of substeps S of a control step.
@@ -44,7 +44,7 @@ class RowMeaning(NamedTuple):
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
         seldom: Whether only one of several substeps of a control step is read.
-        state: Where (name, start, stop) of what telemetry has (``MEASURED``) lie in
+        state: Where (name, start, stop) of the parts that telemetry has (``MEASURED``) lie in
             ``observation["state"]``, or nothing.
     """
 
@@ -68,7 +68,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
     It goes around each copy, for instance by ``gym.make_vec(..., wrappers=[TruthRow])``. A robot that does
     not record its truth is instrumented first (:class:`~surefoot.envs.InstrumentedEnv`). An observation that
     is no ``Dict`` becomes its ``"state"``; parts that only truth has are left out. Never give a policy
-    what this wrapper returns.
+    this wrapper's return value.
 
     Args:
         env: An environment built on MuJoCo.
@@ -76,7 +76,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
             more than everything else here.
 
     Attributes:
-        row_meaning: What the row holds.
+        row_meaning: The meaning of the row.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, there is another row below, or a wrapper below
@@ -107,12 +107,12 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     @property
     def drawing(self) -> Any:
-        """What the maker of the robot hands out."""
+        """The drawing by the robot's maker."""
         return self._source.drawing
 
     @property
     def row_key(self) -> Any:
-        """What :func:`read_rows` needs besides the rows."""
+        """The data that :func:`read_rows` needs besides the rows."""
         truth = self._source.truth
         return truth.channels if isinstance(truth, Truth) else truth.layout
 
@@ -134,7 +134,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         return self.show(observation, self._source), reward, terminated, truncated, self._info(info)
 
     def begin(self, source: Any) -> None:
-        """See what a source has once it has been reset."""
+        """Read the attributes that a source has once it has been reset."""
         self._plans = hasattr(source, "command")
 
     def show(self, observation: Any, source: Any) -> dict[str, Any]:
@@ -175,7 +175,7 @@ class VectorTruthRow(AnyVectorWrapper):
 
     @property
     def mean_truth(self) -> dict[str, NDArray[Any]]:
-        """What :func:`~surefoot.envs.instrumentation.means.mean_truth` says of the rows, made already."""
+        """Means of the rows, as :func:`~surefoot.envs.instrumentation.means.mean_truth` makes them."""
         truth: dict[str, NDArray[Any]] = self._batch.mean_truth
         return truth
 

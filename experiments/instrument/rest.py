@@ -46,8 +46,8 @@ def normal_interval(value: float, std: float) -> Interval:
     return Interval(value, value - half, value + half)
 
 
-class Wander(NamedTuple):
-    """What channels do at rest, in newtons and seconds."""
+class AtRest(NamedTuple):
+    """Channels at rest, in newtons and seconds."""
 
     noise: Interval  # std of a conversion, without its rounding
     offset: Interval  # random walk of the offset in N/sqrt(s)
@@ -67,7 +67,7 @@ class _Powers(NamedTuple):
     passed: Floats  # share of a walk's power that averages let through, by :data:`AVERAGED`
 
 
-def wander_of(stretches: Sequence[tuple[Stretch, float, float]]) -> Wander | None:
+def fit_at_rest(stretches: Sequence[tuple[Stretch, float, float]]) -> AtRest | None:
     """Find noise and drift of stretches, each with its load in N and the N of one step of its converter.
 
     ``None`` if there are too few conversions. Values of stretches are in N.
@@ -94,7 +94,7 @@ def wander_of(stretches: Sequence[tuple[Stretch, float, float]]) -> Wander | Non
     cost = partial(_cost, powers, k)
     best = fits[k][1]
     found = [_interval(cost, best, cost(best), i) for i in range(len(start))]
-    return Wander(found[0], found[1], found[2] if loaded else None, AVERAGED[k])
+    return AtRest(found[0], found[1], found[2] if loaded else None, AVERAGED[k])
 
 
 _OPTIONS = {"xatol": 1e-4, "fatol": 1e-5, "maxiter": 2000}

@@ -1,0 +1,133 @@
+"""The moves of an exercise, motions by their names, and the list of motions to choose among."""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SWAYS: Final = ("forward", "left", "forward left", "forward right")
+"""Lines of the sways over both feet, there and back."""
+
+EXTENTS: Final = (1.4, 1.0, 0.5)
+"""Extents of the motions that are offered, as shares of a path: the first that a robot can do."""
+
+TEMPOS: Final = (0.5, 1.0, 1.4)
+"""Tempos that they are offered with: factors on all speeds."""
+
+
+class Move(NamedTuple):
+    """A run along a path.
+
+    Attributes:
+        path: Name of the path.
+        start: Where it starts, s.
+        end: Where it ends, s.
+        time: Duration in multiples of that of a sway.
+        ends: Whether a motion ends with it: the robot is back in its first posture.
+    """
+
+    path: str
+    start: float
+    end: float
+    time: float
+    ends: bool = False
+
+
+class Schedule(NamedTuple):
+    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots.
+
+    Attributes:
+        end: When each ends in s; infinite after the last.
+        total: When the last one ends.
+        path: Number of its path.
+        start: Where on it the move starts.
+        way: How far it goes.
+        length: How long it takes in s.
+    """
+
+    end: NDArray[np.float64]
+    total: Any
+    path: NDArray[np.intp]
+    start: NDArray[np.float64]
+    way: NDArray[np.float64]
+    length: NDArray[np.float64]
+
+
+def motions_of(name: str) -> list[Move]:
+    """Return the moves of a motion that starts and ends in the middle, on both feet.
+
+    Args:
+        name: The kind, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
+            "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot
+            and sway about it), "step" (in place, one foot after the other) or "march" (twice that, without
+            a halt in the middle).
+
+    Raises:
+        ValueError: If there is no such motion.
+    """
+    what, _, tempo = name.partition("@")
+    words = what.split()
+    try:
+        scale = 1.0 / float(tempo or 1.0)
+        extent = float(words.pop()) if words[-1][-1].isdigit() else 1.0
+    except (IndexError, ValueError, ZeroDivisionError):
+        words, scale, extent = [], 1.0, 1.0
+    kind, of = words[0] if words else "", " ".join(words[1:])
+    feet = {"left": 0, "right": 1}
+    if kind == "sway" and of in SWAYS:
+        moves = [Move(of, 0.0, extent, 1.0), Move(of, extent, -extent, 1.6), Move(of, -extent, 0.0, 1.0)]
+    elif kind == "squat" and not of:
+        moves = [Move("squat", 0.0, extent, 1.0), Move("squat", extent, 0.0, 1.0)]
+    elif kind == "shift" and of in feet:
+        moves = [Move(f"shift {feet[of]}", *ends, 1.6) for ends in ((0.0, 1.0), (1.0, 0.0))]
+    elif kind in ("stand", "lean") and of in feet:
+        turns = {} if kind == "stand" else {"pitch": extent, "roll": extent}
+        moves = one_leg(feet[of], turns)
+    elif kind == "step" and not of:
+        moves = [*one_leg(0, {}, 0.6), *one_leg(1, {}, 0.6)]
+    elif kind == "march" and not of:
+        # From foot to foot without a halt in the middle: two steps with each.
+        moves = []
+        for k in range(4):
+            over = one_leg(k % 2, {}, 0.6)
+            middle = [Move("across", float(k % 2), float(1 - k % 2), 2.4)]
+            moves += [*over[: 1 if k == 0 else 0], *over[1:-1], *(over[-1:] if k == 3 else middle)]
+    else:
+        raise ValueError(
+            f"There is no motion '{name}'. There are 'sway' with one of {SWAYS}, 'squat', 'step', 'march', "
+            "and 'shift', 'stand' and 'lean' with 'left' or 'right'; then an extent such as 1.5, and a tempo "
+            "such as '@ 0.5'."
+        )
+    moves = [move._replace(time=move.time * scale) for move in moves]
+    return [*moves[:-1], moves[-1]._replace(ends=True)]
+
+
+def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move]:
+    """Return the moves by which a robot stands on one foot.
+
+    Args:
+        foot: The foot that bears it.
+        turns: How far it sways about it, by "pitch" and "roll".
+        pause: Factor on the time that it waits between moves, and that a lift takes.
+    """
+    moves = [Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause)]
+    moves += [Move(f"lift {foot}", 0.0, 1.0, pause), Move(f"lift {foot}", 1.0, 1.0, 0.3 * pause)]
+    for turn, s in turns.items():
+        path = f"{turn} {foot}"
+        moves += [Move(path, 0.0, s, 0.8), Move(path, s, -s, 1.2), Move(path, -s, 0.0, 0.8)]
+    moves.append(Move(f"lift {foot}", 1.0, 0.0, pause))
+    moves += [Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause), Move(f"shift {foot}", 1.0, 0.0, 1.6)]
+    return moves
+
+
+def motions_offered() -> list[list[str]]:
+    """Return names of motions to choose among, of every kind, direction and tempo: farther ones first."""
+    fixed = [
+        "squat",
+        "step",
+        "march",
+        *(f"{kind} {foot}" for kind in ("shift", "stand") for foot in ("left", "right")),
+    ]
+    scaled = [*(f"sway {way}" for way in SWAYS), "lean left", "lean right"]
+    kinds = [[kind] for kind in fixed] + [[f"{kind} {extent:g}" for extent in EXTENTS] for kind in scaled]
+    return [[f"{name} @ {tempo:g}" for name in names] for names in kinds for tempo in TEMPOS]
