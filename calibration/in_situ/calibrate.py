@@ -30,7 +30,7 @@ from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.hysteresis import fit_creep, fit_loops, likeliest_loops
+from surefoot.calibration.in_situ.hysteresis import fit_hysteresis
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
@@ -197,10 +197,9 @@ def _fit(
     chosen = members[0].problem, members[0].solution
     if warms and determined:
         chosen = with_gains(*chosen, options) or chosen
-    loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
-    creep = fit_creep(sets, *chosen, options) if options.hysteresis else None
-    fits = loops or [chosen]
-    chosen = likeliest_loops(chosen, loops, creep)
+    fits = [chosen]
+    if options.hysteresis:
+        chosen, fits = fit_hysteresis(sets, chosen, options)
     if chosen[0] is not members[0].problem:
         members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
     if warms and determined:

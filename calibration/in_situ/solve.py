@@ -36,6 +36,7 @@ __all__ = [
     "criterion",
     "deviance",
     "expand",
+    "follow",
     "loop_shares",
     "minima",
     "projected",
@@ -308,46 +309,51 @@ _ROUNDS = 2
 """Fits, as the loads that signals follow from come from the fit itself."""
 
 
+def follow(
+    make: Callable[[Problem, Solution], Problem], problem: Problem, solution: Solution, rounds: int = _ROUNDS
+) -> Fitted:
+    """Fit a few times with signals that follow from the loads of the fit before."""
+    for _ in range(rounds):
+        rotation, limb = solution.outer[problem.parameters :], solution.limb
+        problem = make(problem, solution)
+        limb = np.pad(limb, (0, problem.parameters - len(limb)))
+        solution = solve(problem, [np.concatenate([limb, rotation])])
+    return problem, solution
+
+
 def beside_loads(
     plain: Problem,
-    solution: Solution,
-    columns: Callable[[Problem, Solution], list[Matrix]],
+    columns: Sequence[Matrix],
     std: float,
     options: InSituOptions,
-) -> tuple[Problem, Solution]:
-    """Return the problem with signals that follow from the loads, and its solution.
-
-    Each is one more parameter behind the limb's: what an axis reads of its signal.
+    slopes: Matrix | None = None,
+) -> Problem:
+    """Add signals of the loads to a problem, each with one parameter: what an axis reads of it.
 
     Args:
         plain: The problem without.
-        solution: Its solution.
-        columns: Returns the signals of the axes at the rows of each set, shape (m, 6), by a solution.
+        columns: Signals of the axes at the rows of each set, shape (m, 6), or behind q of ``slopes``.
         std: Expected size of the parameters.
         options: Of the fit.
+        slopes: What each of the first signals adds to the wrench by the parameters, shape (q, 6, p).
     """
-    limb_root = block_diag(plain.limb_root, np.eye(AXES) / std)
     p, _, s = plain.basis.shape
-    basis = np.zeros((p + AXES, AXES, s + AXES))
+    extra = () if slopes is None else slopes
+    basis = np.zeros((p + AXES, AXES, s + len(extra) + AXES))
     basis[:p, :, :s] = plain.basis
-    # Each axis's signal, times its parameter, adds to the wrench along that axis.
-    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
-    problem = plain
-    start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
-    for _ in range(_ROUNDS):
-        parts = with_signals(plain.sets, columns(problem, solution), options, first=s)
-        problem = replace(
-            plain,
-            sets=parts,
-            added=np.pad(plain.added, ((0, 0), (0, AXES))),
-            whitening=whitening(parts),
-            basis=basis,
-            limb=np.pad(plain.limb, (0, AXES)),
-            limb_root=limb_root,
-        )
-        solution = solve(problem, [start])
-        start = solution.outer
-    return problem, solution
+    basis[p:, :, -AXES:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
+    for place, slope in enumerate(extra, s):
+        basis[:p, :, place] = slope.T
+    parts = with_signals(plain.sets, columns, options, first=s)
+    return replace(
+        plain,
+        sets=parts,
+        added=np.pad(plain.added, ((0, 0), (0, AXES))),
+        whitening=whitening(parts),
+        basis=basis,
+        limb=np.pad(plain.limb, (0, AXES)),
+        limb_root=block_diag(plain.limb_root, np.eye(AXES) / std),
+    )
 
 
 def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:

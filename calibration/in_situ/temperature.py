@@ -21,6 +21,7 @@ from surefoot.calibration.in_situ.solve import (
     beside_channels,
     beside_loads,
     criterion,
+    follow,
     solve,
     transforms,
 )
@@ -139,10 +140,10 @@ def with_gains(
         options: Of the fit.
     """
 
-    def warm_loads(at: Problem, found: Solution) -> list[Matrix]:
-        return _warm_loads(problem, transforms(at, found))
+    def warm(at: Problem, found: Solution) -> Problem:
+        return beside_loads(problem, _warm_loads(problem, transforms(at, found)), _GAIN_STD, options)
 
-    fitted, found = beside_loads(problem, solution, warm_loads, _GAIN_STD, options)
+    fitted, found = follow(warm, problem, solution)
     if criterion(fitted, found) >= criterion(problem, solution):
         return None
     return replace(fitted, gains=AXES), found

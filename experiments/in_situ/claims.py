@@ -175,26 +175,6 @@ def motion_findings(results: InSituStudyResults) -> Iterator[str]:
         )
 
 
-def refusal_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say which spoilt experiments were answered all the same, and how wrong the answers are."""
-    spoilt = results.refusals[~results.refusals["harmless"]]
-    controls = results.refusals[results.refusals["harmless"]]
-    parts = dict(list(spoilt.groupby("case", sort=False)))
-    missed = {case: part for case, part in parts.items() if not part["refused"].all()}
-    yield (
-        f"{len(parts) - len(missed)} of {plural(len(parts), 'kind')} of spoilt experiments are refused with "
-        f"every sensor; of {len(controls)} sound ones {int(controls['refused'].sum())} are."
-    )
-    usual = _shares(controls[~controls["refused"]])
-    for case, part in missed.items():
-        answered = part[~part["refused"]]
-        force, torque, _ = _shares(answered)
-        yield (
-            f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then {force} % off "
-            f"and torques {torque} %, where sound experiments leave {usual[0]} and {usual[1]} %."
-        )
-
-
 def _shares(part: Frame) -> tuple[str, ...]:
     """Return the mean errors of forces, torques and the limb's weight in percent; a dash for none."""
     columns = ("force_error", "torque_error", "limb_error")

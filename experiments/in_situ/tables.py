@@ -92,11 +92,6 @@ def _refused(part: Frame) -> str:
     return decimal(int((part["refusal"] != "").sum()), "d")
 
 
-def _reason(part: Frame) -> str:
-    reasons = part["refusal"][part["refusal"] != ""]
-    return str(reasons.iloc[0]) if len(reasons) else "–"
-
-
 def _motion(part: Frame) -> str:
     motion = MOTIONS[int(part["motion"].iloc[0])]
     return f"{_first(part, 'sensor')}: {motion.name}, {motion.duration:g} s a set"
@@ -145,15 +140,6 @@ _MOTION: Mapping[str, Cell] = {
     "worst (%)": _limb_error(lambda errors: number(errors.abs().max())),
     **_SHARES,
     "refused": lambda part: share(int(_refused(part)), len(part)),
-}
-
-_REFUSALS: Mapping[str, Cell] = {
-    "experiment": lambda part: _first(part, "case"),
-    "refused": lambda part: share(int(part["refused"].sum()), len(part)),
-    "reason": _reason,
-    **_SHARES,
-    "III-C, forces (%)": _percent_of("paper_force"),
-    "III-C, torques (%)": _percent_of("paper_torque"),
 }
 
 _EXACT: Mapping[str, Cell] = {
@@ -233,14 +219,13 @@ def all_tables(results: InSituStudyResults) -> dict[str, Table]:
         "Four sets; before the swings the limb rests in many postures for a minute, for the accelerometer."
     )
     of_limb, of_bound = _parts(results.fits, "sensor", "method"), _parts(results.white, "kind", "sensor")
-    of_motion, spoilt = _parts(results.motions, "motion", "sensor"), _parts(results.refusals, "case")
+    of_motion = _parts(results.motions, "motion", "sensor")
     listed = (
         laid_out("targets", "What it must show", _TARGETS, limits_of(results), seen),
         *(_by_set(results.sets, *table) for table in _BY_SET),
         laid_out("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, _say("limb_note")),
         laid_out("bound", bound, _BOUND, of_bound, _say("bound_note")),
         laid_out("motion", "Slow and fast motion", _MOTION, of_motion, motions),
-        laid_out("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, _say("refusals_note")),
         laid_out("exact", "Relative errors without noise", _EXACT, results.exact.itertuples()),
     )
     return {table.name: table for table in listed}
