@@ -31,10 +31,8 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.in_situ.instruments import read_sequence
+from surefoot.experiments.in_situ.instruments import read_sensor, sensor_config, static_sets
 from surefoot.experiments.study.tables import Table, number
-from surefoot.sensors import StrainGauges, preset, strain_gauges
-from surefoot.sensors.randomness import Stream
 
 Floats = NDArray[np.float64]
 Method = Callable[[Sequence[InSituSet]], float]
@@ -47,28 +45,16 @@ _TIMED = "what is timed is the fit"
 """Why refusals are passed: short sets or one without hysteresis might be refused."""
 
 
-def simulate(duration: float, seed: int = 0) -> tuple[list[InSituSet], float]:
+def simulate(duration: float, seed: int = 0) -> tuple[tuple[InSituSet, ...], float]:
     """Record a leg with eight added masses by one FTSens with all its errors; returns its mass in kg too."""
-    recordings = record_rig(duration=duration, rate=RATE, seed=seed)
-    config, rng = preset("icub-ftsens-leg", StrainGauges), np.random.default_rng([seed, 1])
-    # The sets are of one sensor, switched on anew for each.
-    state, stream = strain_gauges(config).init((config.channels,), rng), Stream.of(seed, 1)
-    counts = [read_sequence(config, one.wrench_leg, state, stream, 1.0 / RATE)[0] for one in recordings]
-    sets = [
-        InSituSet(
-            raw=raw,
-            gravity=-recording.specific_force + ACCELEROMETER_NOISE * rng.normal(size=(len(raw), 3)),
-            added_mass=recording.added_mass,
-            added_com=recording.added_com_leg,
-            time=recording.time,
-            name=recording.name,
-        )
-        for raw, recording in zip(counts, recordings, strict=True)
-    ]
-    return sets, recordings[0].limb_leg.mass
+    recordings, rng = record_rig(duration=duration, rate=RATE, seed=seed), np.random.default_rng([seed, 1])
+    counts, truth = read_sensor(sensor_config("leg"), "leg", recordings, seed)
+    force = np.stack([one.specific_force for one in recordings])
+    force = force + ACCELEROMETER_NOISE * rng.normal(size=force.shape)
+    return static_sets("leg", recordings, counts, force), truth.limb.mass
 
 
-def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> list[InSituSet]:
+def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> tuple[InSituSet, ...]:
     """Return sets of so many times the rate: what was read is interpolated and rounded with new noise."""
     rng, found = np.random.default_rng([seed, 2]), []
     for one in sets:
@@ -82,7 +68,7 @@ def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> list[InSituS
         raw = np.rint(between(one.raw) + noise[:, :-3])
         gravity = between(one.gravity) + ACCELEROMETER_NOISE * noise[:, -3:]
         found.append(replace(one, raw=raw, gravity=gravity, time=time))
-    return found
+    return tuple(found)
 
 
 def ours(sets: Sequence[InSituSet]) -> float:
