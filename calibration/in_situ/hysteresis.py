@@ -28,6 +28,7 @@ does: then p is that of each channel's own load A_c w, and acts on the readings 
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
 
@@ -94,8 +95,11 @@ _BLOCK = 250
 _ROWS_EACH = 10
 """Rows that a set must have on average for each input of the response: few rows show loops in any noise."""
 
+_ROUNDS = 2
+"""Fits by each law, as the loads that lag come from the fit itself."""
+
 _REFINED, _SETTLED = 10, 1.0
-"""Fits of backlash at most, as its loads come from the fit itself, until they change by so many nats."""
+"""More of them of backlash at most, until they change by so many nats."""
 
 _STEP = 1e-6
 """Angle by which a first moment is turned to see what it does to backlash."""
@@ -121,27 +125,38 @@ def fit_hysteresis(
         return plain, [plain]
     backlash = _of_backlash(sets, problem, options)
     makes = [_of_loads(sets, problem, options, _plays), backlash, _of_channels(sets, problem, options)]
-    loops = [follow(make, *plain) for make in makes]
+    tried = {make: fitted for make in makes if (fitted := _try(make, plain)) is not None}
     # What leads the load is no hysteresis but two clocks that disagree.
-    lagging = [fitted for fitted in loops if _lags(fitted)]
+    lagging = [fitted for fitted in tried.values() if _lags(fitted)]
     best = min([plain, *lagging], key=lambda fitted: criterion(*fitted))
     if all(data.time is not None for data in sets):
         law = partial(_creeps, steps=[_step(data) for data in sets])
-        creep = follow(_of_loads(sets, problem, options, law, _SHARE_STD / len(_CREEPING)), *plain)
+        creep = _try(_of_loads(sets, problem, options, law, _SHARE_STD / len(_CREEPING)), plain)
         # Creep follows loops of another make as well: it must explain clearly more than they do.
-        if _lags(creep) and np.max(loop_shares(*creep)) <= _MOST_CREEP:
+        if creep is not None and _lags(creep) and np.max(loop_shares(*creep)) <= _MOST_CREEP:
             before = criterion(*plain)
             if before - criterion(*best) < _NEARLY * (before - criterion(*creep)):
                 best = creep
-    return _refine(best, backlash) if best is loops[1] else best, loops
+    if best is tried.get(backlash):
+        best = _refine(best, backlash)
+    return best, list(tried.values()) or [plain]
+
+
+def _try(make: _Make, fitted: Fitted, rounds: int = _ROUNDS) -> Fitted | None:
+    """Fit a law; None where that leads nowhere, as where sets contradict each other."""
+    with suppress(np.linalg.LinAlgError):
+        return follow(make, *fitted, rounds)
+    return None
 
 
 def _refine(fitted: Fitted, make: _Make) -> Fitted:
     """Follow the loads until the fit settles; the likeliest on the way, as a step may be too long."""
     best, lowest, last = fitted, criterion(*fitted), np.inf
     for _ in range(_REFINED):
-        fitted = follow(make, *fitted, 1)
-        value = criterion(*fitted)
+        finer = _try(make, fitted, 1)
+        if finer is None:
+            break
+        fitted, value = finer, criterion(*finer)
         if value < lowest:
             best, lowest = fitted, value
         if abs(value - last) < 2.0 * _SETTLED:

@@ -305,12 +305,9 @@ def projected(solution: Solution, slopes: Matrix) -> Matrix:
 
 Fitted = tuple[Problem, Solution]
 
-_ROUNDS = 2
-"""Fits, as the loads that signals follow from come from the fit itself."""
-
 
 def follow(
-    make: Callable[[Problem, Solution], Problem], problem: Problem, solution: Solution, rounds: int = _ROUNDS
+    make: Callable[[Problem, Solution], Problem], problem: Problem, solution: Solution, rounds: int
 ) -> Fitted:
     """Fit a few times with signals that follow from the loads of the fit before."""
     for _ in range(rounds):

@@ -30,6 +30,9 @@ __all__ = ["about_one_temperature", "check_gauges", "drifting", "with_gains"]
 
 Matrix = NDArray[np.float64]
 
+_ROUNDS = 2
+"""Fits of the gains, as the loads come from the fit itself."""
+
 _GAIN_STD = 0.005
 """Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
 
@@ -143,7 +146,7 @@ def with_gains(
     def warm(at: Problem, found: Solution) -> Problem:
         return beside_loads(problem, _warm_loads(problem, transforms(at, found)), _GAIN_STD, options)
 
-    fitted, found = follow(warm, problem, solution)
+    fitted, found = follow(warm, problem, solution, _ROUNDS)
     if criterion(fitted, found) >= criterion(problem, solution):
         return None
     return replace(fitted, gains=AXES), found
