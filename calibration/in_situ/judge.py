@@ -227,16 +227,6 @@ def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Fi
     contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
     if off > limits.MASS:
         return [contradiction]
-    added = problem.added[:, :STATIC]
-    for j in range(len(added)) if off > limits.MASS_LOOKED else ():
-        changes = np.zeros((STATIC, *problem.added.shape))
-        changes[:, j, :STATIC] = np.eye(STATIC)
-        step, explained = _explain(problem, solution, changes)
-        changed = added.copy()
-        changed[j] += step
-        amount = float(np.max(_disagreement(problem, changed)))
-        if explained > limits.CULPRIT * left and amount > limits.MASS_ALONE:
-            return [contradiction]
     if problem.rotation:
         return []
     turn, explained = _explain(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
