@@ -123,15 +123,15 @@ def fit_hysteresis(
     problem = plain[0]
     if not shows_loops(problem):
         return plain, [plain]
-    backlash = _of_backlash(sets, problem, options)
-    makes = [_of_loads(sets, problem, options, _plays), backlash, _of_channels(sets, problem, options)]
+    backlash = _lag_with_backlash(sets, problem, options)
+    makes = [_lag_loads(sets, problem, options, _plays), backlash, _lag_channels(sets, problem, options)]
     tried = {make: fitted for make in makes if (fitted := _try(make, plain)) is not None}
     # What leads the load is no hysteresis but two clocks that disagree.
     lagging = [fitted for fitted in tried.values() if _lags(fitted)]
     best = min([plain, *lagging], key=lambda fitted: criterion(*fitted))
     if all(data.time is not None for data in sets):
         law = partial(_creeps, steps=[_step(data) for data in sets])
-        creep = _try(_of_loads(sets, problem, options, law, _SHARE_STD / len(_CREEPING)), plain)
+        creep = _try(_lag_loads(sets, problem, options, law, _SHARE_STD / len(_CREEPING)), plain)
         # Creep follows loops of another make as well: it must explain clearly more than they do.
         if creep is not None and _lags(creep) and np.max(loop_shares(*creep)) <= _MOST_CREEP:
             before = criterion(*plain)
@@ -175,17 +175,17 @@ def _lags(fitted: Fitted) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
 
 
-def _of_loads(
+def _lag_loads(
     sets: Sequence[InSituSet], plain: Problem, options: InSituOptions, law: _Law, std: float = _SHARE_STD
 ) -> _Make:
     def make(problem: Problem, solution: Solution) -> Problem:
         loads = _loads(sets, problem, solution)
-        return beside_loads(plain, _at_rows(sets, plain, _out_of_phase(law(loads), loads)), std, options)
+        return beside_loads(plain, _sample_rows(sets, plain, _out_of_phase(law(loads), loads)), std, options)
 
     return make
 
 
-def _of_backlash(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
+def _lag_with_backlash(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
     def make(problem: Problem, solution: Solution) -> Problem:
         loads = _loads(sets, problem, solution)
         shares, half = np.zeros(AXES), np.full((AXES, 1), _NARROW)
@@ -204,7 +204,7 @@ def _of_backlash(sets: Sequence[InSituSet], plain: Problem, options: InSituOptio
         ]
         slopes = np.zeros((len(_TORQUES), AXES, plain.parameters))
         slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
-        return beside_loads(plain, _at_rows(sets, plain, columns), _SHARE_STD, options, slopes)
+        return beside_loads(plain, _sample_rows(sets, plain, columns), _SHARE_STD, options, slopes)
 
     return make
 
@@ -232,11 +232,11 @@ def _turn(load: Matrix, body: Vector) -> _Turn:
     return _Turn(added, across[_TORQUES - 3, _MOMENTS - 1] / size)
 
 
-def _of_channels(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
+def _lag_channels(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
     def make(problem: Problem, solution: Solution) -> Problem:
         loads = [load @ solution.A.T for load in _loads(sets, problem, solution)]
         lags = _out_of_phase(_plays(loads), loads)
-        return beside_channels(plain, _at_rows(sets, plain, lags), options)
+        return beside_channels(plain, _sample_rows(sets, plain, lags), options)
 
     return make
 
@@ -268,7 +268,7 @@ def _smooth(u: Matrix) -> Matrix:
     return savitzky_golay(u, _CUBIC) if turns * _CUBIC < _PART and len(u) > _CUBIC else u
 
 
-def _at_rows(sets: Sequence[InSituSet], problem: Problem, lags: Sequence[Matrix]) -> list[Matrix]:
+def _sample_rows(sets: Sequence[InSituSet], problem: Problem, lags: Sequence[Matrix]) -> list[Matrix]:
     """Return lags at the rows of the compressed sets, (m_j, a) each."""
     found = []
     for data, part, lag in zip(sets, problem.sets, lags, strict=True):
@@ -320,7 +320,7 @@ def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:
 
 
 def _out_of_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> list[Matrix]:
-    """Return what lags without what of it goes with the loads of all sets, (n_j, a) each.
+    """Take the part in phase with the loads of all sets off the lags, (n_j, a) each.
 
     It has no mean over a set: the mean is the offset's.
     """

@@ -67,7 +67,7 @@ def over_bound(part: Frame, what: str) -> float:
 
 
 def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
-    """Return what was to be reached, with what was found."""
+    """Compare the targets with the results."""
     fits = results.fits[results.fits["method"] == OURS]
     sets = results.sets[results.sets["method"] == OURS]
     # A sensor whose readings ended with the converter is refused rightly.
@@ -128,9 +128,9 @@ def limb_findings(results: InSituStudyResults) -> Iterator[str]:
         errors = part.pivot(index="seed", columns="method", values="limb_error")
         mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
         yield (
-            f"{str(sensor).capitalize()}: III-C finds the limb {_signed(mean['paper'])} % off its weight in "
-            f"the mean, the measurement-space fit {_signed(mean[OURS])} %, and without its hysteresis "
-            f"{_signed(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
+            f"{str(sensor).capitalize()}: III-C finds the limb {_sign(mean['paper'])} % off its weight in "
+            f"the mean, the measurement-space fit {_sign(mean[OURS])} %, and without its hysteresis "
+            f"{_sign(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
             f"{number(rms[OURS])} and {number(rms['no-loop'])} %."
         )
 
@@ -181,5 +181,5 @@ def _shares(part: Frame) -> tuple[str, ...]:
     return tuple(number(100.0 * part[name].abs().mean()) if name in part else "–" for name in columns)
 
 
-def _signed(value: float) -> str:
+def _sign(value: float) -> str:
     return ("+" if value > 0.0 else "") + number(value)

@@ -88,7 +88,7 @@ def _limb_error(what: Callable[[Frame], str]) -> Cell:
     return lambda part: what(100.0 * part["limb_error"].dropna())
 
 
-def _refused(part: Frame) -> str:
+def _count_refused(part: Frame) -> str:
     return decimal(int((part["refusal"] != "").sum()), "d")
 
 
@@ -119,7 +119,7 @@ _LIMB: Mapping[str, Cell] = {
         lambda errors: decimal(100.0 * float(np.mean(errors.abs() <= 1.0)), ".0f") if len(errors) else "–"
     ),
     **_SHARES,
-    "refused": _refused,
+    "refused": _count_refused,
 }
 
 _BOUND: Mapping[str, Cell] = {
@@ -130,7 +130,7 @@ _BOUND: Mapping[str, Cell] = {
     "NEES / unknowns": lambda part: number(consistency(part).mean),
     "95 % of consistent ones": lambda part: span(*consistency(part)[1:3], ".3f"),
     "inside": lambda part: Verdict.of(consistency(part).inside),
-    "refused": _refused,
+    "refused": _count_refused,
 }
 
 _MOTION: Mapping[str, Cell] = {
@@ -139,7 +139,7 @@ _MOTION: Mapping[str, Cell] = {
     "limb's weight, error (%)": _limb_error(with_interval),
     "worst (%)": _limb_error(lambda errors: number(errors.abs().max())),
     **_SHARES,
-    "refused": lambda part: share(int(_refused(part)), len(part)),
+    "refused": lambda part: share(int(_count_refused(part)), len(part)),
 }
 
 _EXACT: Mapping[str, Cell] = {

@@ -186,7 +186,7 @@ def test_the_paper_filters_three_seconds_whatever_the_rate(recordings, monkeypat
     for rate in (10.0, 100.0):
         n = 400
         data = InSituSet(np.zeros((n, 6)), np.zeros((n, 3)), time=np.arange(n) / rate)
-        methods.filtered(data)
+        methods.filter_set(data)
     assert windows == [31, 31, 301, 301]
 
 
