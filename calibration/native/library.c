@@ -186,7 +186,8 @@ static const place places[] = {
     WHOLE_OF(strapdown_config), WHOLE_OF(momentum_beliefs),
 
     PLACE(strapdown_config, points, "int"), PLACE(strapdown_config, leg_time, "real"),
-    PLACE(strapdown_config, tilt_rate, "real"), PLACE(strapdown_config, bias_time, "real"),
+    PLACE(strapdown_config, tilt_rate, "real"), PLACE(strapdown_config, zero_offset, "real"),
+    PLACE(strapdown_config, bias_time, "real"),
     PLACE(strapdown_config, touch, "real"), PLACE(strapdown_config, free_fall, "real"),
     PLACE(strapdown_config, corners, "real"),
 
@@ -314,6 +315,10 @@ EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, const sf_strapdown
 EXPORTED void surefoot_beliefs_reference(const sf_timing *timing, sf_beliefs *beliefs, double time,
                                          sf_belief *belief) {
     sf_beliefs_reference(timing, beliefs, time, belief);
+}
+EXPORTED void surefoot_beliefs_momentum(const sf_timing *timing, const sf_momentum_beliefs *beliefs, double time,
+                                        sf_belief *belief) {
+    sf_momentum_reference(timing, beliefs, time, belief);
 }
 EXPORTED void surefoot_beliefs_soles(const sf_timing *timing, sf_beliefs *beliefs, double time,
                                      sf_real *soles) {

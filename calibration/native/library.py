@@ -22,6 +22,7 @@ NATIVE = Native(
             (ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS, ctypes.c_int, ADDRESS),
         ),
         "surefoot_beliefs_reference": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
+        "surefoot_beliefs_momentum": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_soles": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_view_show": (None, (ADDRESS,) * 6),
         "surefoot_sample": (

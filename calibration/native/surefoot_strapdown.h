@@ -31,7 +31,7 @@ enum {
 /* StrapdownConstants: constants by their names in Python. */
 typedef struct {
     int points; /* of each sole, that may touch */
-    sf_real leg_time, tilt_rate, bias_time, touch, free_fall;
+    sf_real leg_time, tilt_rate, zero_offset, bias_time, touch, free_fall;
     sf_real corners[2 * SF_CORNERS * 3];
 } sf_strapdown_config;
 
@@ -110,13 +110,15 @@ SF_API void sf_touching(const sf_strapdown_config *k, const sf_posture *posture,
 SF_API void sf_advance(const sf_timing *t, const sf_strapdown_config *k, sf_momentum_beliefs *s, const sf_posture *posture,
                        sf_real *middle, sf_real *speed) {
     sf_real period = (sf_real)t->period, turn[3], small[9], end[9], rise[3], legs[3], by_legs[3], imu[3], next[3], off[3];
-    const sf_real *force = posture->force;
-    for (int i = 0; i < 3; i++) turn[i] = (posture->spin[i] - s->velocity_spin_bias[i]) * period;
+    const sf_real *force = posture->force, *bias = s->beliefs.force_bias;
+    sf_real believed = 1 / (1 + sf_square(bias) / (k->zero_offset * k->zero_offset)), felt[3];
+    for (int i = 0; i < 3; i++) felt[i] = force[i] - believed * bias[i];
+    for (int i = 0; i < 3; i++) turn[i] = (posture->spin[i] - s->beliefs.spin_bias[i] - s->velocity_spin_bias[i]) * period;
     sf_small_rotation(turn, (sf_real)0.5, small);
     sf_then(middle, s->R, small);
     sf_small_rotation(turn, 1, small);
     sf_then(end, s->R, small);
-    sf_turn(rise, middle, force);
+    sf_turn(rise, middle, felt);
     rise[2] -= t->gravity + s->vertical_bias;
     sf_touching(k, posture, s->R + 6, legs);
     for (int i = 0; i < 3; i++) legs[i] = -legs[i];
@@ -175,28 +177,38 @@ SF_API void sf_momentum_packet(const sf_model *m, const sf_timing *t, const sf_s
     for (int i = 0; i < SF_MOVED_AXES; i++) row[i] += s->place[i % 3];
 }
 
-/* MomentumBeliefs.sample: what the robot believes for one sample of its feet; arguments as of sf_beliefs_sample. */
-SF_API void sf_momentum_sample(const sf_timing *t, sf_momentum_beliefs *s, double time, const unsigned char *planned,
-                               int hold, sf_belief *out) {
-    sf_beliefs *beliefs = &s->beliefs;
+/* MomentumBeliefs.momentum: what the robot believed of a moment, with the contacts that stand in `out`. */
+SF_API void sf_momentum_reference(const sf_timing *t, const sf_momentum_beliefs *s, double time, sf_belief *out) {
+    const sf_beliefs *beliefs = &s->beliefs;
     sf_reference *r = &out->reference;
     unsigned char found[4];
     sf_real rows[SF_MOVED];
-    sf_beliefs_sample(t, beliefs, time, planned, hold, out);
-    int known = out->known;
     memcpy(found, r->stance, 2);
     memcpy(found + 2, r->swing, 2);
     sf_nothing(out);
     r->momentum = 1;
-    if (!known || beliefs->run < 2) return;
-    /* A reading stands for the middle of its interval, a momentum for the end. */
-    sf_interpolate(t, beliefs, s->moved, SF_MOVED, time + 0.5 * (double)t->dt, beliefs->number - sf_rows_kept(beliefs) + 1,
-                   beliefs->number, rows);
-    sf_put_reference(r, rows + SF_MOVED_COM, rows + SF_MOVED_VELOCITY, rows + SF_MOVED_MOMENTUM, rows + SF_MOVED_SOLES,
-                     rows + SF_MOVED_AXES);
+    if (beliefs->run > 1) {
+        /* A reading stands for the middle of its interval, a momentum for the end. */
+        sf_interpolate(t, beliefs, s->moved, SF_MOVED, time + 0.5 * (double)t->dt,
+                       beliefs->number - sf_rows_kept(beliefs) + 1, beliefs->number, rows);
+        sf_put_reference(r, rows + SF_MOVED_COM, rows + SF_MOVED_VELOCITY, rows + SF_MOVED_MOMENTUM,
+                         rows + SF_MOVED_SOLES, rows + SF_MOVED_AXES);
+    }
     memcpy(r->stance, found, 2);
     memcpy(r->swing, found + 2, 2);
     out->known = r->com[0] == r->com[0];
+}
+
+/* MomentumBeliefs.sample: what the robot believes for one sample of its feet; arguments as of sf_beliefs_sample. */
+SF_API void sf_momentum_sample(const sf_timing *t, sf_momentum_beliefs *s, double time, const unsigned char *planned,
+                               int hold, sf_belief *out) {
+    sf_beliefs_sample(t, &s->beliefs, time, planned, hold, out);
+    if (out->known && s->beliefs.run > 1) {
+        sf_momentum_reference(t, s, time, out);
+        return;
+    }
+    sf_nothing(out);
+    out->reference.momentum = 1;
 }
 
 #endif

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.reference import Reference
+from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.experiments.arrays import Floats
 
 _VECTORS = {
@@ -18,8 +18,11 @@ _VECTORS = {
     "accelerometer": "m_s2",
     "gyroscope": "rad_s",
 }
+_MOMENTA = {"com": "m", "com_velocity": "m_s", "angular_momentum": "Nms"}
 PHASES = ("stance", "swing")
 """Contacts that a robot is sure of; a foot in between is neither."""
+MOMENTUM = "momentum"
+"""What columns begin with that hold beliefs as momentum."""
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}
 
 
@@ -40,6 +43,10 @@ def raw_names_of(layout: FeetLayout) -> list[str]:
 
 def _vector_names(quantity: str) -> list[str]:
     return [f"reference_{quantity}_{axis}_{_VECTORS[quantity]}" for axis in "xyz"]
+
+
+def _momentum_names(quantity: str) -> list[str]:
+    return [f"{MOMENTUM}_{quantity}_{axis}_{_MOMENTA[quantity]}" for axis in "xyz"]
 
 
 def phase_names(layout: FeetLayout, phase: str) -> list[str]:
@@ -66,6 +73,11 @@ def names_of(layout: FeetLayout) -> list[str]:
     return names + [name for phase in PHASES for name in phase_names(layout, phase)]
 
 
+def momentum_names_of(layout: FeetLayout) -> list[str]:
+    """Return the names of the columns that hold beliefs as momentum."""
+    return [name for part in _MOMENTA for name in _momentum_names(part)] + _pose_names(layout, MOMENTUM)
+
+
 def truth_names_of(layout: FeetLayout) -> list[str]:
     """Return the names of the columns that hold the truth."""
     return [name for quantity in _TRUTH for name in _truth_names(layout, quantity)] + _pose_names(
@@ -87,6 +99,10 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
     add(_pose_names(layout, "reference"), _flat_poses(reference.position_sole, reference.R_level_sole))
     for phase in PHASES:
         add(phase_names(layout, phase), np.asarray(getattr(reference, phase)).astype(np.int8))
+    if (momentum := log.momentum) is not None:
+        for quantity in _MOMENTA:
+            add(_momentum_names(quantity), getattr(momentum, quantity))
+        add(_pose_names(layout, MOMENTUM), _flat_poses(momentum.position_sole, momentum.R_level_sole))
     if truth is not None:
         for quantity in _TRUTH:
             add(_truth_names(layout, quantity), getattr(truth, quantity))
@@ -119,6 +135,14 @@ def reference_of(values: dict[str, Floats], layout: FeetLayout) -> Reference:
     vectors = {quantity: stack(values, _vector_names(quantity)) for quantity in _VECTORS}
     phases = {phase: stack(values, phase_names(layout, phase)) > 0.5 for phase in PHASES}
     return Reference(position_sole=position, R_level_sole=R, **vectors, **phases)
+
+
+def momentum_of(values: dict[str, Floats], layout: FeetLayout, reference: Reference) -> MomentumReference:
+    """Return the beliefs as momentum that columns hold, with the contacts of a reference."""
+    position, R = _poses(values, MOMENTUM, layout)
+    vectors = {quantity: stack(values, _momentum_names(quantity)) for quantity in _MOMENTA}
+    contacts = {phase: getattr(reference, phase) for phase in PHASES}
+    return MomentumReference(position_sole=position, R_level_sole=R, **vectors, **contacts)
 
 
 def truth_of(values: dict[str, Floats], layout: FeetLayout) -> tuple[Floats, ...]:

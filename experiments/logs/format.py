@@ -22,13 +22,16 @@ from numpy.typing import NDArray
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
+    MOMENTUM,
     PHASES,
     columns_of,
+    momentum_names_of,
+    momentum_of,
     names_of,
     phase_names,
     raw_names_of,
@@ -74,6 +77,7 @@ class Log:
     dt: float  # time between samples in s
     lag: int  # samples by which the reference is late, as telemetry is
     seed: int | None = None  # of a simulated walk
+    momentum: MomentumReference | None = None  # the same beliefs as momentum, which "moment" prefers
     truth: LogTruth | None = None  # what the simulator knew
     about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
     turned: Mapping[str, Callable[[], Reference]] = field(default_factory=dict)
@@ -151,12 +155,16 @@ def read_log(
         table.require(["time_s"], LISTED)
         description = description.model_copy(update={"dt_s": table.step})
     facts, layout = description.facts(), description.layout
-    has_truth = any(name.startswith("truth_") for name in table.names)
+    has_truth, has_momentum = (
+        any(name.startswith(f"{kind}_") for name in table.names) for kind in ("truth", MOMENTUM)
+    )
     counts = ["time_s", *raw_names_of(layout)]
     bare = description.motion is None and not _has_references(table)
     alone = feet_alone and bare
     names = [*counts] if alone or description.motion is not None else names_of(layout)
+    has_momentum = has_momentum and not bare and description.motion is None
     names += truth_names_of(layout) if has_truth else []
+    names += momentum_names_of(layout) if has_momentum else []
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
@@ -178,6 +186,7 @@ def read_log(
         time=time,
         raw=raw,
         reference=reference,
+        momentum=momentum_of(values, layout, reference) if has_momentum else None,
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, FootCalibrator, Parameters, Reference
+from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
-from surefoot.experiments.walks.replay import age_of, starting_map, steps_of
+from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of
 from surefoot.experiments.walks.scenarios import Scenario, log_paths
 from surefoot.experiments.walks.score import held
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -80,8 +80,11 @@ def cut_fall(log: Log) -> Log:
     truth = log.truth
     if truth is not None:
         truth = LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__})
-    reference = type(log.reference)(*(part[kept] for part in log.reference))
-    return replace(log, time=log.time[kept], raw=log.raw[kept], reference=reference, truth=truth)
+    reference = Reference(*(part[kept] for part in log.reference))
+    momentum = log.momentum and MomentumReference(*(part[kept] for part in log.momentum))
+    return replace(
+        log, time=log.time[kept], raw=log.raw[kept], reference=reference, momentum=momentum, truth=truth
+    )
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:
@@ -159,9 +162,9 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
     flags = np.empty((len(log), K), dtype=np.int64)
     watch = _Watch(stream)
     # Readings are handed over as forces by the starting map, which scale and offset are then relative to.
-    reading = starting_map(log).force(log.raw)
+    reading, beliefs = starting_map(log).force(log.raw), beliefs_of(log, method)
     for k, step in enumerate(steps_of(log).tolist()):
-        now = Reference(*(part[k] for part in log.reference))
+        now = type(beliefs)(*(part[k] for part in beliefs))
         estimate = calibrator.update(reading[k], now, step)
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags
@@ -181,7 +184,7 @@ class _Watch:
         truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
         self._map = np.hstack([truth.scale, truth.offset])
 
-    def look(self, k: int, estimate: Estimate, reference: Reference) -> None:
+    def look(self, k: int, estimate: Estimate, reference: Reference | MomentumReference) -> None:
         """Take in sample ``k``."""
         stream, nis, rows = self._stream, estimate.nis, estimate.nis_rows
         if nis is not None and rows is not None and stream.judged[k] and rows > 0 and np.isfinite(nis):

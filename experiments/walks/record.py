@@ -12,13 +12,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import surefoot
-from surefoot.calibration import Parameters, Reference
+from surefoot.calibration import MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
 from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.robot.beliefs.momentum import unknown
+from surefoot.robot.beliefs.references import nothing
 from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -178,7 +180,7 @@ def record_walk(
     # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
     youngest = min(condition.age for condition in conditions)
     carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
-    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "none", **(beliefs or {}))
+    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "moment", **(beliefs or {}))
     bare: Any = env.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     _, info = env.reset(seed=seed)
@@ -186,17 +188,15 @@ def record_walk(
     known = {"seed": seed, "truth": bare.truth, "drawing": bare.drawing, "dt": bare.dt}
     feet = [FootInstruments(c.cells, c.ankle, index=i, **known) for i, c in enumerate(conditions)]
     time: list[float] = []
-    believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
+    believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}
     position, rotation = [], []
     done = terminated = False
     while not done:
         _, _, terminated, truncated, info = env.step(controller(tap.seen))
         truth = bare.truth
         time.append((len(time) + 1) * bare.dt)
-        reference = env.reference
-        for age, references in believed.items():
-            early = age - youngest + clock_error
-            references.append(reference if early == 0.0 else _believe_earlier(env, reference, early))
+        for age, both in believed.items():
+            both.append(_believe(env, env.reference_time - (age - youngest + clock_error)))
         for one in feet:
             one.read(truth, bare.dt)
         position.append(truth.position_sole[-1].copy())
@@ -217,7 +217,7 @@ def record_walk(
 def _make_log(
     condition: Condition,
     feet: FootInstruments,
-    references: Sequence[Reference],
+    believed: Sequence[tuple[Reference, MomentumReference]],
     poses: tuple[Floats, Floats],
     about: Mapping[str, Any],
     common: Mapping[str, Any],
@@ -225,10 +225,17 @@ def _make_log(
     """Make the log of one condition; its first rows are cut off."""
     kept = slice(_SETTLING, None)
     scale, offset = feet.maps[kept].swapaxes(0, 1)
-    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age}
+    # The truth is the mean over a step, which is half a step old itself.
+    age = max(condition.age - 0.5 * common["dt"], 0.0)
+    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
+    reference, momentum = (
+        kind(*(np.array(parts)[kept] for parts in zip(*rows, strict=True)))
+        for kind, rows in zip((Reference, MomentumReference), zip(*believed, strict=True), strict=True)
+    )
     return Log(
         raw=feet.raw[kept],
-        reference=Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True))),
+        reference=reference,
+        momentum=momentum,
         layout=feet.layout,
         nominal=feet.nominal,
         calibrated=feet.calibrated,
@@ -238,7 +245,9 @@ def _make_log(
     )
 
 
-def _believe_earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
-    """Beliefs of a moment ``early`` s before that of a reference."""
-    earlier: Reference = env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
-    return earlier
+def _believe(env: SelfCalibration, moment: float) -> tuple[Reference, MomentumReference]:
+    """Beliefs of a moment in s, with the contacts of the last sample; of both kinds."""
+    stance, swing = env.reference.stance, env.reference.swing
+    if not env.beliefs.known:
+        return nothing(len(stance)), unknown(len(stance))
+    return env.beliefs.reference(moment, stance, swing), env.beliefs.momentum(moment, stance, swing)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, Parameters, replay
+from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.columns import channel_slugs, slug
 from surefoot.experiments.logs.format import Log
@@ -19,7 +19,12 @@ from surefoot.files import parse_json, read_text
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
     """Run one method over a log, N samples at once, from a map; options as of :func:`replay`."""
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
-    return replay(log.layout, method, log.raw, log.reference, steps_of(log), **known, **options)
+    return replay(log.layout, method, log.raw, beliefs_of(log, method), steps_of(log), **known, **options)
+
+
+def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:
+    """Return a log's beliefs of the kind that a method takes; of both kinds "moment" takes momentum."""
+    return log.momentum if method == "moment" and log.momentum is not None else log.reference
 
 
 def steps_of(log: Log) -> Floats:

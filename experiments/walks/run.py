@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, posterior_bound
+from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan
@@ -27,7 +27,7 @@ from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import age_of, starting_map
+from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -260,7 +260,7 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     )
     config = Moment(**{name: value for name, value in options.items() if name in model})
     truth = Parameters(log.truth.scale, log.truth.offset)
-    bound = posterior_bound(setup, log.raw, log.reference, truth, config)
+    bound = posterior_bound(setup, log.raw, beliefs_of(log, "moment"), truth, config)
     return {
         "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
         "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
@@ -274,8 +274,9 @@ def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str
     known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
     calibrator = FootCalibrator(log.layout, method, initial=starting_map(log), **known, **options)
     taken = []
+    beliefs = beliefs_of(log, method)
     for k in range(min(TIMED, len(log))):
-        reference = Reference(*(part[k] for part in log.reference))
+        reference = type(beliefs)(*(part[k] for part in beliefs))
         began = time.perf_counter()
         calibrator.update(log.raw[k], reference)
         taken.append(time.perf_counter() - began)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import MomentumReference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, Believed, Posture
@@ -117,7 +117,8 @@ class MomentumBeliefs(Believed):
         down = self.strapdown.R[2]
         soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
         legs = -touching(*soles, self.corners, down, self._radius)
-        R, velocity = self.strapdown.advance(force, spin, legs, twist[0, 3:])
+        spin = spin - self.beliefs.spin_bias
+        R, velocity = self.strapdown.advance(force, spin, legs, twist[0, 3:], self.beliefs.force_bias)
         row, at = self.ring[self.number % HISTORY], self.rows
         row[COM], row[at.soles], row[at.axes], row[at.momentum] = com, sites[1:], axes, momentum
         row[at.velocity] = com_velocity - twist[0, 3:]
@@ -128,22 +129,38 @@ class MomentumBeliefs(Believed):
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """Find what the robot believes for one sample of its feet; as :meth:`Beliefs.sample`."""
         fell = self.beliefs.sample(time, command, hold)
-        found, self.believed = self.beliefs.believed, unknown(self.beliefs.feet)
-        if self.beliefs.known and self.run > 1:
-            # A reading stands for the middle of its interval, a momentum for the end.
-            low = self.number - min(self.run, HISTORY - 1) + 1
-            end = time + 0.5 * self.beliefs.dt
-            rows, at = self.beliefs.interpolate(self.ring, end, low, self.number), self.rows
-            self.believed = MomentumReference(
-                com=rows[COM],
-                com_velocity=rows[at.velocity],
-                angular_momentum=rows[at.momentum],
-                position_sole=rows[at.soles],
-                R_level_sole=rows[at.axes].reshape(-1, 3, 3).swapaxes(1, 2),
-                stance=found.stance,
-                swing=found.swing,
-            )
+        self.believed = unknown(self.beliefs.feet)
+        if self.beliefs.known:
+            found = self.beliefs.believed
+            self.believed = self.momentum(time, found.stance, found.swing)
         return fell
+
+    def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
+        """Return accelerations at a moment; as :meth:`Beliefs.reference`."""
+        return self.beliefs.reference(time, stance, swing)
+
+    def momentum(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> MomentumReference:
+        """Return the momentum at the end of an interval of which a moment is the middle, as a reading's is.
+
+        Args:
+            time: The moment in s of the host's clock.
+            stance: Feet that are sure to stand then, shape (F,).
+            swing: Feet that are sure to be in the air then, shape (F,).
+        """
+        if self.run < 2:
+            return unknown(self.beliefs.feet)._replace(stance=stance, swing=swing)
+        low = self.number - min(self.run, HISTORY - 1) + 1
+        end = time + 0.5 * self.beliefs.dt
+        rows, at = self.beliefs.interpolate(self.ring, end, low, self.number), self.rows
+        return MomentumReference(
+            com=rows[COM],
+            com_velocity=rows[at.velocity],
+            angular_momentum=rows[at.momentum],
+            position_sole=rows[at.soles],
+            R_level_sole=rows[at.axes].reshape(-1, 3, 3).swapaxes(1, 2),
+            stance=stance,
+            swing=swing,
+        )
 
 
 class Touching(NamedTuple):

@@ -92,7 +92,7 @@ class NativeBeliefs:
         self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
         self._stance, self._swing = self._planned[:2], self._planned[2:]
         self.believed = ReferenceRecord(library, Reference if momentum is None else MomentumReference)
-        self._other = ReferenceRecord(library)
+        self._other, self._moved = ReferenceRecord(library), ReferenceRecord(library, MomentumReference)
         self._force_bias = self._state["force_bias"]
         self._adopt()
         self._pack(beliefs)
@@ -202,6 +202,13 @@ class NativeBeliefs:
         timing, state, _, _, _ = self._addresses
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
         found: Reference = self._other.reference()._replace(stance=stance, swing=swing)
+        return found
+
+    def momentum(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> MomentumReference:
+        """As :meth:`MomentumBeliefs.momentum`."""
+        timing, state, _, _, _ = self._addresses
+        self._functions.surefoot_beliefs_momentum(timing, state, time, self._moved.address)
+        found: MomentumReference = self._moved.reference()._replace(stance=stance, swing=swing)
         return found
 
     def soles(self, time: float) -> NDArray[np.float64]:

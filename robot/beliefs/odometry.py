@@ -58,6 +58,11 @@ class Odometry:
         self.up: Vector = (0.0, 0.0, 1.0)
         self.force_bias = np.zeros(3)
 
+    @property
+    def spin_bias(self) -> NDArray[np.float64]:
+        """What the gyroscope shows too much in rad/s, shape (3,)."""
+        return np.array(self._spin_bias)
+
     def turn(
         self,
         spin: NDArray[np.float64],

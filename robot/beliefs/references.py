@@ -213,6 +213,11 @@ class Beliefs(Believed):
         """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
         return self._odometry.force_bias
 
+    @property
+    def spin_bias(self) -> NDArray[np.float64]:
+        """What the robot takes for an error of its gyroscope in rad/s, shape (3,)."""
+        return self._odometry.spin_bias
+
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.join(packets):

@@ -3,12 +3,14 @@ r"""Velocity of a robot's IMU and rotation of its torso: increments of its IMU, 
 In axes that are level and whose heading follows the gyroscope, the IMU's velocity and the torso's rotation
 follow from its own increments, and from what the points of feet that touch the ground say,
 
-    V' = R (f - b) - g e_z + k_1 e,          e = V_legs - V
+    V' = R (f - b_f) - g e_z + k_1 e,        e = V_legs - V
     R' = R [w - b_w]x + [k_2 e_z x e]x R,    b_w' = -k_2 R' (e_z x e) / T_b,     b_z' = -k_1 e_z / T_b
 
-with the specific force f and the angular velocity w. A tilt that is off by a small angle drives V sideways by
-g per second and rad, which is how the legs show it; the poles of the tilt's loop lie together at 1 / (2 s).
-The lowest points of feet stand still: V_legs is what they ask for.
+with the specific force f and the angular velocity w. Soles that lie on a level floor show what both are wrong
+by, the accelerometer by b_s; of that b_f = b_s / (1 + (b_s / B)^2) is believed, as floors may lean. A tilt
+that is off by a small angle drives V sideways by g per second and rad, which is how the legs show it; the
+poles of the tilt's loop lie together at 1 / (2 s). The lowest points of feet stand still: V_legs is what they
+ask for.
 """
 
 from typing import NamedTuple
@@ -27,6 +29,10 @@ LEG_TIME = 1.0
 
 TILT_RATE = 0.5
 """Where both poles of a tilt lie, in rad/s, which with k_1 = 1 / s makes k_2 the square of it over g."""
+
+ZERO_OFFSET = 0.2
+"""B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. A floor that leans by more than a
+degree looks like more, and is believed the less the more it does."""
 
 BIAS_TIME = 20.0
 """T_b in s: biases follow ten times slower than what shows them."""
@@ -48,6 +54,7 @@ class StrapdownConstants(NamedTuple):
     corners: Floats
     leg_time: float = LEG_TIME
     tilt_rate: float = TILT_RATE
+    zero_offset: float = ZERO_OFFSET
     bias_time: float = BIAS_TIME
     touch: float = TOUCH
     free_fall: float = FREE_FALL
@@ -82,15 +89,18 @@ class Strapdown:
         forward /= np.linalg.norm(forward)
         self.R = np.array([forward, np.cross(up, forward), up])
 
-    def advance(self, force: Floats, spin: Floats, legs: Floats, imu: Floats) -> tuple[Floats, Floats]:
+    def advance(
+        self, force: Floats, spin: Floats, legs: Floats, imu: Floats, force_bias: Floats
+    ) -> tuple[Floats, Floats]:
         """Go on by one packet.
 
         Args:
             force: Mean specific force since the last packet in the torso's axes in m/s^2, shape (3,).
-            spin: Mean angular velocity in rad/s, shape (3,).
+            spin: Mean angular velocity in rad/s, less what soles show of the gyroscope's error, shape (3,).
             legs: Velocity of the torso's origin in its axes in m/s, if the points that touch stand still,
                 shape (3,).
             imu: Velocity of the IMU relative to that origin, shape (3,).
+            force_bias: What soles on a level floor show of the accelerometer's error in m/s^2, shape (3,).
 
         Returns:
             Rotation and velocity of the IMU at the middle since the last packet, shapes (3, 3) and (3,).
@@ -98,7 +108,8 @@ class Strapdown:
         period, before, start = self._period, self.velocity, self.R
         turn = (spin - self.spin_bias) * period
         middle, end = start @ _rotation(0.5 * turn), start @ _rotation(turn)
-        rise = middle @ force
+        believed = force_bias / (1.0 + (force_bias @ force_bias) / ZERO_OFFSET**2)
+        rise = middle @ (force - believed)
         rise[2] -= self._gravity + self.vertical_bias
         velocity = before + rise * period
         by_legs = middle @ legs
@@ -153,12 +164,13 @@ class RollingOdometry:
 
     Attributes:
         force_bias: Zeros: nothing is taken for an error of the accelerometer, shape (3,).
+        spin_bias: Zeros as well: the legs show what the gyroscope's is.
     """
 
     def __init__(self, model: NominalModel, period: float, corners: Floats, radius: Floats) -> None:
         self._model, self._period, self._corners, self._radius = model, period, corners, radius
         self._strapdown: Strapdown | None = None
-        self.force_bias = np.zeros(3)
+        self.force_bias = self.spin_bias = np.zeros(3)
 
     def turn(self, spin: Floats, force: Floats, sites: Floats, axes: Floats) -> Floats:
         """Take in one middle between packets; as :meth:`Odometry.turn`."""
@@ -169,7 +181,7 @@ class RollingOdometry:
         up = self._strapdown.R[2]
         soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
         legs = -touching(*soles, self._corners, up, self._radius)
-        R, _ = self._strapdown.advance(force, spin, legs, twist[0, 3:])
+        R, _ = self._strapdown.advance(force, spin, legs, twist[0, 3:], self.force_bias)
         return R
 
 
