@@ -1,21 +1,19 @@
 """Time and memory of in-situ calibration: eight sets of five minutes at 100 Hz, 240,000 samples.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/in_situ_speed.py
-    python benchmarks/in_situ_speed.py --duration 100 --rounds 1 --no-stack
-    python benchmarks/in_situ_speed.py --times 10 --no-stack
+    python benchmarks/in_situ_speed.py --duration 100 --rounds 1
+    python benchmarks/in_situ_speed.py --times 10
 
-Compared are the fit with the sensor's hysteresis and without, the in-situ paper's least squares in compressed
-form, and the same least squares stacked up as the paper writes it (Traversaro, Pucci and Nori, 2015, Eqs.
-14-17 and 21-24): 1,440,000 rows of 40 columns. They take turns in one process, so that what else the machine
-does hits all of them alike. Memory is measured in a process of its own for each: by how much the peak of what
-it holds (VmHWM of Linux, LAPACK's work space included) rises over what it held with the sets loaded. No test
-asserts these figures.
+Compared are the fit with the sensor's hysteresis and without, and the in-situ paper's least squares
+(Traversaro, Pucci and Nori, 2015, Eqs. 14-17 and 21-24). They take turns in one process, so that what else
+the machine does hits all of them alike. Memory is measured in a process of its own for each: by how much the
+peak of what it holds (VmHWM of Linux, LAPACK's work space included) rises over what it held with the sets
+loaded. No test asserts these figures.
 """
 
 import argparse
 import multiprocessing
 import os
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -33,10 +31,8 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.in_situ.instruments import read_sequence
+from surefoot.experiments.in_situ.instruments import read_sensor, sensor_config, static_sets
 from surefoot.experiments.study.tables import Table, number
-from surefoot.sensors import StrainGauges, preset, strain_gauges
-from surefoot.sensors.randomness import Stream
 
 Floats = NDArray[np.float64]
 Method = Callable[[Sequence[InSituSet]], float]
@@ -49,28 +45,16 @@ _TIMED = "what is timed is the fit"
 """Why refusals are passed: short sets or one without hysteresis might be refused."""
 
 
-def simulate(duration: float, seed: int = 0) -> tuple[list[InSituSet], float]:
+def simulate(duration: float, seed: int = 0) -> tuple[tuple[InSituSet, ...], float]:
     """Record a leg with eight added masses by one FTSens with all its errors; returns its mass in kg too."""
-    recordings = record_rig(duration=duration, rate=RATE, seed=seed)
-    config, rng = preset("icub-ftsens-leg", StrainGauges), np.random.default_rng([seed, 1])
-    # The sets are of one sensor, switched on anew for each.
-    state, stream = strain_gauges(config).init((config.channels,), rng), Stream.of(seed, 1)
-    counts = [read_sequence(config, one.wrench_leg, state, stream, 1.0 / RATE)[0] for one in recordings]
-    sets = [
-        InSituSet(
-            raw=raw,
-            gravity=-recording.specific_force + ACCELEROMETER_NOISE * rng.normal(size=(len(raw), 3)),
-            added_mass=recording.added_mass,
-            added_com=recording.added_com_leg,
-            time=recording.time,
-            name=recording.name,
-        )
-        for raw, recording in zip(counts, recordings, strict=True)
-    ]
-    return sets, recordings[0].limb_leg.mass
+    recordings, rng = record_rig(duration=duration, rate=RATE, seed=seed), np.random.default_rng([seed, 1])
+    counts, truth = read_sensor(sensor_config("leg"), "leg", recordings, seed)
+    force = np.stack([one.specific_force for one in recordings])
+    force = force + ACCELEROMETER_NOISE * rng.normal(size=force.shape)
+    return static_sets("leg", recordings, counts, force), truth.limb.mass
 
 
-def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> list[InSituSet]:
+def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> tuple[InSituSet, ...]:
     """Return sets of so many times the rate: what was read is interpolated and rounded with new noise."""
     rng, found = np.random.default_rng([seed, 2]), []
     for one in sets:
@@ -84,7 +68,7 @@ def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> list[InSituS
         raw = np.rint(between(one.raw) + noise[:, :-3])
         gravity = between(one.gravity) + ACCELEROMETER_NOISE * noise[:, -3:]
         found.append(replace(one, raw=raw, gravity=gravity, time=time))
-    return found
+    return tuple(found)
 
 
 def ours(sets: Sequence[InSituSet]) -> float:
@@ -103,48 +87,10 @@ def paper(sets: Sequence[InSituSet]) -> float:
     return estimate_matrix(sets, np.array(offsets)).limb.mass
 
 
-def stack(sets: Sequence[InSituSet]) -> float:
-    """III-B for each set, then III-C, as written: Kronecker products, permutator, one least squares."""
-    rows, targets = [], []
-    for one in sets:
-        offset = stacked_offset(one.raw, one.gravity)
-        known = _wrench_of_gravity(one.added_mass, one.added_com)
-        of_matrix = np.kron(one.raw - offset, np.eye(6))  # vec(C r) = (r' kron I) vec C
-        of_limb = np.kron(one.gravity, np.eye(6)) @ _permutator()
-        rows.append(np.hstack([of_matrix, -of_limb]))  # (23)
-        targets.append((one.gravity @ known.T).ravel())  # (22)
-    unknown, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)  # (21)
-    return float(unknown[36])
-
-
-def stacked_offset(raw: Floats, gravity: Floats) -> Floats:
-    """Solve for (vec K, lambda), 12 unknowns of 3 N rows; returns the offset, shape (k,)."""
-    mean = raw.mean(axis=0)  # (9)
-    basis = np.linalg.svd((raw - mean).T, full_matrices=False)[0][:, :3]  # (10)
-    coordinates = (raw - mean) @ basis
-    stacked = np.hstack([np.kron(gravity, np.eye(3)), np.kron(np.ones((len(raw), 1)), np.eye(3))])  # (16)
-    unknown, *_ = np.linalg.lstsq(stacked, coordinates.ravel(), rcond=None)  # (14), (15)
-    return np.asarray(mean + basis @ unknown[9:])  # (11)
-
-
-def _wrench_of_gravity(mass: float, com: Floats) -> Floats:
-    """M(m, c), shape (6, 3)."""
-    x, y, z = mass * com
-    return np.vstack([mass * np.eye(3), [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
-
-
-def _permutator() -> Floats:
-    """P of Eq. 23, vec M(m, c) = P (m, m c), shape (18, 4)."""
-    mass = _wrench_of_gravity(1.0, np.zeros(3))
-    moments = [_wrench_of_gravity(1.0, axis) - mass for axis in np.eye(3)]
-    return np.stack([part.ravel(order="F") for part in (mass, *moments)], axis=-1)
-
-
 METHODS: Mapping[str, Method] = {
     "with hysteresis": ours,
     "without hysteresis": without_hysteresis,
     "paper, compressed": paper,
-    "paper, stacked": stack,
 }
 
 
@@ -164,32 +110,8 @@ def seconds(
     return taken, worked, masses
 
 
-def save(path: Path, sets: Sequence[InSituSet]) -> None:
-    """Write sets for :func:`load`."""
-    fields = ("raw", "gravity", "added_mass", "added_com", "time")
-    np.savez(path, **{f"{field}_{i}": getattr(one, field) for i, one in enumerate(sets) for field in fields})
-
-
-def load(path: Path) -> list[InSituSet]:
-    """Read sets back."""
-    with np.load(path) as file:
-        count = sum(name.startswith("raw_") for name in file)
-        return [
-            InSituSet(
-                raw=file[f"raw_{i}"],
-                gravity=file[f"gravity_{i}"],
-                added_mass=float(file[f"added_mass_{i}"]),
-                added_com=file[f"added_com_{i}"],
-                time=file[f"time_{i}"],
-                name=f"set {i + 1}",
-            )
-            for i in range(count)
-        ]
-
-
-def megabytes(path: Path, name: str) -> float:
+def megabytes(sets: Sequence[InSituSet], name: str) -> float:
     """Peak of the memory that a method takes beyond its sets, in MB; NaN where there is no VmHWM."""
-    sets = load(path)
     before = _peak()
     METHODS[name](sets)
     return _peak() - before
@@ -211,21 +133,17 @@ def main() -> None:
         "--duration", type=float, default=300.0, help="length of each of the 8 sets in s, at least 85"
     )
     parser.add_argument("--rounds", type=int, default=3, help="how often each method is timed")
-    parser.add_argument("--no-stack", action="store_true", help="leave the stacked least squares out")
     parser.add_argument("--times", type=int, default=1, help="multiple of the rate of 100 Hz")
     arguments = parser.parse_args()
-    names = [name for name in METHODS if not (arguments.no_stack and name == "paper, stacked")]
+    names = list(METHODS)
     sets, mass = simulate(arguments.duration)
     if arguments.times > 1:
         sets = denser(sets, arguments.times)
     memory = {}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sets.npz"
-        save(path, sets)
-        for name in names:
-            # A fresh interpreter each: a peak never falls again.
-            with multiprocessing.get_context("spawn").Pool(1) as pool:
-                memory[name] = pool.apply(megabytes, (path, name))
+    for name in names:
+        # A fresh interpreter each: a peak never falls again.
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            memory[name] = pool.apply(megabytes, (sets, name))
     taken, worked, masses = seconds(sets, names, arguments.rounds)
     slowest = float(np.median(taken[names[-1]]))
     samples = sum(len(one.raw) for one in sets)

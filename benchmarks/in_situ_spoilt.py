@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -331,6 +332,13 @@ class Outcome:
         """Whether a number is wrong beyond what was said of it."""
         return self.answer != "refused" and self.off > OFF and self.sigmas > SIGMAS
 
+    def cells(self, gyroscope: bool, with_factory: bool) -> tuple[str, ...]:
+        """Lay out what was given, and what came of it."""
+        given = ("yes" if one else "" for one in (gyroscope, with_factory))
+        off = (f"{100 * self.off:.1f} %", f"{self.sigmas:.1f}") if np.isfinite(self.off) else ("", "")
+        wrong = self.wrong and self.answer == "answered"
+        return (*given, f"WRONG {self.answer}" if wrong else self.answer, *off)
+
 
 def outcome(log: Log) -> Outcome:
     """Calibrate, and compare with the truth."""
@@ -375,93 +383,54 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     arguments = parser.parse_args()
     console = Console(width=250 if arguments.verbose else 150)
-    table = Table("kind", "size", "gyro", "factory", "came out", "off", "sigmas", "named", "first message")
-    totals: dict[str, list[tuple[bool, bool]]] = {}
-    seconds = 0.0
+    shown = Table("kind", "size", "gyro", "factory", "came out", "off", "sigmas", "named", "first message")
+    totals = Table("kind", "logs", "wrong without a warning", "true cause first, or rightly answered")
+    sums, seconds = np.zeros((2, 3), dtype=int), 0.0
     for kind, spoilt in SPOILTS.items():
-        if arguments.only not in kind:
-            continue
-        for size, change in spoilt.sizes.items():
-            for gyroscope in spoilt.gyroscope:
-                for with_factory in spoilt.factory:
-                    rig = (spoilt.rig or {}).get(size, {})
-                    log = change(recorded(arguments.seed, gyroscope, **rig))
-                    log = log if with_factory else replace(log, factory=None)
-                    came = outcome(log)
-                    seconds += came.seconds
-                    named = came.answer != "crashed" and bool(
-                        re.search(spoilt.cause, _first_cause(came.first))
-                    )
-                    right = came.answer == "answered" and not came.wrong
-                    totals.setdefault(kind, []).append(
-                        (came.answer == "answered" and came.wrong, named or right)
-                    )
-                    shown = (
-                        (f"{100 * came.off:.1f} %", f"{came.sigmas:.1f}")
-                        if np.isfinite(came.off)
-                        else ("", "")
-                    )
-                    table.add_row(
-                        kind,
-                        size,
-                        "yes" if gyroscope else "",
-                        "yes" if with_factory else "",
-                        ("WRONG " if came.wrong and came.answer == "answered" else "") + came.answer,
-                        *shown,
-                        "yes" if named else ("right" if right else "NO"),
-                        came.first if arguments.verbose else came.first[:110],
-                    )
-    console.print(table)
-    console.print(totals_of(totals))
+        counts = np.zeros(3, dtype=int)
+        cases = product(spoilt.sizes.items(), spoilt.gyroscope, spoilt.factory)
+        for (size, change), gyroscope, with_factory in cases if arguments.only in kind else ():
+            log = change(recorded(arguments.seed, gyroscope, **(spoilt.rig or {}).get(size, {})))
+            came = outcome(log if with_factory else replace(log, factory=None))
+            seconds += came.seconds
+            named = came.answer != "crashed" and re.search(spoilt.cause, _first_cause(came.first)) is not None
+            right, wrong = (
+                came.answer == "answered" and came.wrong == is_wrong for is_wrong in (False, True)
+            )
+            counts += 1, wrong, named or right
+            told = came.first if arguments.verbose else came.first[:110]
+            verdict = "yes" if named else ("right" if right else "NO")
+            shown.add_row(kind, size, *came.cells(gyroscope, with_factory), verdict, told)
+        if counts.any():
+            sums[int(spoilt.unknowable)] += counts
+            totals.add_row(kind, *map(str, counts))
+    for name, counts in zip(("ALL", "nothing can show it"), sums, strict=True):
+        totals.add_row(name, *map(str, counts))
+    console.print(shown, totals)
     if not arguments.only:
         console.print(sound())
     console.print(f"{seconds:.1f} s of CPU in all fits that ended")
 
 
 def _first_cause(message: str) -> str:
-    """Return the likeliest cause of a message, or all of it where it has none."""
+    """Find the likeliest cause of a message, or all of it where it has none."""
     found = re.search(r"Likeliest: (.*?)(?: \([<>]? ?\d+ %\)|, which leaves)", message)
     return found.group(1) if found else message
 
 
-def totals_of(totals: dict[str, list[tuple[bool, bool]]]) -> Table:
-    table = Table("kind", "logs", "wrong without a warning", "true cause first, or rightly answered")
-    sums = {True: [0, 0, 0], False: [0, 0, 0]}
-    for kind, rows in totals.items():
-        counts = [len(rows), sum(wrong for wrong, _ in rows), sum(named for _, named in rows)]
-        sums[SPOILTS[kind].unknowable] = [
-            a + b for a, b in zip(sums[SPOILTS[kind].unknowable], counts, strict=True)
-        ]
-        table.add_row(kind, *map(str, counts))
-    for unknowable, counts in sums.items():
-        table.add_row("nothing can show it" if unknowable else "ALL", *map(str, counts))
-    return table
-
-
 def sound() -> Table:
-    """Calibrate sound logs of other seeds."""
+    """Calibrate sound logs of other seeds; a row for each that is not answered rightly."""
     table = Table("sound log", "seed", "gyro", "factory", "came out", "off", "sigmas", "message")
-    bad = count = 0
-    for seed in SOUND_SEEDS:
-        for gyroscope in (False, True):
-            for with_factory in (False, True):
-                log = recorded(seed, gyroscope, "leg" if seed % 3 else "foot")
-                came = outcome(log if with_factory else replace(log, factory=None))
-                count += 1
-                if came.answer == "answered" and not came.wrong:
-                    continue
-                bad += 1
-                table.add_row(
-                    "leg" if seed % 3 else "foot",
-                    str(seed),
-                    str(gyroscope),
-                    str(with_factory),
-                    came.answer,
-                    f"{100 * came.off:.1f} %",
-                    f"{came.sigmas:.1f}",
-                    came.first[:150],
-                )
-    table.add_row("bad", f"{bad} of {count}")
+    cases = list(product(SOUND_SEEDS, (False, True), (False, True)))
+    bad = 0
+    for seed, gyroscope, with_factory in cases:
+        sensor = "leg" if seed % 3 else "foot"
+        log = recorded(seed, gyroscope, sensor)
+        came = outcome(log if with_factory else replace(log, factory=None))
+        if came.answer != "answered" or came.wrong:
+            bad += 1
+            table.add_row(sensor, str(seed), *came.cells(gyroscope, with_factory), came.first[:150])
+    table.add_row("bad", f"{bad} of {len(cases)}")
     return table
 
 

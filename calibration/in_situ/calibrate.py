@@ -30,14 +30,14 @@ from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.hysteresis import fit_creep, fit_loops, likeliest_loops
+from surefoot.calibration.in_situ.hysteresis import fit_hysteresis
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise, problem_of, starts
-from surefoot.calibration.in_situ.report import Solved, fit_of, refused
+from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Fitted, minima
-from surefoot.calibration.in_situ.temperature import about_one_temperature, check_gauges, with_gains
+from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures, check_gauges
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 __all__ = ["calibrate_in_situ"]
@@ -108,7 +108,7 @@ def calibrate_in_situ(
 
 @cache
 def _linear_algebra() -> ThreadpoolController:
-    """Return what sets the number of threads of linear algebra; to look for its libraries takes a while."""
+    """Find the libraries of linear algebra, which takes a while, to set their threads."""
     return ThreadpoolController()
 
 
@@ -118,11 +118,11 @@ def _answer(task: Task, accept: str) -> InSituFit:
         door = check_sets(task.sets, task.options, leaning=task.factory is not None)
         first = decide(door, accept)
         if first.refused:
-            return refused(task.sets, first.refused)
+            return refuse_fit(task.sets, first.refused)
         solved = _solve(task, door)
         fit = fit_of(solved)
     except (CalibrationRefused, np.linalg.LinAlgError) as error:
-        return refused(task.sets, (_without_answer(error, accept),))
+        return refuse_fit(task.sets, (_explain_error(error, accept),))
     findings = solved.findings
     drift = next((one for one in findings if one.name in _DRIFTS), None)
     worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
@@ -130,12 +130,12 @@ def _answer(task: Task, accept: str) -> InSituFit:
         findings[findings.index(worst)] = _name_cause(worst, solved, drift)
     decision = decide(findings, accept)
     if decision.refused:
-        return refused(task.sets, decision.refused)
+        return refuse_fit(task.sets, decision.refused)
     fit = replace(fit, warnings=decision.warnings, refusals=decision.passed)
     return replace(fit, result=FitResult.ACCEPTED, accepted=accept) if decision.passed else fit
 
 
-def _without_answer(error: CalibrationRefused | np.linalg.LinAlgError, accept: str) -> CalibrationRefused:
+def _explain_error(error: CalibrationRefused | np.linalg.LinAlgError, accept: str) -> CalibrationRefused:
     if not isinstance(error, CalibrationRefused):
         error = CalibrationRefused(
             "The readings leave a matrix without an inverse: some axis of the sensor does not show in them.",
@@ -152,7 +152,7 @@ def _solve(task: Task, findings: list[Finding]) -> Solved:
     """Return the solutions of a task with all that they are to explain; findings go on."""
     sphere = fit_sphere(task.sets)
     findings += sphere.findings(task.moving)
-    sets, reference, said = about_one_temperature(level(task.sets, sphere))
+    sets, reference, said = centre_temperatures(level(task.sets, sphere))
     findings += said
     delay, std = guess_delay(sets, task.moving), 0.0
     for _ in range(_DELAYS):
@@ -196,11 +196,10 @@ def _fit(
     members = _lean(task, problem, first, findings)
     chosen = members[0].problem, members[0].solution
     if warms and determined:
-        chosen = with_gains(*chosen, options) or chosen
-    loops = fit_loops(sets, *chosen, options) if options.hysteresis else []
-    creep = fit_creep(sets, *chosen, options) if options.hysteresis else None
-    fits = loops or [chosen]
-    chosen = likeliest_loops(chosen, loops, creep)
+        chosen = add_gains(*chosen, options) or chosen
+    fits = [chosen]
+    if options.hysteresis:
+        chosen, fits = fit_hysteresis(sets, chosen, options)
     if chosen[0] is not members[0].problem:
         members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
     if warms and determined:
@@ -222,7 +221,7 @@ def _lean(task: Task, problem: Problem, first: list[Vector], findings: list[Find
 
 
 def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) -> list[Finding]:
-    """Return what the readings say of a factory matrix, by a fit without it where they determine one."""
+    """Check a factory matrix against the readings, by a fit without it where they determine one."""
     if task.factory is None:
         return []
     free, response = replace(problem, maker=None), np.asarray(np.linalg.pinv(task.factory))
@@ -245,13 +244,13 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
 def _name_cause(symptom: Finding, solved: Solved, drift: Finding | None) -> Finding:
     """Return a symptom with its likeliest cause."""
     try:
-        return name_cause(symptom, _evidence(solved.task, solved.sets), drift)
+        return name_cause(symptom, _gather_evidence(solved.task, solved.sets), drift)
     except np.linalg.LinAlgError:
         return symptom
 
 
-def _evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
-    """Return what causes are judged by: the fit without hysteresis, of all samples where many disagree."""
+def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
+    """Fit without hysteresis, with all samples where many disagree, to judge causes by."""
     options = task.options
     with_temperature = all(data.temperature is not None for data in sets)
     parts = compress(sets, options, task.moving, with_temperature)

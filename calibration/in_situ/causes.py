@@ -37,10 +37,10 @@ from surefoot.calibration.in_situ.solve import (
     beside_channels,
     deviance,
     minima,
-    projected,
+    project,
     solve,
     transforms,
-    whitened,
+    whiten_residuals,
 )
 
 __all__ = ["Evidence", "name_cause"]
@@ -141,31 +141,31 @@ def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> F
     """
     if drift is not None:
         symptom = symptom.with_cause(drift.reason, drift.cure)
-    found = _likeliest(evidence)
+    found = _rank_causes(evidence)
     if not found:
         return symptom
     shares: dict[str, float] = {}
     for cause, share in found:
         shares[cause.words] = shares.get(cause.words, 0.0) + share
-    named = [f"{words} ({_percent(share)})" for words, share in list(shares.items())[:2]]
+    named = [f"{words} ({_format_percent(share)})" for words, share in list(shares.items())[:2]]
     cure = found[0][0].cure
     if drift is not None:
         cure += f" If that is not it: {symptom.cure}"
     return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
 
 
-def _likeliest(evidence: Evidence) -> list[tuple[Cause, float]]:
+def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
     tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1)]
-    for look in (_steps_and_touches, _bending, _turned, _exchanged, _masses):
+    for look in (_try_steps, _try_bending, _try_turn, _try_exchange, _try_masses):
         # What is garbage with one cause left out may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    left = [whitened(cause.problem, cause.solution) for cause in tried]
+    left = [whiten_residuals(cause.problem, cause.solution) for cause in tried]
     values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
     share = _independent(left[int(np.argmin(values))])
     rows = sum(map(len, left[0]))
@@ -193,7 +193,7 @@ def _independent(left: Sequence[Matrix]) -> float:
 # What happened within a set: signals that act on its readings.
 
 
-def _gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
+def _measure_gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
     """Return by how much each of the columns, shape (n, K), explains what a set's fit leaves, shape (K,)."""
     data, part = evidence.sets[j], evidence.problem.sets[j]
     rows = np.flatnonzero(part.used)
@@ -211,7 +211,7 @@ def _gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
     return np.where(seen, gain, 0.0)
 
 
-def _steps_and_touches(evidence: Evidence) -> Iterator[Cause]:
+def _try_steps(evidence: Evidence) -> Iterator[Cause]:
     """Yield the likeliest leap of a zero, and the likeliest time in which something touched the limb."""
     channels, count = len(evidence.problem.whitening), len(evidence.sets)
     for touch in (False, True):
@@ -230,7 +230,7 @@ def _steps_and_touches(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int, int, int]:
-    """Return what the likeliest span of samples of a set explains, the set, the span, and out of how many.
+    """Find the likeliest span of samples of a set: what it explains, the set, the span, and out of how many.
 
     A touch ends, the leap of a zero does not.
     """
@@ -239,7 +239,7 @@ def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int
 
     def best(spans: list[tuple[int, int]]) -> tuple[int, int, float]:
         first, last = np.array(spans).T
-        gains = _gains(evidence, j, ((place >= first) & (place < last)).astype(np.float64))
+        gains = _measure_gains(evidence, j, ((place >= first) & (place < last)).astype(np.float64))
         i = int(np.argmax(gains))
         return int(first[i]), int(last[i]), float(gains[i])
 
@@ -257,7 +257,7 @@ def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int
     return gain, j, first, last, len(spans)
 
 
-def _bending(evidence: Evidence) -> Iterator[Cause]:
+def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
     # A limb that bends does so by gravity, a sensor by its load, which grows with what was added.
     T = transforms(evidence.problem, evidence.solution)[:, :AXES]
@@ -277,7 +277,7 @@ def _bending(evidence: Evidence) -> Iterator[Cause]:
 # What was added: other masses, places and turns.
 
 
-def _masses(evidence: Evidence) -> Iterator[Cause]:
+def _try_masses(evidence: Evidence) -> Iterator[Cause]:
     """Yield, for each set, another mass at the place that was given, and the mass at another place."""
     count = len(evidence.sets)
     for j, data in enumerate(evidence.sets):
@@ -286,14 +286,14 @@ def _masses(evidence: Evidence) -> Iterator[Cause]:
         if given == 0.0:
             x, problem, solution = _fit_body(evidence, j, first, np.eye(4))
             if x[0] > 0.0:
-                words = f"{x[0]:.3f} kg hung in '{name}' at {_at(x[1:] / x[0])} m, and nothing was given"
+                words = f"{x[0]:.3f} kg hung in '{name}' at {_place(x[1:] / x[0])} m, and nothing was given"
                 yield Cause(words, _WEIGH, problem, solution, 4, count)
             continue
         x, problem, solution = _fit_body(evidence, j, first, first[:, None])
         words = f"the added mass of '{name}' is {given * (1.0 + x[0]):.3f} kg, and {given:.3f} kg was given"
         yield Cause(words, _WEIGH, problem, solution, 1, count)
         x, problem, solution = _fit_body(evidence, j, first, given * np.eye(4)[:, 1:])
-        words = f"the added mass of '{name}' hangs at {_at(place + x)} m, and {_at(place)} was given"
+        words = f"the added mass of '{name}' hangs at {_place(place + x)} m, and {_place(place)} was given"
         yield Cause(words, _WEIGH, problem, solution, 3, count)
 
 
@@ -312,11 +312,11 @@ def _fit_body(evidence: Evidence, j: int, first: Vector, along: Matrix) -> tuple
     return _fit_added(evidence, make, np.zeros(along.shape[1]))
 
 
-def _at(place: Vector) -> str:
+def _place(place: Vector) -> str:
     return "({:.3f}, {:.3f}, {:.3f})".format(*place)
 
 
-def _exchanged(evidence: Evidence) -> Iterator[Cause]:
+def _try_exchange(evidence: Evidence) -> Iterator[Cause]:
     """Yield two sets whose masses are exchanged."""
     added = evidence.problem.added
     pairs = [(i, j) for i, j in combinations(range(len(added)), 2) if not np.allclose(added[i], added[j])]
@@ -329,7 +329,7 @@ def _exchanged(evidence: Evidence) -> Iterator[Cause]:
         yield Cause(words, _WEIGH, problem, best, 0, len(pairs))
 
 
-def _turned(evidence: Evidence) -> Iterator[Cause]:
+def _try_turn(evidence: Evidence) -> Iterator[Cause]:
     """Yield an IMU that is turned against the sensor.
 
     Gravity and motion in its frame are those of a sensor that is turned with it, to whose frame only the
@@ -392,7 +392,7 @@ def _fit_added(
         x, problem, solution = best
         changes = [(make(x + _DIFFERENCE * step) - make(x)) / _DIFFERENCE for step in np.eye(len(x))]
         slopes = [added_slope(problem, solution, change) for change in changes]
-        free = projected(solution, np.stack(slopes, axis=1))
+        free = project(solution, np.stack(slopes, axis=1))
         rows = np.pad(solution.residual.ravel(), (0, len(free) - solution.residual.size))
         step = -np.linalg.lstsq(free, rows, rcond=None)[0]
         for share in (1.0, 0.3, 0.1):

@@ -15,7 +15,15 @@ from surefoot.calibration.in_situ.model import DIRECT
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["BENT_CURE", "TOO_FAST", "bending", "check_bending", "check_sets", "check_within", "squares"]
+__all__ = [
+    "BENT_CURE",
+    "TOO_FAST",
+    "check_bending",
+    "check_sets",
+    "check_within",
+    "measure_bending",
+    "squares",
+]
 
 _UNITS = {
     1.0: "g (1 g = 9.80665 m/s^2)",
@@ -34,7 +42,7 @@ TOO_FAST = "the limb moved too fast to be taken as at rest"
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> list[Finding]:
-    """Return what is wrong with channels, masses, units and the turning of gravity.
+    """Check channels, masses, units and the turning of gravity.
 
     Args:
         sets: As they were given.
@@ -153,7 +161,7 @@ def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: floa
     if beyond <= np.std(left[others]) + values[-1] - values[-2]:
         return []
     reason = (
-        f"{at} is clipped: {times[-1]} samples read exactly {end:g}{_when(data, held)}, none reads beyond, "
+        f"{at} is clipped: {times[-1]} samples read exactly {end:g}{_span(data, held)}, none reads beyond, "
         "and gravity went on turning."
     )
     cure = (
@@ -163,7 +171,7 @@ def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: floa
     return [Finding("clipping", reason, cure, float(times[-1]), limits.TIES)]
 
 
-def _when(data: InSituSet, marked: NDArray[np.bool_]) -> str:
+def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:
     """Return where most of the marked samples lie, in words."""
     if not marked.any():
         return ""
@@ -196,7 +204,7 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
         if share > limit:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples disagree with all others"
-                f"{_when(data, part.rejected)}."
+                f"{_span(data, part.rejected)}."
             )
             cure = (
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
@@ -206,15 +214,15 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
         elif share > limits.STRAY:
             reason = (
                 f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
-                f"{_when(data, part.rejected)}: something may have touched the limb."
+                f"{_span(data, part.rejected)}: something may have touched the limb."
             )
             found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
         left = _residual_share(data, part)
         # Without an order in time nothing tells white noise from all else: only what is beyond it refuses.
         if left > (limits.RESIDUAL if data.time is not None else limits.NOISY):
-            share = bending(part)
+            share = measure_bending(part)
             bends = share > limits.BENDS_MOSTLY * left
-            found.append(_bends(data, share) if bends else _large_residual(data, part, left))
+            found.append(_find_bending(data, share) if bends else _find_residual(data, part, left))
     return found
 
 
@@ -228,14 +236,14 @@ def check_bending(
     limit = limits.BENDING_BESIDE if loops else limits.BENDING
     most, found = 0.0, []
     for data, part in zip(sets, parts, strict=True):
-        share = bending(part)
+        share = measure_bending(part)
         if share > limit and share > limits.BENDS_PARTLY * _residual_share(data, part):
             most = max(most, share)
-            found.append(_bends(data, share))
+            found.append(_find_bending(data, share))
     return most, found
 
 
-def _bends(data: InSituSet, share: float) -> Finding:
+def _find_bending(data: InSituSet, share: float) -> Finding:
     reason = (
         f"'{data.name}': {share:.1%} of the readings' spread goes with gravity's squares: the limb bends as "
         "it turns, or the sensor is not linear."
@@ -261,7 +269,7 @@ def squares(gravity: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([g[:, i] * g[:, j] for i, j in ((0, 0), (1, 1), (0, 1), (0, 2), (1, 2))], axis=1)
 
 
-def bending(part: CompressedSet) -> float:
+def measure_bending(part: CompressedSet) -> float:
     """Return the share of the spread that goes with gravity's squares, beyond what noise would.
 
     The squares are weighted like the rows, so that no drift is taken for them.
@@ -283,13 +291,13 @@ def bending(part: CompressedSet) -> float:
     return _share_of_spread(explained - chance, part)
 
 
-def _large_residual(data: InSituSet, part: CompressedSet, share: float) -> Finding:
+def _find_residual(data: InSituSet, part: CompressedSet, share: float) -> Finding:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
     worst = np.zeros_like(part.used)
     worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True
     reason = (
         f"'{data.name}': {share:.1%} of the readings' spread follows gravity in no linear way"
-        f"{_when(data, worst)}."
+        f"{_span(data, worst)}."
     )
     cure = (
         "Something touched the limb, the motion was too fast or the sensor's hysteresis is large: record the "

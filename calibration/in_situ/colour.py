@@ -84,7 +84,7 @@ class Colour:
     hysteresis: Part = field(default_factory=Part)
 
     def weights(self, rows: int, spacing: float) -> Vector:
-        """Return what takes the drift off the modes 0, 1, ... of a set, shape (rows,), at most one.
+        """Compute weights that take the drift off the modes 0, 1, ... of a set, shape (rows,), at most one.
 
         The constant has the weight of the slowest mode.
 
@@ -109,7 +109,7 @@ class Colour:
         return np.asarray(idct(root[:, None] * dct(columns, norm="ortho", axis=0), norm="ortho", axis=0))
 
     def slow(self, rows: int, spacing: float, at: Sequence[float]) -> tuple[Matrix, Vector]:
-        """Return how a drift is estimated at places, and how unsure that is.
+        """Compute the weights that estimate a drift at places, and their variance.
 
         Args:
             rows: Their number.

@@ -31,7 +31,7 @@ from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.linear import orthonormal, triangle
 from surefoot.calibration.in_situ.model import DIRECT, signals
 
-__all__ = ["UNUSED", "CompressedSet", "compress", "means", "with_signals"]
+__all__ = ["UNUSED", "CompressedSet", "add_signals", "compress", "means"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -120,7 +120,7 @@ def _rows_of(
     return SetRows(data.name, used, out, columns, u.shape[1], weight, middle, width, spacing)
 
 
-def _disagreeing(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _reject(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which samples are off a linear response and an offset that may bend a little, shape (n,)."""
     rejected = np.zeros_like(whole)
     if not whole.any():
@@ -330,12 +330,12 @@ def compress(
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        out = _disagreeing(u, data.raw, whole) if options.robust else np.zeros_like(whole)
+        out = _reject(u, data.raw, whole) if options.robust else np.zeros_like(whole)
         rows.append(_rows_of(data, u, whole & ~out, out, timed))
-    return _compressed(rows, options)
+    return _compress_rows(rows, options)
 
 
-def with_signals(
+def add_signals(
     parts: Sequence[CompressedSet],
     columns: Sequence[Matrix],
     options: InSituOptions,
@@ -356,10 +356,10 @@ def with_signals(
         place = 1 + (source.inputs if first is None else first)
         wide = np.insert(source.columns, [place], source.weight[:, None] * more, axis=1)
         rows.append(source._replace(columns=wide, inputs=source.inputs + more.shape[1]))
-    return _compressed(rows, options)
+    return _compress_rows(rows, options)
 
 
-def _compressed(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
+def _compress_rows(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
     colour = _colour(rows, walks=options.drift)
     return tuple(_triangularise(one, colour) for one in rows)
 

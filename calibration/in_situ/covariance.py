@@ -224,7 +224,7 @@ class DataShare:
     unseen: int
 
     def findings(self, columns: FitColumns) -> list[Finding]:
-        """Return what leans on what was known beforehand, if much does."""
+        """Warn if much leans on the prior."""
         known = {
             "the matrix": float(np.mean(self.share[columns.matrix])),
             "the limb's mass": float(self.share[columns.limb][MASS]),
@@ -239,7 +239,7 @@ class DataShare:
 
 
 def data_share(problem: Problem, solution: Solution, noise: Matrix) -> DataShare:
-    """Return what the data know of a fit at its solution.
+    """Split the information on a fit between data and prior.
 
     Args:
         problem: With what was known beforehand.

@@ -166,7 +166,7 @@ def plan_excitation(
     block: int = 4,
     samples: int = 100,
 ) -> ExcitationPlan:
-    """Return what to read next.
+    """Plan which readings to take next.
 
     Args:
         prior: A calibration, or what :func:`prior_from_factory` makes of a maker's matrix.
@@ -240,7 +240,7 @@ def _check_plan(
 def prior_from_fit(
     fit: InSituFit, *, offset_force: float = 300.0, offset_torque: float = 5.0
 ) -> ExcitationPrior:
-    """Return what a calibration knows.
+    """Make a prior of a calibration.
 
     Args:
         fit: The calibration, also one that leans on a factory matrix.
@@ -270,7 +270,7 @@ def prior_from_factory(
     offset_force: float = 300.0,
     offset_torque: float = 5.0,
 ) -> ExcitationPrior:
-    """Return what is known before any reading, from a maker's matrix and a guess of the limb.
+    """Make a prior of a maker's matrix and a guess of the limb.
 
     Args:
         matrix: C in N and N m per count, shape (6, k).
@@ -385,10 +385,10 @@ class _Design:
             greedy.append(int(np.argmax(self.information(reached, mass))))
             reached = self.after(reached, greedy[-1], mass)
         starts = [greedy] if size == 1 else [greedy, self._spread[:size]]
-        blocks = [self._ordered(P, mass, self._exchanged(P, mass, start)) for start in starts]
+        blocks = [self._order(P, mass, self._exchange(P, mass, start)) for start in starts]
         return max(blocks, key=lambda poses: sum(pose.information for pose in poses))
 
-    def _exchanged(self, P: Matrix, mass: int, start: list[int]) -> list[int]:
+    def _exchange(self, P: Matrix, mass: int, start: list[int]) -> list[int]:
         """Return poses after each was exchanged for the best beside the others, until none changes."""
         chosen = start.copy()
         for _ in range(_SWEEPS if len(chosen) > 1 else 0):
@@ -402,7 +402,7 @@ class _Design:
                 break
         return chosen
 
-    def _ordered(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
+    def _order(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
         poses = []
         for orientation in chosen:
             poses.append(PlannedPose(orientation, mass, float(self.information(P, mass)[orientation])))

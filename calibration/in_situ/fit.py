@@ -212,7 +212,7 @@ class InSituFit:
     def at_reference(
         self, raw: NDArray[np.float64], temperature: float | NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return what a sensor would have read at the temperature of its offsets, in counts, shape (..., k).
+        """Correct readings to the temperature of the offsets, in counts, shape (..., k).
 
         Args:
             raw: Counts, shape (..., k).

@@ -49,7 +49,7 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, projected, transforms
+from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, project, transforms
 from surefoot.calibration.reference import GRAVITY
 
 __all__ = [
@@ -125,7 +125,7 @@ class Sphere:
     spread: float
 
     def findings(self, moving: bool) -> list[Finding]:
-        """Return what was corrected, if it is more than chance, and whether a limb at rest was not."""
+        """Report corrections that are more than chance, and a limb that was not at rest."""
         words, found = [], []
         if self.scale != 1.0:
             words.append(f"its scale is off by {100.0 * (1.0 / self.scale - 1.0):+.1f} %")
@@ -151,10 +151,10 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     """Return the likeliest bias, scale and noise of the accelerometer by all sets together."""
     gravity, turned, width = [], [], 1
     for one in sets:
-        data, _ = _with_turning(one)
+        data, _ = _add_turning(one)
         rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
         rows = rows[:: max(len(rows) * len(sets) // _SAMPLES, 1)]
-        felt = _felt_by_turning(data, rows)
+        felt = _measure_turning(data, rows)
         whole = np.isfinite(felt).all(axis=(1, 2))
         gravity.append(data.gravity[rows[whole]])
         turned.append(felt[whole])
@@ -198,8 +198,8 @@ def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
     for data in sets:
         g = data.gravity - sphere.bias
         if not data.moves:
-            moved, places = _with_turning(data)
-            felt = _felt_by_turning(moved, np.arange(len(places))) @ sphere.arm
+            moved, places = _add_turning(data)
+            felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
             added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
             size = np.linalg.norm(g + added, axis=1, keepdims=True)
             g = (g + added) * sphere.length / np.where(size > 0.0, size, np.nan) - added
@@ -223,7 +223,7 @@ def _long_run(off: Vector, width: int) -> float:
     return max(1.0, width * float(of_means) / max(float(np.var(off)), np.finfo(float).tiny))
 
 
-def _with_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
+def _add_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
     """Return means of gravity over a fraction of a second with the motion it shows, and their places.
 
     That is no turning about its own direction. A set whose motion was recorded is returned itself; one that
@@ -251,7 +251,7 @@ def _steady(gravity: Matrix, dt: float) -> bool:
     return bool(np.sum(steps[1:] * steps[:-1]) > _ALIKE * np.sum(steps**2))
 
 
-def _felt_by_turning(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
+def _measure_turning(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
     """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from what a limb turns about."""
     if data.angular_velocity is None or data.angular_acceleration is None:
         return np.zeros((len(rows), 3, 3))
@@ -277,7 +277,7 @@ _COLUMNS = 1 + 3 + 6 + 1
 def errors_of_imu(
     sets: Sequence[InSituSet], problem: Problem, solution: Solution, sphere: Sphere, delay_std: float
 ) -> OpenErrors:
-    """Return what turning, a delay and the accelerometer's bias may have added.
+    """Collect the errors that turning, a delay and the accelerometer's bias may have added.
 
     The limb's inertia as a point comes first, then the accelerometer's place along each axis, then the
     entries of the inertia of limb and added mass about their centres: zero for sets without times, for
@@ -291,14 +291,14 @@ def errors_of_imu(
     basis, found = transform_basis(True), []
     white = (problem.whitening @ solution.A).T
     for data, part in zip(sets, problem.sets, strict=True):
-        moved, places = _with_turning(replace(data, gravity=data.gravity @ solution.rotation.T))
+        moved, places = _add_turning(replace(data, gravity=data.gravity @ solution.rotation.T))
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
         of_offset = np.zeros((AXES, _COLUMNS))
         if not moved.moves:
             found.append(np.zeros((part.uu.shape[0], len(problem.whitening), _COLUMNS)))
             continue
         unknown = float(not data.moves)
-        felt = unknown * reach * _felt_by_turning(moved, np.arange(len(places)))
+        felt = unknown * reach * _measure_turning(moved, np.arange(len(places)))
         u = np.nan_to_num(signals(moved, moving=True))
         u[:, DIRECT] = 0.0
         inertia = unknown * limb[MASS] * com @ com * _ROD + compact_inertia(data.added_mass)
@@ -420,7 +420,7 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
         like, whole = like + float(np.sum(late * loops)), whole + float(np.sum(late**2))
     # Sets that contradict each other say little of a clock.
     believed = 1.0 / disagreement(problem, solution)[:, None]
-    free = projected(solution, np.stack(between).reshape(-1, 1))[: solution.residual.size]
+    free = project(solution, np.stack(between).reshape(-1, 1))[: solution.residual.size]
     free = free.reshape(solution.residual.shape) * believed
     along -= float(np.sum(free * solution.residual * believed))
     square += float(np.sum(free**2))

@@ -22,8 +22,8 @@ from surefoot.calibration.in_situ.model import (
     STATIC,
     different_masses,
 )
-from surefoot.calibration.in_situ.problem import Problem, hanging
-from surefoot.calibration.in_situ.solve import Solution, expand, projected, transforms
+from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
+from surefoot.calibration.in_situ.solve import Solution, expand, project, transforms
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
 
@@ -88,7 +88,7 @@ class DataRank:
     open_unknowns: tuple[str, ...]
 
     def refusal(self, problem: Problem) -> CalibrationRefused:
-        """Return what is missing and what would bring it (in-situ paper, Lemma 2)."""
+        """Say which unknowns are open and how to see them (in-situ paper, Lemma 2)."""
         masses = different_masses(problem.added[:, :STATIC])
         unknowns = self.found + self.missing
         if masses < ENOUGH_MASSES:
@@ -105,7 +105,7 @@ class DataRank:
         )
 
     def warning(self) -> str:
-        """Return what leans on the factory matrix."""
+        """Say which unknowns lean on the factory matrix."""
         return (
             f"The data determine {self.found} of {self.found + self.missing} unknowns; the rest of "
             f"{', '.join(self.open_unknowns)} leans on the factory matrix."
@@ -171,7 +171,7 @@ def check_scale(fit: InSituFit, *, leaning: bool) -> list[Finding]:
 
 
 def check_answer(fit: InSituFit, factory: Matrix | None) -> list[Finding]:
-    """Return what no limb and no sensor is, however small the residual."""
+    """Check the answer against limbs and sensors that exist, however small the residual."""
     found = []
     arm = float(np.linalg.norm(fit.limb.com))
     if not arm < limits.LONGEST_ARM:
@@ -227,16 +227,6 @@ def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Fi
     contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
     if off > limits.MASS:
         return [contradiction]
-    added = problem.added[:, :STATIC]
-    for j in range(len(added)) if off > limits.MASS_LOOKED else ():
-        changes = np.zeros((STATIC, *problem.added.shape))
-        changes[:, j, :STATIC] = np.eye(STATIC)
-        step, explained = _explain(problem, solution, changes)
-        changed = added.copy()
-        changed[j] += step
-        amount = float(np.max(_disagreement(problem, changed)))
-        if explained > limits.CULPRIT * left and amount > limits.MASS_ALONE:
-            return [contradiction]
     if problem.rotation:
         return []
     turn, explained = _explain(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
@@ -264,7 +254,7 @@ def _explain(problem: Problem, solution: Solution, changes: NDArray[np.float64])
     """Return the step along changes of what was added, (q, J, p), that fits best, and what it explains."""
     slopes = np.stack([added_slope(problem, solution, change) for change in changes], axis=1)
     rows = solution.residual.ravel()
-    free = projected(solution, slopes)
+    free = project(solution, slopes)
     step = -np.linalg.lstsq(free, np.pad(rows, (0, len(free) - len(rows))), rcond=None)[0]
     return np.asarray(step), float(np.sum((free @ step) ** 2))
 
@@ -284,7 +274,7 @@ def _seen_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     matrix = weighted_inverse(solution.A, noise)
     beside = (solution.response @ transforms(problem, solution))[..., DIRECT.stop :]
     total = [
-        hanging(matrix, part, solution.rotation, rest)
+        weigh_hanging(matrix, part, solution.rotation, rest)
         for part, rest in zip(problem.sets, beside, strict=True)
     ]
     return np.asarray(np.array(total) - solution.limb[:STATIC])

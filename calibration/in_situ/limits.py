@@ -66,9 +66,6 @@ STRAINED = Limit(
     3.0, "over the squares that noise explains", "sound 2.5; a mass off by 10 % 15, an IMU by 5 deg 4.6"
 )
 MASS = Limit(0.05, "share of the largest added mass, or its lever", "sound 0.0095; a mass off by 10 % 0.078")
-MASS_LOOKED = Limit(0.0075, "the same", "chosen: from where on a set by itself is looked at")
-CULPRIT = Limit(0.8, "share of what is left", "one wrong mass explains most of it; chosen")
-MASS_ALONE = Limit(0.015, "share of the largest added mass", "of one set that explains what is left; chosen")
 TURNED = Limit(0.025, "rad", "1.4 degrees; chosen")
 TURNED_SIGMAS = Limit(4.0, "deviations", "1 in 16,000 by chance")
 SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")

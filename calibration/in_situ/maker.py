@@ -25,7 +25,7 @@ from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.linear import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.problem import Maker, Problem, hanging
+from surefoot.calibration.in_situ.problem import Maker, Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve, transforms
 from surefoot.calibration.reference import GRAVITY
 
@@ -223,13 +223,13 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     lever = max(float(np.max(levers, initial=0.0)), _REACH)
     weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
 
-    def missed(matrix: Matrix) -> float:
+    def miss(matrix: Matrix) -> float:
         hangs = expected if limb_known else _hangs(matrix, problem, solution)
         if hangs is None:
             return np.inf
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
 
-    now = missed(factory)
+    now = miss(factory)
     if now < limits.FACTORY_MISSES:
         return []
     start = solution.outer.copy()
@@ -240,7 +240,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         (0.0, _other_readings(factory)),
         (_OCCAM, [] if expected is None else _other_entries(factory, measured, expected)),
     ):
-        scored = sorted(((missed(one), words, one) for words, one in ways), key=lambda way: way[0])
+        scored = sorted(((miss(one), words, one) for words, one in ways), key=lambda way: way[0])
         for left, words, one in scored[:_TRIED]:
             if left < limits.READ_BETTER * now:
                 tried.append((_evidence_of(one, problem, solution, start) - cost, left, words))
@@ -297,7 +297,7 @@ def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Ve
 
 def _limb_by(matrix: Matrix, problem: Problem, solution: Solution) -> Vector:
     """Return (m, m c) of the limb that a matrix shows, shape (4,)."""
-    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
+    seen = np.array([weigh_hanging(matrix, part, solution.rotation) for part in problem.sets])
     return np.asarray(np.mean(seen - problem.added[:, :STATIC], axis=0))
 
 

@@ -189,7 +189,7 @@ def _to_noise(
     basis: NDArray[np.float64],
     noise: ArrayLike | None,
 ) -> float:
-    """Return what leaves the three-space as a multiple of the noise, per direction (Lemma 1)."""
+    """Compare the residual beside the three-space with the noise, per direction (Lemma 1)."""
     channels = len(basis)
     if free == 0 or channels == 3:
         return np.nan

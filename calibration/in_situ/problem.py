@@ -27,7 +27,7 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 
-__all__ = ["Maker", "Problem", "hanging", "pooled_noise", "problem_of", "starts", "whitening"]
+__all__ = ["Maker", "Problem", "pooled_noise", "problem_of", "starts", "weigh_hanging", "whiten_channels"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -188,7 +188,7 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
 
 
-def whitening(sets: Sequence[CompressedSet]) -> Matrix:
+def whiten_channels(sets: Sequence[CompressedSet]) -> Matrix:
     """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
@@ -201,7 +201,7 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
         added=np.array(
             [inertial_parameters(one.added_mass, one.added_com, task.moving) for one in task.sets]
         ),
-        whitening=whitening(parts),
+        whitening=whiten_channels(parts),
         basis=transform_basis(task.moving),
         moving=task.moving,
         temperature=temperature,
@@ -214,7 +214,7 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
 
 
 def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
-    """Return what is known of the limb's inertial parameters, (p,), and rows that weigh it, (q, p)."""
+    """Make the limb's expected inertial parameters, (p,), and rows that weigh them, (q, p)."""
     count = len(transform_basis(moving))
     if known is None:
         return np.zeros(count), np.zeros((0, count))
@@ -244,18 +244,18 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
     """
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:
-        found.append(_by_matrix(problem, factory, np.eye(3)))
+        found.append(_start_by_matrix(problem, factory, np.eye(3)))
     largest = float(np.max(problem.added[:, MASS]))
     if largest > 0.0:
         # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
         # such a mass can end in a wrong place.
         enough = len(problem.sets) >= ENOUGH_MASSES
-        first = _by_paper(problem) if enough else _padded(problem, [largest, 0.0, 0.0, 0.0])
+        first = _by_paper(problem) if enough else _pad(problem, [largest, 0.0, 0.0, 0.0])
         found.append(first)
         multiples = _TURNED_MULTIPLES if problem.rotation else _MULTIPLES
         found += [np.concatenate([[multiple * largest], first[MASS + 1 :]]) for multiple in multiples]
     found = [start for start in found if np.all(np.isfinite(start))]
-    found = found or [_padded(problem, [1.0, 0.0, 0.0, 0.0])]
+    found = found or [_pad(problem, [1.0, 0.0, 0.0, 0.0])]
     if not problem.rotation:
         return found
     # The identity and the turns by right angles: the true one is near one of them.
@@ -263,12 +263,14 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
     turned = [np.concatenate([start, turn]) for start in found for turn in turns]
     if factory is not None:
         matrices = [Rotation.from_rotvec(turn).as_matrix() for turn in turns]
-        by_matrix = [_by_matrix(problem, factory, matrix) for matrix in matrices]
+        by_matrix = [_start_by_matrix(problem, factory, matrix) for matrix in matrices]
         turned = [np.concatenate(pair) for pair in zip(by_matrix, turns, strict=True)] + turned
     return turned
 
 
-def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None) -> Vector:
+def weigh_hanging(
+    matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None
+) -> Vector:
     """Return (m, m c) of all that hangs on the sensor in a set, shape (4,), by a known matrix C.
 
     ``beside`` is the response to the signals beside gravity, shape (k, s - 3), if it is known.
@@ -285,9 +287,9 @@ def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matri
     return np.asarray(np.linalg.lstsq(basis.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
 
 
-def _by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> Vector:
-    seen = [hanging(matrix, part, rotation) for part in problem.sets]
-    return _padded(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
+def _start_by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> Vector:
+    seen = [weigh_hanging(matrix, part, rotation) for part in problem.sets]
+    return _pad(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
 
 
 def _by_paper(problem: Problem) -> Vector:
@@ -307,5 +309,5 @@ def _by_paper(problem: Problem) -> Vector:
     return np.asarray(solution[-len(basis) :])
 
 
-def _padded(problem: Problem, static: Sequence[float] | Vector) -> Vector:
+def _pad(problem: Problem, static: Sequence[float] | Vector) -> Vector:
     return np.concatenate([np.asarray(static), np.zeros(problem.parameters - STATIC)])

@@ -35,10 +35,10 @@ from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_o
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem, pooled_noise
 from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
-from surefoot.calibration.in_situ.temperature import drifting
+from surefoot.calibration.in_situ.temperature import find_drift
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["Solved", "fit_of", "refused"]
+__all__ = ["Solved", "fit_of", "refuse_fit"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -92,7 +92,7 @@ def fit_of(solved: Solved) -> InSituFit:
     hidden = not (task.options.hysteresis and task.timed and shows_loops(problem))
     bends, said = check_bending(sets, problem.sets, loops=hidden)
     findings += said
-    findings += _drift(solved)
+    findings += _find_drift(solved)
     doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved))
     # A limb that is not as it was given draws all masses with it.
     findings += doubted or check_masses(problem, solution, noise)
@@ -111,14 +111,14 @@ def fit_of(solved: Solved) -> InSituFit:
         load = transforms(problem, solution)[-1, :AXES] @ problem.sets[-1].end.signals
         roots.append(bends * _bending_columns(answer, solution, load, task.limb is not None))
     root = np.concatenate(roots, axis=1)
-    fit = _outcome(solved, answer, root @ root.T, known)
+    fit = _assemble(solved, answer, root @ root.T, known)
     if doubts is not None:
         fit = replace(fit, offset_doubt=doubts[1] @ doubts[1].T)
     fit = replace(fit, bending=bends)
     if task.mode == "keep":
         assert task.factory is not None
         fit = replace(fit, matrix=task.factory, response=np.asarray(np.linalg.pinv(task.factory)))
-    fit = _with_shares(solved, fit)
+    fit = _add_shares(solved, fit)
     findings += check_scale(fit, leaning=members[0].problem.maker is not None)
     if problem.maker is None:
         findings += check_axes(fit, problem, solution)
@@ -126,7 +126,7 @@ def fit_of(solved: Solved) -> InSituFit:
     return fit
 
 
-def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShare) -> InSituFit:
+def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataShare) -> InSituFit:
     """Return the fit, without what is said of it."""
     problem, solution = solved.problem, solved.solution
     parts, limb, k = problem.sets, solution.limb, len(solution.A)
@@ -162,7 +162,7 @@ def _outcome(solved: Solved, answer: Vector, covariance: Matrix, known: DataShar
 
 
 def _slope_columns(doubts: tuple[Matrix, Matrix], rows: int) -> list[Matrix]:
-    """Return what is open of one slope, for the matrix and for the offset by themselves, shape (rows, a)."""
+    """Pad the doubts of one slope, of the matrix and of the offset, to columns of shape (rows, a)."""
     of_matrix, of_offset = doubts
     first = len(of_matrix)
     after = rows - first - len(of_offset)
@@ -228,7 +228,7 @@ def _stats(problem: Problem, solution: Solution, known: DataShare) -> tuple[FitS
     return whole, each
 
 
-def refused(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
+def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
     """Return a fit whose values are NaN, with the reasons."""
 
     def unknown(*shape: int) -> Matrix:
@@ -257,11 +257,11 @@ def refused(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...])
     )
 
 
-def _drift(solved: Solved) -> list[Finding]:
-    """Return what may hide behind a drift."""
+def _find_drift(solved: Solved) -> list[Finding]:
+    """Find a cause that may hide behind a drift."""
     slow = slow_turn(solved.sets, solved.problem.sets)
     if slow is None and solved.reference is not None:
-        slow = drifting(compress(solved.sets, InSituOptions(), solved.problem.moving, True))
+        slow = find_drift(compress(solved.sets, InSituOptions(), solved.problem.moving, True))
     return [] if slow is None else [slow]
 
 
@@ -298,7 +298,7 @@ def _kept_doubt(task: Task, problem: Problem, solution: Solution, noise: Matrix)
     return moved
 
 
-def _with_shares(solved: Solved, fit: InSituFit) -> InSituFit:
+def _add_shares(solved: Solved, fit: InSituFit) -> InSituFit:
     """Return the fit with what the readings know of the maker's errors, and what was found in words."""
     task, what = solved.task, "bias, mass and centre of mass"
     sets = different_masses(solved.problem.added[:, :STATIC])
@@ -336,14 +336,14 @@ def _limb_alone(solved: Solved) -> tuple[tuple[float, float] | None, tuple[float
     free = replace(problem, maker=None, limb_root=problem.limb_root[of_limb:])
     noise = pooled_noise(problem.sets)
 
-    def weighed(one: Problem) -> tuple[float, float]:
+    def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
         beside = errors_of_imu(solved.sets, one, alone, solved.sphere, solved.delay_std)
         root = answer_root(one, alone, noise, beside, unknowns_root(one, alone))
         mass = FitColumns.of(len(alone.A)).limb.start + MASS
         return float(alone.limb[MASS]), float(np.linalg.norm(root[mass]))
 
-    by_data = None if data_rank(free, solution.limb).missing else weighed(free)
+    by_data = None if data_rank(free, solution.limb).missing else weigh(free)
     if solved.task.factory is None:
         return by_data, None
-    return by_data, weighed(replace(free, maker=prior_of(solved.task, noise, _MAKER)))
+    return by_data, weigh(replace(free, maker=prior_of(solved.task, noise, _MAKER)))

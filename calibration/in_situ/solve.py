@@ -22,11 +22,11 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
+from surefoot.calibration.in_situ.compress import CompressedSet, add_signals
 from surefoot.calibration.in_situ.data import InSituOptions
 from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
-from surefoot.calibration.in_situ.problem import Problem, whitening
+from surefoot.calibration.in_situ.problem import Problem, whiten_channels
 
 __all__ = [
     "Fitted",
@@ -36,12 +36,13 @@ __all__ = [
     "criterion",
     "deviance",
     "expand",
+    "follow",
     "loop_shares",
     "minima",
-    "projected",
+    "project",
     "solve",
     "transforms",
-    "whitened",
+    "whiten_residuals",
 ]
 
 Matrix = NDArray[np.float64]
@@ -141,7 +142,7 @@ def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUA
 
 
 def minima(problem: Problem, starts: Sequence[Vector]) -> list[Solution]:
-    """Return what fits as well as the best of the minima next to promising starts; the best comes first."""
+    """Find the minima next to promising starts that fit as well as the best, which comes first."""
     costs = [float(np.sum(_Residual(problem)(start) ** 2)) for start in starts]
     promising = np.argsort(costs)[: _TURNED_SEARCHES if problem.rotation else _SEARCHES]
     found = sorted((_search(problem, starts[i]) for i in promising), key=_rank_of)
@@ -295,8 +296,8 @@ def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solut
     )
 
 
-def projected(solution: Solution, slopes: Matrix) -> Matrix:
-    """Return what the unknowns of a solution leave of slopes of the rows of the sets, shape (rows, q)."""
+def project(solution: Solution, slopes: Matrix) -> Matrix:
+    """Project slopes of the rows of the sets off the unknowns of a solution, shape (rows, q)."""
     basis, _ = orthonormal(solution.jacobian)
     slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
     return np.asarray(slopes - basis @ (basis.T @ slopes))
@@ -304,66 +305,68 @@ def projected(solution: Solution, slopes: Matrix) -> Matrix:
 
 Fitted = tuple[Problem, Solution]
 
-_ROUNDS = 2
-"""Fits, as the loads that signals follow from come from the fit itself."""
+
+def follow(
+    make: Callable[[Problem, Solution], Problem], problem: Problem, solution: Solution, rounds: int
+) -> Fitted:
+    """Fit a few times with signals that follow from the loads of the fit before."""
+    for _ in range(rounds):
+        rotation, limb = solution.outer[problem.parameters :], solution.limb
+        problem = make(problem, solution)
+        limb = np.pad(limb, (0, problem.parameters - len(limb)))
+        solution = solve(problem, [np.concatenate([limb, rotation])])
+    return problem, solution
 
 
 def beside_loads(
     plain: Problem,
-    solution: Solution,
-    columns: Callable[[Problem, Solution], list[Matrix]],
+    columns: Sequence[Matrix],
     std: float,
     options: InSituOptions,
-) -> tuple[Problem, Solution]:
-    """Return the problem with signals that follow from the loads, and its solution.
-
-    Each is one more parameter behind the limb's: what an axis reads of its signal.
+    slopes: Matrix | None = None,
+) -> Problem:
+    """Add signals of the loads to a problem, each with one parameter: what an axis reads of it.
 
     Args:
         plain: The problem without.
-        solution: Its solution.
-        columns: Returns the signals of the axes at the rows of each set, shape (m, 6), by a solution.
+        columns: Signals of the axes at the rows of each set, shape (m, 6), or behind q of ``slopes``.
         std: Expected size of the parameters.
         options: Of the fit.
+        slopes: What each of the first signals adds to the wrench by the parameters, shape (q, 6, p).
     """
-    limb_root = block_diag(plain.limb_root, np.eye(AXES) / std)
     p, _, s = plain.basis.shape
-    basis = np.zeros((p + AXES, AXES, s + AXES))
+    extra = () if slopes is None else slopes
+    basis = np.zeros((p + AXES, AXES, s + len(extra) + AXES))
     basis[:p, :, :s] = plain.basis
-    # Each axis's signal, times its parameter, adds to the wrench along that axis.
-    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
-    problem = plain
-    start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
-    for _ in range(_ROUNDS):
-        parts = with_signals(plain.sets, columns(problem, solution), options, first=s)
-        problem = replace(
-            plain,
-            sets=parts,
-            added=np.pad(plain.added, ((0, 0), (0, AXES))),
-            whitening=whitening(parts),
-            basis=basis,
-            limb=np.pad(plain.limb, (0, AXES)),
-            limb_root=limb_root,
-        )
-        solution = solve(problem, [start])
-        start = solution.outer
-    return problem, solution
+    basis[p:, :, -AXES:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
+    for place, slope in enumerate(extra, s):
+        basis[:p, :, place] = slope.T
+    parts = add_signals(plain.sets, columns, options, first=s)
+    return replace(
+        plain,
+        sets=parts,
+        added=np.pad(plain.added, ((0, 0), (0, AXES))),
+        whitening=whiten_channels(parts),
+        basis=basis,
+        limb=np.pad(plain.limb, (0, AXES)),
+        limb_root=block_diag(plain.limb_root, np.eye(AXES) / std),
+    )
 
 
 def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:
     """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
-    parts = with_signals(plain.sets, columns, options)
+    parts = add_signals(plain.sets, columns, options)
     return replace(
         plain,
         sets=parts,
         channel_lags=plain.channel_lags + columns[0].shape[1],
-        whitening=whitening(parts),
+        whitening=whiten_channels(parts),
     )
 
 
 def criterion(problem: Problem, solution: Solution) -> float:
     """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
-    left = whitened(problem, solution)
+    left = whiten_residuals(problem, solution)
     rows = sum(part.rows for part in problem.sets)
     return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
 
@@ -388,8 +391,8 @@ def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
-    """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
+def whiten_residuals(problem: Problem, solution: Solution) -> list[Matrix]:
+    """Whiten the residuals of each set's rows by their colour, in the order of time, shape (m, k)."""
     found = []
     between = problem.unwhitened(solution.residual)
     for part, one in zip(problem.sets, between, strict=True):

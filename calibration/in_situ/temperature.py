@@ -15,25 +15,29 @@ from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES
-from surefoot.calibration.in_situ.problem import Problem, whitening
+from surefoot.calibration.in_situ.problem import Problem, whiten_channels
 from surefoot.calibration.in_situ.solve import (
     Solution,
     beside_channels,
     beside_loads,
     criterion,
+    follow,
     solve,
     transforms,
 )
 
-__all__ = ["about_one_temperature", "check_gauges", "drifting", "with_gains"]
+__all__ = ["add_gains", "centre_temperatures", "check_gauges", "find_drift"]
 
 Matrix = NDArray[np.float64]
+
+_ROUNDS = 2
+"""Fits of the gains, as the loads come from the fit itself."""
 
 _GAIN_STD = 0.005
 """Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
 
 
-def about_one_temperature(
+def centre_temperatures(
     sets: tuple[InSituSet, ...],
 ) -> tuple[tuple[InSituSet, ...], float | None, list[Finding]]:
     """Return sets with temperatures less their mean, the mean in their unit, and what is to be said.
@@ -52,7 +56,7 @@ def about_one_temperature(
             f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
             f"({limits.WARMING} K): it was left out."
         )
-    elif (left := _left_by(sets, lambda data: data.gravity)) < limits.NOT_GRAVITY:
+    elif (left := _measure_rest(sets, lambda data: data.gravity)) < limits.NOT_GRAVITY:
         words = (
             f"The temperature went with gravity: what gravity explains leaves {left:.0%} of its spread. It "
             "was left out; let the sensor warm or cool while the limb turns several times."
@@ -61,14 +65,14 @@ def about_one_temperature(
         left_out = Finding("temperature", words, refuses=False)
         return tuple(replace(data, temperature=None) for data in sets), None, [left_out]
     centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
-    return tuple(centred), mean, _with_time(sets)
+    return tuple(centred), mean, _check_time(sets)
 
 
-def _with_time(sets: Sequence[InSituSet]) -> list[Finding]:
+def _check_time(sets: Sequence[InSituSet]) -> list[Finding]:
     """Return a warning if the temperature rose, or fell, with time in all sets alike."""
     if any(data.time is None for data in sets):
         return []
-    left = _left_by(sets, lambda data: np.asarray(data.time)[:, None], common=True)
+    left = _measure_rest(sets, lambda data: np.asarray(data.time)[:, None], common=True)
     if left >= limits.NOT_GRAVITY:
         return []
     words = (
@@ -79,7 +83,7 @@ def _with_time(sets: Sequence[InSituSet]) -> list[Finding]:
     return [Finding("temperature", words, refuses=False)]
 
 
-def _left_by(
+def _measure_rest(
     sets: Sequence[InSituSet], columns: Callable[[InSituSet], Matrix], common: bool = False
 ) -> float:
     """Return the share of the temperature's spread within sets that is not linear in columns.
@@ -99,13 +103,13 @@ def _left_by(
     return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
 
 
-def drifting(parts: Sequence[CompressedSet]) -> Finding | None:
+def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
     """Return that an offset drifted as the temperature changed, and the cure; None if nothing shows it.
 
     A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
     but the coefficients of sets disagree. The temperature is the last signal of the sets.
     """
-    root = whitening(parts)
+    root = whiten_channels(parts)
     own = np.array([part.response[:, -1] for part in parts])
     gram = np.array([part.gram[-1, -1] for part in parts])
     square = np.array([part.uu[-1, -1] ** 2 for part in parts])
@@ -128,7 +132,7 @@ def drifting(parts: Sequence[CompressedSet]) -> Finding | None:
     )
 
 
-def with_gains(
+def add_gains(
     problem: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution] | None:
     """Return the problem with gains of the axes by temperature, and its solution; None if not worth it.
@@ -139,10 +143,10 @@ def with_gains(
         options: Of the fit.
     """
 
-    def warm_loads(at: Problem, found: Solution) -> list[Matrix]:
-        return _warm_loads(problem, transforms(at, found))
+    def warm(at: Problem, found: Solution) -> Problem:
+        return beside_loads(problem, _warm_loads(problem, transforms(at, found)), _GAIN_STD, options)
 
-    fitted, found = beside_loads(problem, solution, warm_loads, _GAIN_STD, options)
+    fitted, found = follow(warm, problem, solution, _ROUNDS)
     if criterion(fitted, found) >= criterion(problem, solution):
         return None
     return replace(fitted, gains=AXES), found

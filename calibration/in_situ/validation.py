@@ -182,7 +182,7 @@ def offset_of_set(
 
 
 def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
-    """Return what limb and added mass exert in N and N m (in-situ paper, Eq. 4), shape (n, 6).
+    """Compute the wrench of limb and added mass in N and N m (in-situ paper, Eq. 4), shape (n, 6).
 
     Args:
         data: The set; what was added counts as compact.

@@ -32,8 +32,8 @@ _LOOKS = {
 """What an acceleration at rest of that length in m/s^2 is likely to be."""
 
 
-def checked(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return what a fit can use of a set, note what is left out; LogError at what must not be."""
+def check_samples(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
+    """Keep the samples that a fit can use and note the others; LogError at values that mislead."""
     samples = _check_times(_check_values(samples, notices), notices)
     samples = _check_channels(samples, range_count, notices)
     _check_acceleration(samples)
@@ -179,7 +179,7 @@ def _check_acceleration(samples: Samples) -> None:
     looks = [text for value, text in _LOOKS.items() if 0.8 < felt / value < 1.2]
     looks += ["give m/s^2 with gravity in it, or say units.acceleration"]
     raise LogError(
-        f"{samples}: {_named(samples.acceleration_names)} have a median length of {felt:.4g} m/s^2, and a "
+        f"{samples}: {_name(samples.acceleration_names)} have a median length of {felt:.4g} m/s^2, and a "
         f"limb that hangs still feels {GRAVITY:.4g}; {looks[0]}."
     )
 
@@ -211,7 +211,7 @@ def _check_spin(samples: Samples) -> None:
     if xx == 0.0 or yy == 0.0 or abs(xy) < CLEAR * np.sqrt(xx * yy):
         return
     slope = xy / xx
-    at = f"{samples}: {_named(samples.columns.angular_velocity or ())}"
+    at = f"{samples}: {_name(samples.columns.angular_velocity or ())}"
     if slope < 0.0:
         raise LogError(
             f"{at} turn gravity the wrong way round; turn their signs, or give both of the IMU's vectors in "
@@ -251,7 +251,7 @@ def check_against_factory(
         pulls.append(gravity[whole] - gravity[whole].mean(axis=0))
     force, pull = np.concatenate(forces).ravel(), np.concatenate(pulls).ravel()
     alike = float(force @ pull / max(np.linalg.norm(force) * np.linalg.norm(pull), 1e-300))
-    columns = _named(first.acceleration_names)
+    columns = _name(first.acceleration_names)
     if alike < -CLEAR:
         other = "gravity" if first.columns.gravity is None else "specific_force"
         raise LogError(
@@ -268,5 +268,5 @@ def check_against_factory(
         )
 
 
-def _named(columns: tuple[str, ...]) -> str:
+def _name(columns: tuple[str, ...]) -> str:
     return f"columns '{columns[0]}' to '{columns[-1]}'"

@@ -30,7 +30,7 @@ def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
 
 
 def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
-    """Return what ROS 2's broadcaster must add to C r of a driver: -C o, (6,), at a temperature."""
+    """Compute the wrench -C o, (6,), that ROS 2's broadcaster adds to C r of a driver, at a temperature."""
     offset = fit.offset
     if fit.temperature_coefficient is not None:
         if temperature is None:
@@ -55,12 +55,12 @@ def write_ros2_parameters(
     """
     rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
     add = offset_wrench(fit, temperature).tolist()
-    parameters: dict[str, Any] = {"frame_id": frame_id, "offset": _by_axis(add)}
+    parameters: dict[str, Any] = {"frame_id": frame_id, "offset": _split_axes(add)}
     hotter = ""
     if fit.temperature_gain is not None:
         assert temperature is not None
         gain = 1.0 + (temperature - fit.temperature_reference) * fit.temperature_gain
-        parameters["multiplier"] = _by_axis((1.0 / gain).tolist())
+        parameters["multiplier"] = _split_axes((1.0 / gain).tolist())
         hotter = f"# 'multiplier' makes up for what the axes read more at {temperature:.4g} degC.\n"
     text = "".join(f"# REFUSED: {flat(str(no))}\n" for no in fit.refusals)
     text += f"# ACCEPTED: {flat(fit.accepted)}\n" if fit.accepted else ""
@@ -76,7 +76,7 @@ def write_ros2_parameters(
     return path
 
 
-def _by_axis(wrench: Sequence[float]) -> dict[str, dict[str, float]]:
+def _split_axes(wrench: Sequence[float]) -> dict[str, dict[str, float]]:
     return {
         "force": dict(zip("xyz", wrench[:3], strict=True)),
         "torque": dict(zip("xyz", wrench[3:], strict=True)),

@@ -12,7 +12,7 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.force_torque.checks import FEWEST, check_against_factory, checked, contiguous
+from surefoot.experiments.force_torque.checks import FEWEST, check_against_factory, check_samples, contiguous
 from surefoot.experiments.force_torque.config import (
     Accelerometer,
     AddedMass,
@@ -74,9 +74,9 @@ def read_in_situ_log(
     parts = [samples for path in paths for samples in read_samples(path, config, notices, topics)]
     _check_names(parts, config)
     added = [_added_mass(samples, config, notices) for samples in parts]
-    sound = [checked(samples, config.sensor.range_count, notices) for samples in parts]
+    sound = [check_samples(samples, config.sensor.range_count, notices) for samples in parts]
     if config.accelerometer.calibrate is not None:
-        sound = _calibrated(sound, config.accelerometer.calibrate, notices)
+        sound = _calibrate(sound, config.accelerometer.calibrate, notices)
     found = [
         _to_set(samples, config.accelerometer, mass, notices)
         for samples, mass in zip(sound, added, strict=True)
@@ -111,17 +111,17 @@ def _check_names(parts: list[Samples], config: InSituConfig) -> None:
         if name not in first:
             raise LogError(
                 f"{parts[0].file}: the TOML file names set '{name}', which is not in the log; there are "
-                f"{_quoted(first)}. Correct its name, or take it out."
+                f"{_quote(first)}. Correct its name, or take it out."
             )
     for name, samples in first.items():
         if listed is not None and name not in listed and samples.added_mass is None:
             raise LogError(
-                f"{samples}: is not among the sets of the TOML file ({_quoted(listed)}); say there what was "
+                f"{samples}: is not among the sets of the TOML file ({_quote(listed)}); say there what was "
                 "added, or added_mass_kg = 0."
             )
 
 
-def _quoted(names: Iterable[str]) -> str:
+def _quote(names: Iterable[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
@@ -165,7 +165,7 @@ def _constant(samples: Samples, name: str | None, values: NDArray[np.float64]) -
     return float(values[0])
 
 
-def _calibrated(parts: list[Samples], model: AccelerometerModel, notices: list[str]) -> list[Samples]:
+def _calibrate(parts: list[Samples], model: AccelerometerModel, notices: list[str]) -> list[Samples]:
     """Return samples with an accelerometer that is corrected by the size of gravity in all sets."""
     try:
         fit = calibrate_accelerometer(

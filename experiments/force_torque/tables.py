@@ -87,14 +87,14 @@ class Calibrated:
         return np.asarray(wrench - motion_wrench(data, self.fit.limb))
 
     def residual(self, index: int) -> Floats:
-        """Return what a set's counts leave of the fit with a constant offset, shape (n, k)."""
+        """Compute a set's residual in counts with a constant offset, shape (n, k)."""
         data = self.sets[index]
         expected = expected_wrench(data, self.fit.limb) @ self.fit.response.T
         return np.asarray(data.raw - self.offsets[index] - expected)
 
 
 def shown_tables(found: Calibrated) -> tuple[Table, ...]:
-    """Return what a terminal shows at once."""
+    """Make the tables that a terminal shows."""
     return (set_table(found), limb_table(found), semi_axes_table(found), *weighing_tables(found))
 
 
@@ -205,7 +205,7 @@ def offset_table(found: Calibrated) -> Table:
 
 
 def set_table(found: Calibrated) -> Table:
-    """Return what each set gave."""
+    """Make the table of sets."""
     rows = []
     for i, (data, place) in enumerate(zip(found.sets, found.numbers, strict=True)):
         stats = None if place is None else found.fit.set_stats[place]

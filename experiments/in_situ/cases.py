@@ -24,9 +24,9 @@ from surefoot.experiments.in_situ.methods import (
     METHODS,
     TORQUE,
     MethodResult,
+    add_offsets,
     calibrate_by_all,
     fit_row,
-    of_fit,
     set_rows,
 )
 from surefoot.sensors import StrainGauges
@@ -113,7 +113,7 @@ def sweep_and_calibrate(seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
             for method in METHODS:
                 key = {"sensor": sensor, "seed": seed, "method": method}
                 row = fit_row(found[method], truth, wrench)
-                fits.append({**key, "clipped": _clipped(counts[:FITTED], config), **row})
+                fits.append({**key, "clipped": _find_clipping(counts[:FITTED], config), **row})
                 checked += [{**key, **row} for row in set_rows(found[method], sets)]
             thin = slice(None, None, max(counts.shape[1] // _SHOWN, 1))
             for j in range(FITTED, len(sets)) if seed == 0 else ():
@@ -182,7 +182,7 @@ def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str,
     resting = readings
     minutes = FITTED * motion.duration / 60.0
     if motion.fast:
-        rest = _thinned(record_rig((1,), rate=rate, at_rest=True, seed=seeds[0])[0], REST)
+        rest = _thin(record_rig((1,), rate=rate, at_rest=True, seed=seeds[0])[0], REST)
         resting = [read_imu([rest], seed) for seed in seeds]
         minutes += REST / 60.0
     unseen = record_rig(range(FITTED + 1, 9), rate=10.0)
@@ -196,7 +196,7 @@ def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str,
                 sets = moving_sets(sensor, run, counts, read, bias)
             else:
                 sets = static_sets(sensor, run, counts, read[..., FORCE] - bias)
-            found = of_fit(calibrate_in_situ(sets, refuse=False), sets)
+            found = add_offsets(calibrate_in_situ(sets, refuse=False), sets)
             key = {"motion": index, "sensor": sensor, "seed": seed, "minutes": minutes}
             rows.append({**key, **fit_row(found, truth, wrench)})
     return {"motions": rows}
@@ -218,7 +218,7 @@ def _forces(found: MethodResult | str, index: int, raw: Floats) -> Floats:
     return np.asarray((raw - found.offsets[index]) @ found.matrix[FORCE].T)
 
 
-def _thinned(recording: RigRecording, duration: float) -> RigRecording:
+def _thin(recording: RigRecording, duration: float) -> RigRecording:
     """Return a shorter recording at rest of as many postures."""
     step = max(round((recording.time[-1] - recording.time[0]) / duration), 1)
     rows = slice(None, None, step)
@@ -228,7 +228,7 @@ def _thinned(recording: RigRecording, duration: float) -> RigRecording:
     return replace(recording, time=recording.time[:n], **thinned)
 
 
-def _clipped(counts: Floats, config: StrainGauges) -> bool:
+def _find_clipping(counts: Floats, config: StrainGauges) -> bool:
     """Whether a channel's readings ended with the converter in more than a trace of some set."""
     ended = np.abs(counts) >= config.code_range[1]
     return bool(np.any(ended.mean(axis=1) > 1e-3))

@@ -67,7 +67,7 @@ def over_bound(part: Frame, what: str) -> float:
 
 
 def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
-    """Return what was to be reached, with what was found."""
+    """Compare the targets with the results."""
     fits = results.fits[results.fits["method"] == OURS]
     sets = results.sets[results.sets["method"] == OURS]
     # A sensor whose readings ended with the converter is refused rightly.
@@ -128,9 +128,9 @@ def limb_findings(results: InSituStudyResults) -> Iterator[str]:
         errors = part.pivot(index="seed", columns="method", values="limb_error")
         mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
         yield (
-            f"{str(sensor).capitalize()}: III-C finds the limb {_signed(mean['paper'])} % off its weight in "
-            f"the mean, the measurement-space fit {_signed(mean[OURS])} %, and without its hysteresis "
-            f"{_signed(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
+            f"{str(sensor).capitalize()}: III-C finds the limb {_sign(mean['paper'])} % off its weight in "
+            f"the mean, the measurement-space fit {_sign(mean[OURS])} %, and without its hysteresis "
+            f"{_sign(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
             f"{number(rms[OURS])} and {number(rms['no-loop'])} %."
         )
 
@@ -175,31 +175,11 @@ def motion_findings(results: InSituStudyResults) -> Iterator[str]:
         )
 
 
-def refusal_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say which spoilt experiments were answered all the same, and how wrong the answers are."""
-    spoilt = results.refusals[~results.refusals["harmless"]]
-    controls = results.refusals[results.refusals["harmless"]]
-    parts = dict(list(spoilt.groupby("case", sort=False)))
-    missed = {case: part for case, part in parts.items() if not part["refused"].all()}
-    yield (
-        f"{len(parts) - len(missed)} of {plural(len(parts), 'kind')} of spoilt experiments are refused with "
-        f"every sensor; of {len(controls)} sound ones {int(controls['refused'].sum())} are."
-    )
-    usual = _shares(controls[~controls["refused"]])
-    for case, part in missed.items():
-        answered = part[~part["refused"]]
-        force, torque, _ = _shares(answered)
-        yield (
-            f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then {force} % off "
-            f"and torques {torque} %, where sound experiments leave {usual[0]} and {usual[1]} %."
-        )
-
-
 def _shares(part: Frame) -> tuple[str, ...]:
     """Return the mean errors of forces, torques and the limb's weight in percent; a dash for none."""
     columns = ("force_error", "torque_error", "limb_error")
     return tuple(number(100.0 * part[name].abs().mean()) if name in part else "–" for name in columns)
 
 
-def _signed(value: float) -> str:
+def _sign(value: float) -> str:
     return ("+" if value > 0.0 else "") + number(value)

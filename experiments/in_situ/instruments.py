@@ -95,7 +95,7 @@ def read_sensor(
 def read_sequence(
     config: StrainGauges, wrench: Floats, state: StrainGaugeState, stream: Stream, dt: float
 ) -> tuple[Floats, StrainGaugeState]:
-    """Return what a sensor reads of wrenches (n, 6), dt apart, shape (n, k), and the sensor after them.
+    """Read wrenches (n, 6), dt apart, with a sensor: counts, shape (n, k), and the sensor after them.
 
     The library reads them where there is one, in a tenth of the time.
     """
@@ -111,7 +111,7 @@ def read_sequence(
 
 
 def read_imu(recordings: Sequence[RigRecording], seed: int, config: Imu = XSENS_MTX) -> Floats:
-    """Return what a seed's IMU reads: force and angular velocity, shape (J, n, 6)."""
+    """Read force and angular velocity with a seed's IMU, shape (J, n, 6)."""
     device, rng = imu(config), np.random.default_rng([_STREAM, 4, seed])
     first = device.init((6,), np.random.default_rng([_STREAM, 5, seed]))
     found = []

@@ -50,7 +50,7 @@ def calibrate_by_all(
     found: dict[str, MethodResult | str] = {}
     for name, loops in (("measurement", True), ("no-loop", False)):
         fit = calibrate_in_situ(sets[:FITTED], options=replace(options, hysteresis=loops), refuse=False)
-        found[name] = of_fit(fit, sets)
+        found[name] = add_offsets(fit, sets)
     try:
         paper = paper_calibration(sets)
     except ValueError as refusal:
@@ -59,7 +59,7 @@ def calibrate_by_all(
     return found | {"paper": paper, "manufacturer": replace(paper, matrix=nominal)}
 
 
-def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
+def add_offsets(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
     """Return a fit with offsets for unseen sets, whatever hangs there, or its first refusal."""
     if fit.refusals:
         return str(fit.refusals[0])
@@ -70,13 +70,13 @@ def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
 
 def paper_calibration(sets: Sequence[InSituSet]) -> MethodResult:
     """Calibrate as the paper does: filter, offset of each set (III-B), matrix from the first four (III-C)."""
-    smooth = [filtered(data) for data in sets]
+    smooth = [filter_set(data) for data in sets]
     offsets = np.array([estimate_offset(data.raw, data.gravity).offset for data in smooth])
     fit = estimate_matrix(smooth[:FITTED], offsets[:FITTED], noise_margin=0.0)
     return MethodResult(fit.matrix, offsets, fit.limb)
 
 
-def filtered(data: InSituSet) -> InSituSet:
+def filter_set(data: InSituSet) -> InSituSet:
     """Return a set whose counts and gravity are filtered as in the paper, by cubics over 3 s."""
     assert data.time is not None
     window = 2 * round(FILTER / float(data.time[1] - data.time[0]) / 2.0) + 1

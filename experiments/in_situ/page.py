@@ -62,7 +62,6 @@ def write_in_situ_study_page(results: InSituStudyResults) -> Report:
         section("limb", "Weight of the limb", _say("limb"), claims.limb_findings, figures=limb),
         section("bound", "As sure as right", _say("bound"), claims.bound_findings),
         section("motion", "Without waiting for rest", _say("motion"), claims.motion_findings),
-        section("refusals", "Experiments that went wrong", said=claims.refusal_findings),
         section("exact", "The paper's method without noise"),
         *failure_section(results.failures),
         repeat_section(_say("repeat"), (f"{command} --out {options.out}",), results.seconds),

@@ -16,14 +16,13 @@ from surefoot.experiments.in_situ.cases import (
     exact_errors,
     sweep_and_calibrate,
 )
-from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
 from surefoot.experiments.study.page import save_facts, save_frames
 from surefoot.experiments.study.runner import machine, runner
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 
-FRAMES = ("exact", "fits", "sets", "white", "motions", "refusals")  # the tables of numbers that a study makes
-SLOWEST = {"exact": 10.0, "refusals": 5.0}  # samples per s that are enough
+FRAMES = ("exact", "fits", "sets", "white", "motions")  # the tables of numbers that a study makes
+EXACT_RATE = 10.0  # samples per s that are enough without errors
 
 
 @dataclass(frozen=True)
@@ -36,27 +35,25 @@ class InSituStudyOptions:
     rate: float = 100.0  # samples per s; fast motion takes at least 100
     white_rate: float = 4.0  # of sets with white noise alone, whose samples the bound counts
     moving_seeds: int = 10  # at most, for motions
-    refused_seeds: int = 3  # at most, for spoilt experiments
     kinds: tuple[str, ...] = tuple(KINDS)
     motions: tuple[int, ...] = tuple(range(len(MOTIONS)))
-    spoilt: tuple[int, ...] = tuple(range(len(SPOILT)))
     quick: bool = False  # cut short by :meth:`quickly`
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        for name in ("seeds", "jobs", "rate", "white_rate", "moving_seeds", "refused_seeds"):
+        for name in ("seeds", "jobs", "rate", "white_rate", "moving_seeds"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"'{name}' must be positive, got {getattr(self, name)!r}.")
 
     def quickly(self) -> "InSituStudyOptions":
         """Return the same with two seeds at 10 samples a second, to see whether all works."""
-        few: dict[str, Any] = {"seeds": min(self.seeds, 2), "moving_seeds": 1, "refused_seeds": 1}
+        few: dict[str, Any] = {"seeds": min(self.seeds, 2), "moving_seeds": 1}
         return replace(self, **few, rate=10.0, motions=(0, len(MOTIONS) - 1), quick=True)
 
 
 @dataclass(eq=False)
 class InSituStudyResults:
-    """What the study found; the functions of ``cases`` and ``refusals`` describe the rows of each table."""
+    """What the study found; the functions of ``cases`` describe the rows of each table."""
 
     options: InSituStudyOptions
     exact: Frame = field(default_factory=pd.DataFrame)
@@ -64,7 +61,6 @@ class InSituStudyResults:
     sets: Frame = field(default_factory=pd.DataFrame)
     white: Frame = field(default_factory=pd.DataFrame)
     motions: Frame = field(default_factory=pd.DataFrame)
-    refusals: Frame = field(default_factory=pd.DataFrame)
     shown: Frame = field(default_factory=pd.DataFrame)
     failures: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -74,22 +70,17 @@ def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
     """Return the cases of each stage."""
     rate = options.rate
     batches, moving = _batches(options.seeds), _batches(min(options.seeds, options.moving_seeds))
-    spoilt_seeds = range(min(options.seeds, options.refused_seeds))
 
     def named(run: Any, arguments: list[tuple[Any, ...]]) -> list[Case]:
         return [Case(f"{run.__name__}{given}", run, given) for given in arguments]
 
     return {
-        "sensors without error": named(exact_errors, [(s, min(rate, SLOWEST["exact"])) for s in SENSORS]),
+        "sensors without error": named(exact_errors, [(s, min(rate, EXACT_RATE)) for s in SENSORS]),
         "sweep and calibrate": named(sweep_and_calibrate, [(batch, rate) for batch in batches]),
         "compare with the bound": named(
             compare_with_bound, [(b, kind, options.white_rate) for kind in options.kinds for b in batches]
         ),
         "compare motions": named(compare_motion, [(i, b, rate) for i in options.motions for b in moving]),
-        "spoil experiments": named(
-            spoil_and_calibrate,
-            [(i, seed, min(rate, SLOWEST["refusals"])) for i in options.spoilt for seed in spoilt_seeds],
-        ),
     }
 
 

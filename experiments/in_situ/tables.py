@@ -88,13 +88,8 @@ def _limb_error(what: Callable[[Frame], str]) -> Cell:
     return lambda part: what(100.0 * part["limb_error"].dropna())
 
 
-def _refused(part: Frame) -> str:
+def _count_refused(part: Frame) -> str:
     return decimal(int((part["refusal"] != "").sum()), "d")
-
-
-def _reason(part: Frame) -> str:
-    reasons = part["refusal"][part["refusal"] != ""]
-    return str(reasons.iloc[0]) if len(reasons) else "–"
 
 
 def _motion(part: Frame) -> str:
@@ -124,7 +119,7 @@ _LIMB: Mapping[str, Cell] = {
         lambda errors: decimal(100.0 * float(np.mean(errors.abs() <= 1.0)), ".0f") if len(errors) else "–"
     ),
     **_SHARES,
-    "refused": _refused,
+    "refused": _count_refused,
 }
 
 _BOUND: Mapping[str, Cell] = {
@@ -135,7 +130,7 @@ _BOUND: Mapping[str, Cell] = {
     "NEES / unknowns": lambda part: number(consistency(part).mean),
     "95 % of consistent ones": lambda part: span(*consistency(part)[1:3], ".3f"),
     "inside": lambda part: Verdict.of(consistency(part).inside),
-    "refused": _refused,
+    "refused": _count_refused,
 }
 
 _MOTION: Mapping[str, Cell] = {
@@ -144,16 +139,7 @@ _MOTION: Mapping[str, Cell] = {
     "limb's weight, error (%)": _limb_error(with_interval),
     "worst (%)": _limb_error(lambda errors: number(errors.abs().max())),
     **_SHARES,
-    "refused": lambda part: share(int(_refused(part)), len(part)),
-}
-
-_REFUSALS: Mapping[str, Cell] = {
-    "experiment": lambda part: _first(part, "case"),
-    "refused": lambda part: share(int(part["refused"].sum()), len(part)),
-    "reason": _reason,
-    **_SHARES,
-    "III-C, forces (%)": _percent_of("paper_force"),
-    "III-C, torques (%)": _percent_of("paper_torque"),
+    "refused": lambda part: share(int(_count_refused(part)), len(part)),
 }
 
 _EXACT: Mapping[str, Cell] = {
@@ -233,14 +219,13 @@ def all_tables(results: InSituStudyResults) -> dict[str, Table]:
         "Four sets; before the swings the limb rests in many postures for a minute, for the accelerometer."
     )
     of_limb, of_bound = _parts(results.fits, "sensor", "method"), _parts(results.white, "kind", "sensor")
-    of_motion, spoilt = _parts(results.motions, "motion", "sensor"), _parts(results.refusals, "case")
+    of_motion = _parts(results.motions, "motion", "sensor")
     listed = (
         table_of("targets", "What it must show", _TARGETS, limits_of(results), seen),
         *(_by_set(results.sets, *table) for table in _BY_SET),
         table_of("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, _say("limb_note")),
         table_of("bound", bound, _BOUND, of_bound, _say("bound_note")),
         table_of("motion", "Slow and fast motion", _MOTION, of_motion, motions),
-        table_of("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, _say("refusals_note")),
         table_of("exact", "Relative errors without noise", _EXACT, results.exact.itertuples()),
     )
     return {table.name: table for table in listed}

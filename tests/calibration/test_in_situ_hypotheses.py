@@ -8,13 +8,13 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, noisy_sets
 from scipy.fft import idct
 from scipy.stats import multivariate_normal
 
-from surefoot.calibration.in_situ.calibrate import _evidence
+from surefoot.calibration.in_situ.calibrate import _gather_evidence
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
 from surefoot.calibration.in_situ.data import InSituOptions, Task
-from surefoot.calibration.in_situ.problem import whitening
-from surefoot.calibration.in_situ.solve import deviance, solve, transforms, whitened
+from surefoot.calibration.in_situ.problem import whiten_channels
+from surefoot.calibration.in_situ.solve import deviance, solve, transforms, whiten_residuals
 
 COLOURS = {
     "white": Colour(),
@@ -26,7 +26,7 @@ COLOURS = {
 
 def evidence_of(sets, **options):
     """What causes of some sets are judged by."""
-    return _evidence(Task(tuple(sets), options=InSituOptions(**options)), tuple(sets))
+    return _gather_evidence(Task(tuple(sets), options=InSituOptions(**options)), tuple(sets))
 
 
 def coloured_fit(colour, n=80):
@@ -36,7 +36,7 @@ def coloured_fit(colour, n=80):
     sets[1] = replace(sets[1], added_mass=1.2 * ADDED_MASS[1], added_com=ADDED_COM_LEG[1])
     evidence = evidence_of(sets, robust=False)
     parts = tuple(_triangularise(part.source, colour) for part in evidence.problem.sets)
-    problem = replace(evidence.problem, sets=parts, whitening=whitening(parts))
+    problem = replace(evidence.problem, sets=parts, whitening=whiten_channels(parts))
     return problem, solve(problem, [evidence.solution.outer])
 
 
@@ -59,7 +59,7 @@ def test_deviance_is_that_of_a_dense_normal_distribution(colour):
         -2.0 * multivariate_normal.logpdf(one.ravel(), cov=np.kron(cov, scatter))
         for one, cov in zip(left, dense, strict=True)
     )
-    assert deviance(problem.sets, whitened(problem, solution)) == pytest.approx(expected, rel=1e-9)
+    assert deviance(problem.sets, whiten_residuals(problem, solution)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_slopes_are_open_by_how_far_swings_of_like_axes_lie_apart():

@@ -28,7 +28,6 @@ from surefoot.experiments.in_situ.methods import (
     wrench_error,
 )
 from surefoot.experiments.in_situ.page import write_in_situ_study_page
-from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
 from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
 from surefoot.experiments.in_situ.tables import PRINTED
 from surefoot.experiments.study.store import JOURNAL
@@ -38,7 +37,7 @@ from surefoot.experiments.study.store import JOURNAL
 def results(tmp_path_factory):
     options = InSituStudyOptions(
         out=tmp_path_factory.mktemp("study"), seeds=2, jobs=1, rate=2.0, white_rate=1.0, moving_seeds=1,
-        refused_seeds=1, kinds=("still",), motions=(0,), spoilt=(0, 1, 2),
+        kinds=("still",), motions=(0,),
     )  # fmt: skip
     return run_in_situ_study(options)
 
@@ -46,10 +45,6 @@ def results(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recordings():
     return record_rig(duration=100.0, rate=5.0)
-
-
-def spoilt_named(start):
-    return next(i for i, case in enumerate(SPOILT) if case.name.startswith(start))
 
 
 @pytest.mark.slow
@@ -65,7 +60,7 @@ def test_one_row_for_each_sensor_seed_method_and_set(results):
 @pytest.mark.slow
 def test_everything_is_in_files(results):
     out = results.options.out
-    for name in ("exact", "fits", "sets", "white", "motions", "refusals"):
+    for name in ("exact", "fits", "sets", "white", "motions"):
         assert len(pd.read_csv(out / "tables" / f"{name}.csv")) == len(getattr(results, name)) > 0
     facts = json.loads((out / "results.json").read_text(encoding="utf-8"))
     assert facts["options"]["seeds"] == 2
@@ -78,7 +73,7 @@ def test_finished_cases_are_read_and_give_the_same(results):
     before = journal.read_bytes()
     again = run_in_situ_study(results.options)
     assert journal.read_bytes() == before
-    for name in ("fits", "sets", "white", "refusals"):
+    for name in ("fits", "sets", "white"):
         pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))
     assert not results.failures
 
@@ -191,7 +186,7 @@ def test_the_paper_filters_three_seconds_whatever_the_rate(recordings, monkeypat
     for rate in (10.0, 100.0):
         n = 400
         data = InSituSet(np.zeros((n, 6)), np.zeros((n, 3)), time=np.arange(n) / rate)
-        methods.filtered(data)
+        methods.filter_set(data)
     assert windows == [31, 31, 301, 301]
 
 
@@ -309,28 +304,6 @@ def test_consistency_is_that_of_chi_square():
     assert right.low < 1.0 < right.high
     assert not consistency(pd.DataFrame({"nees": 1.2 * nees, "unknowns": 46})).inside
     assert not consistency(pd.DataFrame({"nees": [np.nan], "unknowns": 46})).inside
-
-
-@pytest.mark.parametrize(
-    ("case", "said"),
-    [
-        ("front-back", "in one plane"),
-        ("two masses", "three are needed"),
-        ("channel 0", "saturated"),
-        ("sign of one", "entry [2, 0]"),
-    ],
-)
-def test_spoilt_experiments_are_refused_with_the_reason(case, said):
-    (row,) = spoil_and_calibrate(spoilt_named(case), 0, 2.0)["refusals"]
-    assert row["refused"]
-    assert said in row["refusal"]
-
-
-@pytest.mark.slow
-def test_a_sound_experiment_is_answered(results):
-    controls = results.refusals[results.refusals["harmless"]]
-    assert len(controls) == 2
-    assert not controls["refused"].any()
 
 
 def test_options_refuse_what_cannot_be_done():
