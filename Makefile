@@ -35,9 +35,9 @@ lowest: $(LOWEST)/.made
 # walks, rigs and episodes make narrower intervals.
 RESULTS := out/results
 WALKS ?= 10
-RIGS ?= 20
-EPISODES ?= 20
-HARD_EPISODES ?= 50
+RIGS ?= 12
+EPISODES ?= 16
+HARD_EPISODES ?= 32
 ROBOTS ?= 3
 results: $(VENV)/.dev
 	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking

@@ -50,7 +50,7 @@ def parse_route(route: Any) -> tuple[Leg, ...]:
     Raises:
         ValueError: If it is not a sequence of such legs, naming the first that is none.
 
-    >>> checked_route([[8.0, 0.04, 0.0], [3.0, 0, 0]])[1].stands
+    >>> parse_route([[8.0, 0.04, 0.0], [3.0, 0, 0]])[1].stands
     True
     """
     try:

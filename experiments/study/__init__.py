@@ -14,7 +14,7 @@ A whole study (the tests hold it)::
         return {"walks": [{"speed": speed, "seed": seed, "time": ...}]}
 
     cases = [Case(f"{v:g} m/s, seed {s}", walk, (v, s)) for v in (0.02, 0.04) for s in range(10)]
-    with Store(out / "results").opened() as store, runner(jobs=2) as run:
+    with Store(out / "results").open_for() as store, runner(jobs=2) as run:
         run.run("walk", cases, store)
         rows, failures = store.rows("walks", cases), store.failures(cases)
     table = claim_table([at_least("time on its feet (s)", rows["time"].mean(), 20.0)])

@@ -193,7 +193,7 @@ def _digits(value: float, digits: int) -> str:
 def round_to(value: float, deviation: float) -> tuple[str, str]:
     """Return a value and its deviation to the decimal at which the deviation has two significant digits.
 
-    >>> rounded(4.75804, 0.1912), rounded(-0.00002, 0.000157), rounded(5231.6, 99.97)
+    >>> round_to(4.75804, 0.1912), round_to(-0.00002, 0.000157), round_to(5231.6, 99.97)
     (('4.76', '0.19'), ('-0.00002', '0.00016'), ('5232', '100'))
     """
     if not 0.0 < deviation < float("inf"):
