@@ -140,8 +140,7 @@ def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
 
 def _from(log: Log, row: int) -> Log:
     """Return the rest of a log."""
-    reference = Reference(*(np.asarray(part)[row:] for part in log.reference))
-    return replace(log, time=log.time[row:], raw=log.raw[row:], reference=reference, truth=None, turned={})
+    return replace(log.cut(slice(row, None)), truth=None)
 
 
 def _judge_sets(log: InSituLog) -> Iterator[Wrong]:

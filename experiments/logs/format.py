@@ -8,7 +8,7 @@ calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing u
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,23 @@ class Log:
             f"{1.0 / self.dt:g} Hz, {self.mass:g} kg{more})"
         )
 
+    def cut(self, rows: slice) -> "Log":
+        """Return the log of some of its rows."""
+
+        def cut(parts: Any) -> Any:
+            return parts and type(parts)(*(np.asarray(part)[rows] for part in parts))
+
+        truth = self.truth and LogTruth(**{name: part[rows] for name, part in vars(self.truth).items()})
+        return replace(
+            self,
+            time=self.time[rows],
+            raw=self.raw[rows],
+            reference=cut(self.reference),
+            momentum=cut(self.momentum),
+            truth=truth,
+            turned={},
+        )
+
     def to_pandas(self) -> Any:
         """Return a data frame with the columns of the table, one row a sample."""
         import pandas as pd
@@ -173,9 +190,10 @@ def read_log(
     elif description.motion is None:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
+        facts["momentum"] = momentum_of(values, layout, reference) if has_momentum else None
     else:
-        made = _make_reference(path, table, moved or table, description, time)
-        reference, about, facts["turned"] = made
+        made = _make_beliefs(path, table, moved or table, description, time)
+        reference, facts["momentum"], about, facts["turned"] = made
         facts["about"] = facts["about"] | about
     if table.notices:
         facts["about"] = facts["about"] | {"notices": table.notices}
@@ -186,7 +204,6 @@ def read_log(
         time=time,
         raw=raw,
         reference=reference,
-        momentum=momentum_of(values, layout, reference) if has_momentum else None,
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )
@@ -270,14 +287,14 @@ def _reference_of_feet(
     return reference, facts | {"about": facts["about"] | {"feet_alone": True, "contacts": source}}
 
 
-def _make_reference(
+def _make_beliefs(
     path: Path,
     table: LogTable,
     moved: LogTable,
     description: Description,
     time: NDArray[np.float64],
-) -> tuple[Reference, dict[str, Any], dict[str, Callable[[], Reference]]]:
-    """Return references made of joints and IMU, where they come from, and :attr:`Log.turned`."""
+) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]]]:
+    """Make beliefs of joints and IMU; return both kinds, where they come from, and :attr:`Log.turned`."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(
@@ -286,7 +303,7 @@ def _make_reference(
         )
     facts = description.motion.of_log(path.parent, moved.step if moved is not table else dt)
     try:
-        from surefoot.experiments.logs.model import check_spin, load_model, make_reference
+        from surefoot.experiments.logs.model import check_spin, load_model, make_beliefs
     except ImportError as error:
         raise LogError(
             f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
@@ -295,7 +312,8 @@ def _make_reference(
     model = load_model(facts, path.name)
     motion = read_motion(moved, facts, model.joint_names)
     check_spin(motion, model, moved.file)
-    reference = make_reference(time, motion, facts, model, description.mass_kg)
+    known = facts, model, description.mass_kg, description.layout, dt
+    reference, momentum = make_beliefs(time, motion, *known)
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(
             f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
@@ -306,13 +324,14 @@ def _make_reference(
     about: dict[str, Any] = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
 
     def turn(joint: str) -> Reference:
-        found = make_reference(time, motion.turn(joint_names.index(joint)), facts, model, description.mass_kg)
+        found, _ = make_beliefs(time, motion.turn(joint_names.index(joint)), *known)
         down, up, _ = contacts(table, names, found, dt)
         return found._replace(stance=down, swing=up)
 
     joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
     made: dict[str, Callable[[], Reference]] = {name: partial(turn, name) for name in legs}
-    return reference._replace(stance=stance, swing=swing), about, made
+    reference = reference._replace(stance=stance, swing=swing)
+    return reference, momentum._replace(stance=stance, swing=swing), about, made
 
 
 def _description(path: Path, metadata: Any) -> Any:

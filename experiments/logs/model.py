@@ -4,18 +4,21 @@ Any MJCF or URDF file with a floating body that carries the IMU, hinges and two 
 do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but none is late.
 """
 
+from math import ceil
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import FeetLayout, MomentumReference, Reference
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
+from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.errors import NO_ERRORS
+from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.sensors.telemetry.computer import TelemetryLayout
@@ -41,6 +44,7 @@ class LogModel:
 
     def __init__(self, nominal: NominalModel, right_first: bool, R_torso_imu: Floats) -> None:
         self._evaluate: Any = nominal.evaluate
+        self._velocities: Any = nominal.velocities
         self._right_first = right_first
         self.joint_names = nominal.joint_names
         self.mass = nominal.mass
@@ -55,6 +59,11 @@ class LogModel:
         if self._right_first:
             return com, momentum, sites[[0, 2, 1]], axes[[3, 4, 5, 0, 1, 2]]
         return com, momentum, sites, axes
+
+    def velocities(self) -> tuple[Floats, Floats]:
+        """Return the last posture's velocities, as :meth:`NominalModel.velocities` does."""
+        com, twist = self._velocities()
+        return com, twist[[0, 2, 1]] if self._right_first else twist
 
     def moving_soles(self, joint: Floats) -> list[str]:
         """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
@@ -165,32 +174,57 @@ AHEAD = 3  # rows of motion after a moment that differences and interpolation ma
 NEEDED = 2  # rows without a loss that a moment must have before and behind it
 
 
-def make_reference(
-    time: NDArray[np.float64], motion: Motion, facts: MotionFacts, model: LogModel, mass: float
-) -> Reference:
-    """Return references for times of the feet in s, (N,); NaN where joints and IMU do not reach.
+def make_beliefs(
+    time: NDArray[np.float64],
+    motion: Motion,
+    facts: MotionFacts,
+    model: LogModel,
+    mass: float,
+    layout: FeetLayout,
+    dt: float,
+) -> tuple[Reference, MomentumReference]:
+    """Make beliefs for times of the feet in s, (N,), ``dt`` s apart; NaN where joints and IMU do not reach.
 
-    Contacts are left open. The drawing's angular momentum is scaled to the log's mass in kg.
+    They are accelerations, and momentum. Contacts are left open. The drawing's angular momentum is scaled to
+    the log's mass in kg. What touches the ground are the feet's cells, or the origin of the sole.
     """
     where = TelemetryLayout(len(model.joint_names))
-    beliefs = Beliefs(model, where, motion.period, 0.0, facts.averaged)  # type: ignore[arg-type]
+    accelerations = Beliefs(model, where, motion.period, 0.0, facts.averaged, dt=dt)  # type: ignore[arg-type]
+    beliefs = MomentumBeliefs(accelerations, _touching_points(layout))
     force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place)
     nobody = np.zeros(2, dtype=bool)
-    rows: list[Reference] = []
+    rows: list[tuple[Reference, MomentumReference]] = []
     fed, values = 0, np.zeros(where.size)
+    ahead = AHEAD + ceil(0.5 * dt / motion.period)
     for moment, row, fine in zip(moments.tolist(), place.tolist(), known.tolist(), strict=True):
-        while fed < min(row + AHEAD, len(motion.time)):
+        while fed < min(row + ahead, len(motion.time)):
             values[where.joint_position] = motion.joint[fed]
             values[where.accelerometer], values[where.gyroscope] = force[fed], spin[fed]
             beliefs.update((Packet(int(motion.number[fed]), float(motion.time[fed]), values.copy()),))
             fed += 1
-        found = beliefs.reference(moment, nobody, nobody)
-        rows.append(found if fine else _unknown(found))
-    reference = Reference(*(np.stack(part) for part in zip(*rows, strict=True)))
-    return reference._replace(angular_momentum_rate=reference.angular_momentum_rate * (mass / model.mass))
+        if fine:
+            rows.append((beliefs.reference(moment, nobody, nobody), beliefs.momentum(moment, nobody, nobody)))
+        else:
+            rows.append((nothing(2), unknown(2)))
+    reference, momentum = (
+        kind(*(np.stack(part) for part in zip(*found, strict=True)))
+        for kind, found in zip((Reference, MomentumReference), zip(*rows, strict=True), strict=True)
+    )
+    scale = mass / model.mass
+    return (
+        reference._replace(angular_momentum_rate=scale * reference.angular_momentum_rate),
+        momentum._replace(angular_momentum=scale * momentum.angular_momentum),
+    )
+
+
+def _touching_points(layout: FeetLayout) -> Floats:
+    """Points of the soles that may touch the ground, in their frames in m, shape (F, n, 3)."""
+    points = [np.zeros((1, 3)) if f.position_cell_sole is None else f.position_cell_sole for f in layout.feet]
+    most = max(map(len, points))
+    return np.stack([np.resize(part, (most, 3)) for part in points])
 
 
 def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -200,12 +234,6 @@ def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_
     span = motion.number[np.where(inside, last, 0)] - motion.number[np.where(inside, first, 0)]
     found: NDArray[np.bool_] = inside & (span == 2 * NEEDED - 1)
     return found
-
-
-def _unknown(reference: Reference) -> Reference:
-    stance, swing = reference.stance, reference.swing
-    blank = Reference(*(np.full(np.shape(part), np.nan) for part in reference))
-    return blank._replace(stance=stance, swing=swing)
 
 
 def check_spin(motion: Motion, model: LogModel, file: str) -> None:

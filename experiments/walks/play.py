@@ -76,15 +76,7 @@ def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stre
 
 def cut_fall(log: Log) -> Log:
     """Cut off the end of a walk, in which the robot fell."""
-    kept = log.time <= log.time[-1] - FALLING
-    truth = log.truth
-    if truth is not None:
-        truth = LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__})
-    reference = Reference(*(part[kept] for part in log.reference))
-    momentum = log.momentum and MomentumReference(*(part[kept] for part in log.momentum))
-    return replace(
-        log, time=log.time[kept], raw=log.raw[kept], reference=reference, momentum=momentum, truth=truth
-    )
+    return log.cut(slice(int(np.sum(log.time <= log.time[-1] - FALLING))))
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:

@@ -19,7 +19,9 @@ from surefoot.files import parse_json, read_text
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
     """Run one method over a log, N samples at once, from a map; options as of :func:`replay`."""
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
-    return replay(log.layout, method, log.raw, beliefs_of(log, method), steps_of(log), **known, **options)
+    # Accelerations are what can be filtered forwards and backwards.
+    beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
+    return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:

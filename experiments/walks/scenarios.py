@@ -274,7 +274,7 @@ _TABLE = (
         "Offsets and scales that follow the temperature besides drifting.",
         Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
         _WARM.name,
-        most_seeds=5,
+        most_seeds=3,
         long=True,
     ),
     Scenario(
@@ -282,7 +282,7 @@ _TABLE = (
         "half an hour",
         "Long-term stability over extended walking (CoP paper, section 4.3).",
         Walk("half-hour", duration=STAND_TIME + 1800.0),
-        most_seeds=10,
+        most_seeds=3,
         long=True,
     ),
 )

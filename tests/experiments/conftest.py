@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
-from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.record import record_walk
@@ -124,17 +124,21 @@ class RecordedWalk:
 
     def __init__(self, steps: int = 640) -> None:
         bare = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, push_impulse=(0.0, 0.0))
-        env = SelfCalibration(FootSensors(bare), "none", errors=NO_ERRORS)
+        env = SelfCalibration(FootSensors(bare), "moment", errors=NO_ERRORS)
         sensors, base = env.env, env.unwrapped
         env.reset(seed=4)
-        packets, raw, time, force, references, moments = list(sensors.packets), [], [], [], [], []
+        packets, raw, time, force, moments = list(sensors.packets), [], [], [], []
+        references, momenta = [], []
         for _ in range(steps):
             env.step(np.zeros(11, dtype=np.float32))
             packets += sensors.packets
             raw.append(sensors.raw.copy())
             time.append(sensors.time)
             force.append(base.truth.force_cell[-1].copy())
-            references.append(env.reference)
+            momentum = env.reference
+            contacts = momentum.stance, momentum.swing
+            references.append(env.beliefs.reference(env.reference_time, *contacts))
+            momenta.append(momentum)
             moments.append(env.reference_time)
         telemetry, config = sensors.telemetry, sensors.instruments.parts[0].config
         where = telemetry.layout
@@ -151,6 +155,7 @@ class RecordedWalk:
         self.model = env.beliefs.model
         self.force = np.array(force)
         self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
+        self.momentum = MomentumReference(*(np.array(part) for part in zip(*momenta, strict=True)))
         self.description = {
             "model": NAO,
             "torso": "torso",

@@ -11,14 +11,31 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from surefoot.calibration.parameters import Parameters
+from surefoot.calibration import MomentumReference, Parameters
 from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
+from surefoot.experiments.walks.replay import beliefs_of
+
+
+@pytest.fixture
+def full(log: Log) -> Log:
+    """Give a log with beliefs of both kinds."""
+    reference = log.reference
+    momentum = MomentumReference(
+        com=reference.com,
+        com_velocity=0.1 * reference.com_acceleration,
+        angular_momentum=0.1 * reference.angular_momentum_rate,
+        position_sole=reference.position_sole,
+        R_level_sole=reference.R_level_sole,
+        stance=reference.stance,
+        swing=reference.swing,
+    )
+    return dataclasses.replace(log, momentum=momentum)
 
 
 @pytest.mark.parametrize("name", ["walk.parquet", "walk.csv"])
-def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
-    raw = log.raw.copy()
+def test_a_log_survives_the_file(full: Log, tmp_path: Path, name: str) -> None:
+    log, raw = full, full.raw.copy()
     raw[3, 2] = np.nan
     log = dataclasses.replace(
         log, raw=raw, calibrated=Parameters(log.nominal.scale * 1.1, log.nominal.offset)
@@ -29,6 +46,10 @@ def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
     for field in log.reference._fields:
         np.testing.assert_allclose(getattr(back.reference, field), getattr(log.reference, field), atol=1e-15)
     assert back.reference.stance.dtype == bool
+    assert back.momentum is not None
+    assert log.momentum is not None
+    for field, part in log.momentum._asdict().items():
+        np.testing.assert_allclose(getattr(back.momentum, field), part, atol=1e-15)
     assert back.truth is not None
     assert log.truth is not None
     np.testing.assert_array_equal(back.truth.force, log.truth.force)
@@ -40,6 +61,30 @@ def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
     assert (back.mass, back.dt, back.lag, back.seed, back.about) == (
         log.mass, log.dt, log.lag, log.seed, log.about,
     )  # fmt: skip
+
+
+def test_a_log_without_momentum_is_one_of_accelerations(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    assert '"momentum_' not in path.read_text().splitlines()[0]
+    back = read_log(path)
+    assert back.momentum is None
+    assert beliefs_of(back, "moment") is back.reference
+
+
+def test_a_momentum_of_which_a_part_is_missing_is_refused(full: Log, tmp_path: Path) -> None:
+    path = write_log(full, tmp_path / "walk.csv")
+    table = pd.read_csv(path)
+    table.drop(columns="momentum_com_velocity_x_m_s").to_csv(path, index=False)
+    with pytest.raises(LogError, match="momentum_com_velocity_x_m_s"):
+        read_log(path)
+
+
+def test_rows_are_cut_from_all_parts(full: Log) -> None:
+    part = full.cut(slice(10, 50))
+    assert {len(values) for kind in (part.reference, part.momentum) for values in kind or ()} == {40}
+    assert len(part) == len(part.raw) == 40
+    assert part.truth is not None
+    assert len(part.truth.force) == 40
 
 
 def test_a_log_says_what_it_is_in_one_line_and_becomes_a_frame(log: Log) -> None:

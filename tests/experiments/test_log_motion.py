@@ -70,6 +70,21 @@ def test_a_joint_of_the_wrong_sign_is_named(recorded: Any, tmp_path: Path, joint
     assert found.cure == f"Turn the sign of column '{name}' round."
 
 
+def test_momentum_is_what_the_robot_had(recorded: Any) -> None:
+    """Of points between the cells, where the robot knows the edges of its soles."""
+    log, own = read_log(recorded.path), recorded.momentum
+    n, late = len(log) - recorded.lag, slice(160, None)
+    assert log.momentum is not None
+    relative = [one.com - one.position_sole.mean(axis=1) for one in (log.momentum, own)]
+    for made, had, most in (
+        (log.momentum.com_velocity, own.com_velocity, 0.01),
+        (log.momentum.angular_momentum, own.angular_momentum, 0.01),
+        (relative[0], relative[1], 2e-3),
+    ):
+        difference = (made[:n] - had[recorded.lag :])[late]
+        assert np.sqrt(np.mean((difference - difference.mean(axis=0)) ** 2)) < most
+
+
 @pytest.mark.slow
 def test_references_are_those_that_the_robot_had(recorded: Any) -> None:
     """Up to the clock of the telemetry, which a robot averages over the past alone."""
