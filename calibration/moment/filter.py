@@ -29,7 +29,6 @@ from surefoot.calibration.moment.modes import (
     begin,
     begin_momentum,
     learn,
-    load_evidence,
     mix,
     weigh_modes,
 )
@@ -306,9 +305,8 @@ class MomentFilter:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
             step = learn(mixed, rows, state.noise, columns, block.duration)
             before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
-            before = before + load_evidence(mixed, columns)
             belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
-            after = step.likelihood + weighed.evidence + load_evidence(belief, columns)
+            after = step.likelihood + weighed.evidence
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
             nis = normalised(step.innovation, step.stated)
             noise = follow_noise(state.noise, step.innovation, step.expected, rows.variance, belief.chance[0])

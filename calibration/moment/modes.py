@@ -13,7 +13,6 @@ afterwards. Who changes mode begins with a w of its own.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.columns import Columns
@@ -235,6 +234,8 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         if mode is HELD:
             considered = slice(0, columns.momentum.start)
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
+        if mode.load > 0.0:
+            mean = keep_heavier(mean, covariance, columns.mass.start)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
         mean = forward @ mean
@@ -247,14 +248,17 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
     return Step(learnt, np.array(likelihoods), *seen[int(belief.chance.argmax())])
 
 
-def load_evidence(belief: Belief, columns: Columns) -> Array:
-    """Return the logarithm of how likely what modes carry has a weight, shape (J,)."""
-    at = columns.mass.start
-    # The robot is heavier then, and the believed mass too small.
-    lighter = -belief.mean[:, at] / np.sqrt(belief.covariance[:, at, at])
-    loaded = np.array([mode.load > 0.0 for mode in MODES])
-    evidence: Array = np.where(loaded, log_ndtr(lighter), 0.0)
-    return evidence
+def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:
+    """Return the likeliest mean of which a load is not negative (Simon and Simon, 2006).
+
+    Forces and weight together may shrink to nothing otherwise, which explains errors of any reading.
+    """
+    lighter = float(mean[mass])
+    if not (lighter > 0.0 and covariance[mass, mass] > 0.0):
+        return mean
+    kept = mean - lighter / covariance[mass, mass] * covariance[mass]
+    kept[mass] = 0.0
+    return kept
 
 
 def weigh_modes(chance: Array, evidence: Array) -> Array:

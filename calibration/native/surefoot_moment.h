@@ -672,6 +672,11 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const 
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
         good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, m->gate, first, last, w->B) && good;
+        sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
+        if (m->mode_load[j] > 0 && lighter > 0 && of_mass[at - 2] > 0) { /* keep_heavier */
+            sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
+            mean[at - 2] = 0;
+        }
         sf_multiply(end, rows->end, P, C, N, N);
         for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
         sf_copy(mean + at, moved, C);
@@ -685,21 +690,6 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const 
             for (int i = 0; i < N; i++) P[i * N + at + r] = P[(at + r) * N + i];
     }
     return good;
-}
-
-/* log_ndtr: the logarithm of how likely a standard normal number is below x. */
-SF_API sf_real sf_log_below(sf_real x) {
-    if (x > -1) return (sf_real)log1p(-0.5 * erfc(x / sqrt(2.0)));
-    if (x > -25) return (sf_real)log(0.5 * erfc(-x / sqrt(2.0)));
-    double y = 1 / ((double)x * x), tail = 1 - y * (1 - 3 * y * (1 - 5 * y * (1 - 7 * y * (1 - 9 * y))));
-    return (sf_real)(-0.5 * x * x - log(-x) - 0.5 * log(2 * 3.141592653589793) + log(tail));
-}
-
-/* load_evidence */
-SF_API sf_real sf_load_evidence(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int j) {
-    int N = sf_states(c, m), at = sf_momenta(c, m) - 2;
-    if (!(m->mode_load[j] > 0)) return 0;
-    return sf_log_below(-s->mean[j * N + at] / sf_sqrt(s->covariance[(j * N + at) * N + at]));
 }
 
 /* weigh_modes */
@@ -1758,12 +1748,11 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
         good = sf_weigh(c, m, &w->mixed, w);
-        for (int j = 0; j < SF_MODES; j++)
-            before[j] = w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j);
+        for (int j = 0; j < SF_MODES; j++) before[j] = w->compared[j].evidence;
         good = good && sf_moment_learn(c, m, s->noise, &w->mixed, w, &taught);
         good = good && sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; good && j < SF_MODES; j++)
-            after[j] = taught.likelihood[j] + w->compared[j].evidence + sf_load_evidence(c, m, &w->mixed, j) - before[j];
+            after[j] = taught.likelihood[j] + w->compared[j].evidence - before[j];
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
         sf_weigh_modes(m, after, w->mixed.chance);
         *nis = sf_normalised(taught.innovation, taught.stated, C, &size);

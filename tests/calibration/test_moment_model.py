@@ -11,7 +11,15 @@ from surefoot.calibration.moment.columns import Columns, Spread, find_talks, fir
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.health import contact_probability
 from surefoot.calibration.moment.model import Model
-from surefoot.calibration.moment.modes import FIRST_CHANCE, MODES, combine, mix, update, wrench_variance
+from surefoot.calibration.moment.modes import (
+    FIRST_CHANCE,
+    MODES,
+    combine,
+    keep_heavier,
+    mix,
+    update,
+    wrench_variance,
+)
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
 from surefoot.calibration.moment.state import Belief
 
@@ -228,3 +236,11 @@ def test_contact_is_likelier_the_more_a_foot_bears():
     assert found[2] < 0.02
     assert found[-3] > 0.99
     assert of(0.0)[1] > 0.999
+
+
+def test_a_load_is_never_negative_and_scales_do_not_shrink_for_it():
+    """What is known of the others follows the mass; what is heavier stays as it is."""
+    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
+    kept = keep_heavier(np.array([1.0, 0.1]), covariance, 1)
+    np.testing.assert_allclose(kept, (0.95, 0.0))
+    np.testing.assert_array_equal(keep_heavier(np.array([1.0, -0.1]), covariance, 1), (1.0, -0.1))
