@@ -19,7 +19,7 @@ from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Epis
 from surefoot.experiments.policy.controllers import Controller, controller_hash, training_sensors
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, task_named
 from surefoot.experiments.walks import scenarios
-from surefoot.experiments.walks.scenarios import INSTANT
+from surefoot.experiments.walks.scenarios import CHIPS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
 from surefoot.files import read_toml
 from surefoot.sensors import LoadCells
@@ -97,7 +97,7 @@ def _table() -> dict[str, LoopScenario]:
     walked = [
         _from_walks(scenario)
         for scenario in scenarios.SCENARIOS.values()
-        if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
+        if scenario.condition == CHIPS.name and not (scenario.long or scenario.walk.clock_error)
     ]
     hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
     own = (

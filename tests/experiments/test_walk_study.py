@@ -25,7 +25,7 @@ from surefoot.experiments.walks.scenarios import SCENARIOS, Walk, log_paths, sce
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 
-RUN = ("speed-0.1", "chips-0.1", "fault-dropped")
+RUN = ("speed-0.1", "instant-0.1", "fault-dropped")
 
 
 def bound(log: Log, judged: Any, options: Any) -> dict[str, float]:
@@ -55,10 +55,10 @@ def test_every_run_is_scored(results: WalkStudyResults) -> None:
     assert set(scores["method"]) == {TRUE_MAP, "none", "tare"}
     assert np.isfinite(scores[["cop", "vgrf", "cell"]].to_numpy()).all()
     means = scores.groupby(["scenario", "method"])["cop"].mean()
-    for name in ("speed-0.1", "chips-0.1"):
+    for name in ("speed-0.1", "instant-0.1"):
         assert means[name, TRUE_MAP] < means[name, "tare"] < means[name, "none"]
     # Cells that convert when they are asked have no age: the true map leaves their noise alone.
-    assert means["speed-0.1", TRUE_MAP] < 1e-4 < means["chips-0.1", TRUE_MAP]
+    assert means["instant-0.1", TRUE_MAP] < 1e-4 < means["speed-0.1", TRUE_MAP]
     assert not scores[scores["method"] == "none"]["worse"].any()
     dropped = scores[(scores["scenario"] == "fault-dropped") & (scores["method"] != TRUE_MAP)]
     assert (dropped["found"] < 0.02).all()
@@ -110,7 +110,7 @@ def test_a_new_method_leaves_old_scores_alone(
 def test_another_option_is_another_file(tmp_path: Path) -> None:
     walk = Walk("w")
     names = {
-        log_paths(one, seed, duration, tmp_path)["instant"].name
+        log_paths(one, seed, duration, tmp_path)["chips"].name
         for one in (walk, dataclasses.replace(walk, beliefs={"errors": {"mass": 0.02}}))
         for seed in (0, 1)
         for duration in (10.0, 12.0)
