@@ -61,6 +61,7 @@ class FootLayout:
         position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None``
             for a sensor whose channels are not forces at a place.
         sensors: The instruments that the channels belong to; by default one.
+        flat: Whether it stands on a flat sole; a ball stands however it is turned.
     """
 
     name: str
@@ -68,6 +69,7 @@ class FootLayout:
     channel_names: tuple[str, ...]
     position_cell_sole: NDArray[np.float64] | None = None
     sensors: tuple[FootSensor, ...] = ()
+    flat: bool = True
 
     def __post_init__(self) -> None:
         """Raise ValueError if the map is none."""
@@ -210,7 +212,7 @@ class FootLayout:
         R = _check_rotation(name, R_sole_sensor)
         wrench_map = np.zeros((6, len(axes)))
         wrench_map[:3] = R[:, ["xyz".index(axis) for axis in axes]]
-        return cls(name, wrench_map, tuple(f"f{axis}" for axis in axes))
+        return cls(name, wrench_map, tuple(f"f{axis}" for axis in axes), flat=False)
 
     @classmethod
     def combined(cls, name: str, *feet: "FootLayout") -> "FootLayout":
@@ -243,7 +245,7 @@ class FootLayout:
         wrench_map = np.hstack(
             [share[:, None] * foot.wrench_map for foot, share in zip(feet, shares, strict=True)]
         )
-        return cls(name, wrench_map, names, None, sensors)
+        return cls(name, wrench_map, names, None, sensors, all(foot.flat for foot in feet))
 
 
 @dataclass(frozen=True, eq=False)

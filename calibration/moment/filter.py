@@ -59,8 +59,9 @@ PRODUCT_TIME = 20.0
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
 
-LEVEL = 0.7
-"""Cosine of a sole's angle to the ground below which nobody stands on it: 45 degrees."""
+LEVEL, ANY_WAY = 0.7, -2.0
+"""Cosine of a flat sole's angle to the ground below which nobody stands on it, 45 degrees; and one that no
+angle has, for feet that are balls."""
 
 LEAST_READ = 0.25
 """Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
@@ -78,6 +79,7 @@ class FilterConstants(NamedTuple):
         first_variance: Variances at the start, shape (N,).
         walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
         ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
+        level: :data:`LEVEL`, or :data:`ANY_WAY`.
     """
 
     components: int
@@ -87,11 +89,11 @@ class FilterConstants(NamedTuple):
     block: float
     mass_std: float
     ahead: float
+    level: float
     kept_time: float = KEPT_TIME
     longest_pause: float = LONGEST_PAUSE
     product_time: float = PRODUCT_TIME
     largest_error: float = LARGEST_ERROR
-    level: float = LEVEL
     least_read: float = LEAST_READ
     held_chance: float = HELD_CHANCE
 
@@ -135,6 +137,7 @@ class MomentFilter:
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
         self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
+        self._level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
         self.walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
@@ -149,6 +152,7 @@ class MomentFilter:
             config.block,
             config.mass_std,
             self._ahead,
+            self._level,
         )
         health = HealthConstants(reading_noise=self._reading_noise)
         parts = self.model.constants, self.tare.constants, self._severity.constants
@@ -247,7 +251,7 @@ class MomentFilter:
     def _lies(self, sample: Sample) -> bool:
         """Return whether no sole is level enough to stand on."""
         _, rotation = self.front_end.motions.columns.soles(sample.motion)
-        return bool(sample.sound and rotation[:, 2, 2].max() < LEVEL)
+        return bool(sample.sound and rotation[:, 2, 2].max() < self._level)
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""

@@ -164,8 +164,8 @@ _TABLE = (
         Scenario(
             f"instant-{speed:g}",
             f"{speed:g} m/s, ideal converters",
-            "The same walks read when the host asks: what do chips on clocks of their own cost, with readings "
-            "up to 13 ms old?",
+            "The same walks read when the host asks: what do chips on clocks of their own cost, with "
+            "readings up to 13 ms old?",
             _speed(speed),
             INSTANT.name,
         )

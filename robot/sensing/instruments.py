@@ -267,7 +267,7 @@ class Instruments:
         feet = zip(*(part.feet for part in self.parts), strict=True)
         self.layout = FeetLayout(
             tuple(
-                foot[0] if self._one else FootLayout.combined(name, *foot)
+                replace(foot[0] if self._one else FootLayout.combined(name, *foot), flat=not drawing.flaw)
                 for name, foot in zip(drawing.sides, feet, strict=True)
             )
         )

@@ -6,8 +6,10 @@ from _moment import WEIGHT, Errors, move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
 from surefoot.calibration import (
+    FeetLayout,
     Flag,
     FootCalibrator,
+    FootLayout,
     MomentumReference,
     OnlineSetup,
     Parameters,
@@ -274,6 +276,22 @@ def test_what_a_robot_learns_as_it_falls_is_taken_back_and_lying_teaches_nothing
     np.testing.assert_array_equal(lying, lying[:1] + np.zeros_like(lying))
     before = [estimate.scale[k] for k in range(round(6.0 / DT), fall)]
     assert any(np.array_equal(lying[0], scale) for scale in before)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_ball_stands_however_it_is_turned(flat):
+    """The same forces, of soles whose frames stand on edge."""
+    on_edge = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    turned = np.kron(np.eye(2), on_edge.T)
+    feet = (
+        FootLayout(foot.name, turned @ foot.wrench_map, foot.channel_names, flat=flat) for foot in LAYOUT.feet
+    )
+    log = move(2, 4.0, STATED)
+    beliefs = log.reference._replace(R_level_sole=log.reference.R_level_sole @ on_edge)
+    known = {"mass": MASS, "initial": NOMINAL, "lag": 0, "foot_length": 0.17}
+    estimate = replay(FeetLayout(tuple(feet)), "moment", log.raw, beliefs, DT, **known)
+    rejected = (estimate.flags & int(Flag.REJECTED)).all(axis=1)
+    assert rejected[8:].mean() == flat
 
 
 def test_words_that_are_wrong_for_one_sample_spoil_little():
