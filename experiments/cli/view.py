@@ -29,6 +29,10 @@ def view(
     record: Annotated[Path, Option(help="Folder for what the page records.")] = Path("out/view"),
     repeat: Annotated[Path | None, Option(help="Show again what was recorded into this log.")] = None,
     log: Annotated[Path | None, Option(help="Show a log instead, from its beginning to its end.")] = None,
+    stream: Annotated[
+        Path | None, Option(help="Show a robot's stream of rows instead; a log's description, .json.")
+    ] = None,
+    stream_port: Annotated[int, Option(help="UDP port that the rows come to.", min=1, max=65535)] = 9870,
     host: Annotated[str, Option(help="Address of the page; 0.0.0.0 lets other computers in.")] = LOOPBACK,
     port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
     window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
@@ -58,7 +62,10 @@ def view(
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
     made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
     made["start"] = {"speed": speed, "severity": severity}
-    if log is not None:
+    if stream is not None:
+        rows = partial(_stream_page, description=stream, feed=feeds[0], at=(host, stream_port))
+        _show_page(rows, stream.name, f"; rows come to UDP port {stream_port}", host, port)
+    elif log is not None:
         _show_page(lambda server: _log_page(server, log, feeds[0]), log.name, "", host, port)
     else:
         more = f"; recordings go to '{record}'"
@@ -122,6 +129,17 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
 
     try:
         return LogPage(server, LogFeet(read_log(log), _chosen(feed).get("method", "moment")))
+    except (ValueError, OSError) as error:
+        fail(str(error))
+
+
+def _stream_page(server: Any, description: Path, feed: str, at: tuple[str, int]) -> Any:
+    """Return a robot's stream on a page, or refuse it."""
+    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
+
+    try:
+        feet = StreamFeet(description, _chosen(feed).get("method", "moment"))
+        return StreamPage(server, feet, RowSocket(*at))
     except (ValueError, OSError) as error:
         fail(str(error))
 

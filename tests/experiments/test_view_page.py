@@ -1,5 +1,6 @@
 """The page: what a browser asks for is done, and nothing else; a real one is asked too."""
 
+import json
 import shutil
 import socket
 import sys
@@ -15,8 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.view.session import Session
+from surefoot.experiments.walks.replay import replay_log, starting_map
 
 STAND = "surefoot/NaoStand-v0"
 
@@ -194,6 +196,101 @@ def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
     page._asked.put(("method", "guess"))
     page.run(0.1)
     assert page._told.startswith("Method 'guess' does not exist.")
+
+
+def rows_of(log: Log, count: int) -> list[bytes]:
+    """Make the stream of a log: its columns, row by row."""
+    frame = log.to_pandas().iloc[:count]
+    frame = frame[[name for name in frame if not name.startswith("truth_")]]
+    return [line.encode() for line in frame.to_json(orient="records", lines=True).splitlines()]
+
+
+@pytest.fixture
+def described(log: Log, tmp_path: Path) -> Path:
+    write_log(log, tmp_path / "walk.csv")
+    return tmp_path / "walk.json"
+
+
+def test_a_stream_is_read_as_the_log_is(log: Log, described: Path) -> None:
+    from surefoot.experiments.view.stream import StreamFeet
+
+    feet = StreamFeet(described, "tare")
+    for line in rows_of(log, 40):
+        feet.take(line)
+    estimate = replay_log(log, "tare", starting_map(log, "nominal"))
+    assert feet.shown is not None
+    for way, force in (("calibrated", estimate.force[39]), ("raw", starting_map(log).force(log.raw[39]))):
+        np.testing.assert_allclose(feet.shown.readings[way].force, force, atol=1e-5)
+    np.testing.assert_allclose(feet.shown.position_sole, log.reference.position_sole[39])
+
+
+def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
+    from surefoot.experiments.view.stream import StreamFeet
+
+    feet = StreamFeet(described, "moment")
+    rows = [
+        json.dumps({k: v for k, v in json.loads(line).items() if not k.startswith("reference_")}).encode()
+        for line in rows_of(log, 20)
+    ]
+    with pytest.raises(LogError, match="'moment' needs a robot's motion, and these rows are of feet alone"):
+        feet.take(rows[0])
+    assert feet.shown is None
+    feet.choose("tare")
+    for row in rows:
+        feet.take(row)
+    assert feet.shown is not None
+    assert np.isfinite(feet.shown.readings["calibrated"].cop_world).all()
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        (b"{", "The row"),
+        (b"[1]", "The row must be a JSON object of columns, got list."),
+        (b'{"time_s": "now"}', "'time_s' must be a number or null, got 'now'."),
+        (b'{"raw_left": 1}', "The row lacks 'time_s'; it has 1 columns."),
+    ],
+)
+def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told: str) -> None:
+    from surefoot.experiments.view.stream import StreamFeet
+
+    feet = StreamFeet(described, "tare")
+    feet.take(rows_of(log, 1)[0])
+    with pytest.raises(LogError) as refused:
+        feet.take(line)
+    assert str(refused.value).startswith(told)
+    assert feet.rows == 1
+
+
+def test_a_description_without_a_step_is_refused(described: Path) -> None:
+    from surefoot.experiments.view.stream import StreamFeet
+
+    told = json.loads(described.read_text())
+    del told["dt_s"]
+    described.write_text(json.dumps(told))
+    with pytest.raises(LogError, match="a stream needs 'dt_s'"):
+        StreamFeet(described, "tare")
+
+
+def test_rows_come_by_udp(server: Any, log: Log, described: Path) -> None:
+    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
+
+    rows = RowSocket("127.0.0.1", 0)
+    with pytest.raises(OSError, match=f"UDP port {rows.port} of 127.0.0.1 cannot be listened to"):
+        RowSocket("127.0.0.1", rows.port)
+    page = StreamPage(server, StreamFeet(described, "none"), rows)
+    page.run(0.05)
+    assert page._told.startswith("Waiting for rows")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        for line in [*rows_of(log, 10), b"junk"]:
+            robot.sendto(line, ("127.0.0.1", rows.port))
+        page.run(0.2)
+    assert page.feet.rows == page._drawn == 10
+    assert page._told.startswith("The row")
+    page._asked.put(("method", "tare"))
+    page.run(0.1)
+    assert page.feet.method == "tare"
+    rows.close()
 
 
 @pytest.mark.slow
