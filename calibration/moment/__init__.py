@@ -1,1 +1,1 @@
-"""The moment filter: forces predict a robot's momentum, and what it knows of its motion measures it."""
+"""The moment filter: forces predict a robot's momentum, and its beliefs about its motion measure it."""

@@ -1,7 +1,7 @@
 """Samples that wait until a block's time is full, and blocks made of them.
 
-A block with a gap, a bad reference or a foot that is not read teaches nothing, and what the robot's momentum
-is begins anew behind it.
+A block with a gap, a bad reference or a foot that is not read teaches nothing, and the robot's momentum
+is starts again behind it.
 """
 
 from math import ceil
@@ -20,7 +20,7 @@ from surefoot.calibration.setup import OnlineSetup
 class SampleColumns(NamedTuple):
     """Where the parts of a sample stand in a row of the samples that wait; F feet.
 
-    The motion is in axes that do not turn; :class:`Block` says what the parts are.
+    The motion is in axes that do not turn; :class:`Block` lists the parts.
     """
 
     force: slice
@@ -115,7 +115,7 @@ class Blocks:
         """Put a sample to those that wait.
 
         Args:
-            state: What the filter knows.
+            state: The filter's state.
             sample: The sample.
             momentum: Whether its reference holds momentum.
             dt: Time since the one before in s.
@@ -148,7 +148,7 @@ class Blocks:
         return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
 
     def break_off(self, state: MomentState) -> MomentState:
-        """Forget the samples that wait, and what the momentum is."""
+        """Forget the samples that wait, and the momentum."""
         return state._replace(
             track=Track.begin(state.track.motion), pending=np.zeros_like(state.pending), waiting=-1, linked=0
         )

@@ -56,7 +56,7 @@ def posterior_bound(
     """Compute the bound of a log.
 
     Args:
-        setup: What an estimator knows: layout, mass, starting map, time between samples, lag.
+        setup: Knowledge of an estimator: layout, mass, starting map, time between samples, lag.
         raw: Readings, shape (N, K), all of them there.
         reference: The robot's beliefs, every field with N rows.
         truth: The true scales and offsets at each sample, shape (N, K) each.
@@ -78,7 +78,7 @@ def posterior_bound(
 
 
 class Passage(NamedTuple):
-    r"""What a piece of a log makes of a covariance: :math:`\Phi S (1 + \Psi S)^{-1} \Phi' + \Gamma`.
+    r"""The covariance after a piece of a log: :math:`\Phi S (1 + \Psi S)^{-1} \Phi' + \Gamma`.
 
     A random walk has :math:`\Gamma = Q`, rows have :math:`\Psi = H' R^{-1} H`, and pieces one after the
     other are a piece again (Redheffer's star product), so that a motion of many blocks costs one solution.
@@ -127,7 +127,7 @@ class LogPassages:
     Attributes:
         raw: Readings, shape (samples, K).
         start: Covariance of the unknowns to start from, shape (N, N).
-        blocks: The sample that each block ends with, and what the block makes of a covariance.
+        blocks: The sample that each block ends with, and the block's effect on a covariance.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class LogPassages:
             self._force[k], self._rows[k] = sample.force, sample.rows.sum(axis=0)
             state = filter_.blocks.collect(state._replace(front=front), sample, momentum, setup.dt)
             if state.waiting <= 0:
-                # Something was wrong with a sample, and the momentum begins anew.
+                # Something was wrong with a sample, and the momentum starts again.
                 last = None
             if filter_.blocks.full(state):
                 block = filter_.blocks.block(state)
@@ -250,7 +250,7 @@ class LogPassages:
         return passage.then(Passage.move(forward, walk)), rows
 
     def _begin(self, rows: Rows | None) -> Passage:
-        """Let the momentum and the wrench begin anew, with what is measured if there is anything."""
+        """Let the momentum and the wrench start again, from a measurement if there is one."""
         columns, N = self._columns, self._columns.size
         carried, added = np.eye(N), np.zeros((N, N))
         for part in (columns.momentum, columns.wrench):

@@ -4,13 +4,13 @@
 |---|---|---|---|
 | scale | K | 1 | a, against the starting map |
 | offset | K | W (W m for a torque) | b, offsets of the start |
-| drift | K | W (W m) | u, what zeros have drifted since, in readings |
+| drift | K | W (W m) | u, drift of the zeros since, in readings |
 | talk | T | 1 (m) | of the vertical force of a six-axis sensor, the share that its other axes show |
 | com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
 | mass | 1 | 1 | m, error of the believed mass |
 | delay | 1 | s | how late the robot's clock is |
 | momentum | C | W s, W m s | P_z, H_x, H_y, and P_x, P_y, H_z of six-axis sensors |
-| wrench | C | W, W m | w, what acts from outside, at the same point |
+| wrench | C | W, W m | w, the outside wrench, at the same point |
 """
 
 from typing import NamedTuple
@@ -71,7 +71,7 @@ class Columns(NamedTuple):
 
     @property
     def map(self) -> slice:
-        """Scales, offsets and drift together, which stand first: what is handed out."""
+        """Scales, offsets and drift together, which stand first: the part that is published."""
         return slice(0, self.drift.stop)
 
 
@@ -134,7 +134,7 @@ def first_variance(
 
     Args:
         columns: The unknowns.
-        spread: What is stated of them.
+        spread: Stated variances.
         config: Options.
         wide: Factor on stated standard deviations of scales and offsets; that which the filter runs on.
     """

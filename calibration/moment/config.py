@@ -11,15 +11,15 @@ weight W = M g, m and s, with P the momentum and H the angular momentum about a 
 
     \text{measured at the end of a block: its mean of } [v_z, (L + (c - o) \times M v)_{xy} / M] / g
 
-with f = a F0 + b + a u: scales a, offsets b of the start, and u what zeros have drifted since, in readings. u
-starts at exactly 0 and is what the next tare shows, so that drift says nothing of a scale. d is the error of
+with f = a F0 + b + a u: scales a, offsets b of the start, and the zeros' drift u since, in readings. u
+starts at exactly 0 and the next tare shows it, so that drift says nothing of a scale. d is the error of
 the believed centre of mass, m that of the mass, w an outside wrench. Six-axis sensors add the other three
 components.
 
 * A foot in the air shows all its zeros: the **tare** comes first (:mod:`surefoot.calibration.moment.tare`).
 * Who holds the robot is a **mode**, in which w may be large (:mod:`surefoot.calibration.moment.modes`).
 * How bad the sensors are is weighed by **evidence** (:mod:`surefoot.calibration.moment.severity`).
-* What the data do not determine stays at the start, and the estimate says so (``undetermined``).
+* Whatever the data do not determine stays at the start, and the estimate says so (``undetermined``).
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ class Moment:
 
     tare_noise: float = 0.0005
     """Standard deviation of a channel's mean reading over 0.2 s in the air, in body weights (times foot
-    lengths for a torque): a converter's noise, and what the inertia of a sole makes of a swing (2e-4 on a NAO
+    lengths for a torque): a converter's noise, and a sole's inertia in a swing (2e-4 on a NAO
     that walks)."""
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Faults of single channels: what gives them away, and what is done about them.
+"""Faults of single channels: their signs and their repair.
 
 Three things give a channel away:
 
@@ -8,7 +8,7 @@ Three things give a channel away:
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
-are put right. What was learnt in the last seconds is dropped then, because it was learnt from wrong
+are put right. The last seconds' learning is dropped then, because it came from wrong
 readings. A channel that agrees with its reconstruction again comes back.
 """
 
@@ -60,7 +60,7 @@ A load that changes by less than the first shows nothing."""
 
 
 class ChannelState(NamedTuple):
-    """What is known of the channels' faults.
+    """Knowledge of the channels' faults.
 
     Attributes:
         last: Last readings that were believed, F0 in N, shape (K,).
@@ -68,7 +68,7 @@ class ChannelState(NamedTuple):
         leapt: How often each channel leapt of late, shape (K,).
         moments: How cells share loads, shape (K, K).
         lost: Channels that are out (0 or 1), shape (K,).
-        kind: Flags of what is wrong with each channel, shape (K,).
+        kind: Flags of each channel's faults, shape (K,).
         wiring: Signed permutation that puts exchanged and turned channels right, shape (K, K).
         spare: How forces are made of the channels that are not out, shape (K, K).
         spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (K,).
@@ -155,10 +155,10 @@ class ChannelFaults:
         """Put channels right and hold leaps, sample by sample.
 
         Args:
-            state: What is known.
+            state: Faults so far.
             force: Forces by the starting map in N, shape (K,).
             read: Whether they were read just now (bool), shape (K,).
-            scale: What a newton by the starting map is as far as is known, shape (K,).
+            scale: Newtons per newton by the starting map, as published, shape (K,).
 
         Returns:
             The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
@@ -182,7 +182,7 @@ class ChannelFaults:
     def smooth(self, before: Array, row: Array, after: Array, weight: float) -> Array:
         """Put readings that were wrong for one sample between their neighbours.
 
-        A plate shares what it bears among its cells: no load comes and goes in one of them alone.
+        A plate shares its load among its cells: no load comes and goes in one of them alone.
 
         Args:
             before: F0 and whether it was read (0 or 1) of the sample before, shape (2K,).
@@ -203,7 +203,7 @@ class ChannelFaults:
         """Find channels that are silent, or always read the same.
 
         Args:
-            state: What is known.
+            state: Faults so far.
             force: Forces by the starting map of the samples that wait in N, shape (n, K).
             read: Whether they were read (0 or 1), shape (n, K).
         """
@@ -234,7 +234,7 @@ class ChannelFaults:
         """Learn how cells share loads while nothing is wrong, and let channels come back.
 
         Args:
-            state: What is known.
+            state: Faults so far.
             force: Calibrated forces of a block by the channels' own readings in N, shape (n, K).
             good: Whether the block could be learnt from.
         """
@@ -267,7 +267,7 @@ class ChannelFaults:
         return self._rebuild(state._replace(lost=lost, kind=kind))
 
     def _rebuild(self, state: ChannelState) -> ChannelState:
-        """Work out how to do without what is lost."""
+        """Work out how to do without lost channels."""
         coefficients, spread = self.stand_in.others(state.moments, state.lost)
         spare = np.diag(1.0 - state.lost) + coefficients * state.lost[:, None]
         return state._replace(spare=spare, spare_std=spread * state.lost, altered=1)

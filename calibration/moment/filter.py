@@ -17,7 +17,7 @@ from surefoot.calibration.moment.health import (
     drift_on,
     follow_noise,
     map_covariance,
-    normalised,
+    normalise,
     uncertainty,
 )
 from surefoot.calibration.moment.model import Model
@@ -48,7 +48,7 @@ SHARES_TIME = 20.0
 """Time in s over which is learnt how the cells of a foot share its load."""
 
 KEPT_TIME = 1.5
-"""Time in s between what is kept to go back to: a fall takes a second before anybody notices."""
+"""Time in s between states that are kept to go back to: a fall takes a second before anybody notices."""
 
 LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
@@ -71,7 +71,7 @@ HELD_CHANCE = 0.9
 
 
 class FilterConstants(NamedTuple):
-    """Constants of the stream, by their names in C; options and module constants say what they are.
+    """Constants of the stream, by their names in C; options and module constants explain them.
 
     Attributes:
         components: Of momentum, C.
@@ -110,11 +110,11 @@ class MomentFilter:
         config: The same.
         columns: The unknowns.
         front_end: The way of a sample.
-        faults: What finds faults of channels.
-        repairs: What finds wrong readings by the robot's motion.
-        blocks: What makes blocks of samples.
-        model: What makes rows of blocks.
-        tare: What tares feet.
+        faults: Finds faults of channels.
+        repairs: Finds wrong readings by the robot's motion.
+        blocks: Makes blocks of samples.
+        model: Makes rows of blocks.
+        tare: Tares feet.
         walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
     """
 
@@ -205,7 +205,7 @@ class MomentFilter:
         )
 
     def retract(self, state: MomentState) -> MomentState:
-        """Take back what was learnt of late; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        """Take back the last seconds' learning; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         kept = state.kept
         belief, published = kept.belief, kept.published
         return self.blocks.break_off(state)._replace(
@@ -229,7 +229,7 @@ class MomentFilter:
 
         front, sample = self.front_end.observe(state.front, raw, reference, dt, repair)
         if len(front.history) > 2:
-            # Of what was read last nobody knows yet whether it stays.
+            # Nobody knows yet whether the last reading stays.
             history, weight = front.history.copy(), self.setup.weight
             history[-2] = self.faults.smooth(history[-3], history[-2], history[-1], weight)
             front = front._replace(history=history)
@@ -237,7 +237,7 @@ class MomentFilter:
         if sample.gap and 0.0 < dt < np.inf:
             state = self._age(state, min(dt, LONGEST_PAUSE))
         if self._lies(sample):
-            # What was learnt as it fell is taken back, once.
+            # The learning of the fall is taken back, once.
             state = self.retract(state) if state.track.samples else state
             state = state._replace(status=int(Flag.REJECTED))
         else:
@@ -273,7 +273,7 @@ class MomentFilter:
         state = self._age(state, block.duration)
         faults = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
         if (faults.lost > state.faults.lost).any():
-            # What was learnt of late was learnt from wrong readings.
+            # The last seconds' learning came from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
         state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
@@ -282,7 +282,7 @@ class MomentFilter:
             block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
         if (faults.lost > 0.5).any():
-            # What stands in for a channel is too far off to teach scales; zeros are seen without it.
+            # A stand-in for a channel is too far off to teach scales; zeros are seen without it.
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
@@ -312,7 +312,7 @@ class MomentFilter:
             belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
             after = step.likelihood + weighed.evidence
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
-            nis = normalised(step.innovation, step.stated)
+            nis = normalise(step.innovation, step.stated)
             noise = follow_noise(state.noise, step.innovation, step.expected, rows.variance, belief.chance[0])
             state = state._replace(noise=noise)
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
@@ -336,7 +336,7 @@ class MomentFilter:
         return self._rest(state, block, good=not status), nis, float(len(rows.measured))
 
     def _rest(self, state: MomentState, block: Block, good: bool) -> MomentState:
-        """Keep what is known now and then, and learn how cells share loads."""
+        """Keep the state now and then, and learn how cells share loads."""
         a, b = self._line(state)
         faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept

@@ -14,7 +14,7 @@ MOST_LOAD = 1.5
 """Load in body weights up to which a foot that stands carries any with the same chance: a landing."""
 
 LEAST_ROW = 1e-6
-"""What a foot sees of the vertical at least, squared: a sole that stands on its edge sees nothing."""
+"""Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
 
 
 NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
@@ -23,7 +23,7 @@ is believed; and the squared surprise of which more counts no more (three standa
 
 
 class HealthConstants(NamedTuple):
-    """Constants of estimates, by their names in C; module constants of such names say what they are.
+    """Constants of estimates, by their names in C; module constants of such names explain them.
 
     Attributes:
         reading_noise: Standard deviation of a channel's reading in N.
@@ -128,7 +128,7 @@ def contact_probability(
     return found
 
 
-def normalised(innovation: Array, covariance: Array) -> float:
+def normalise(innovation: Array, covariance: Array) -> float:
     """Return the normalised innovation squared."""
     return float(innovation @ np.linalg.solve(covariance, innovation))
 
@@ -155,7 +155,7 @@ def variances(row: Array, covariance: Array) -> Array:
 
 
 def to_cop(row: Array, cop: Array, load: float) -> Array:
-    """Return rows that take what moments are known by to the centre of pressure, to first order.
+    """Return rows that take errors of moments to the centre of pressure, to first order.
 
     With F_i = a_i F0_i + b_i and p = n / Fz they are (p_i - p) / Fz times the row (F0_i, 1) of each channel.
 

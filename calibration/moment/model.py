@@ -1,12 +1,12 @@
-r"""What a block of forces does to the momentum, and what measures it: linear in the unknowns.
+r"""A block's effect on the momentum, and its measurement: linear in the unknowns.
 
 With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + a u,
 
     end of the block:   p + sum_n dt_n (C_n f_n + g_n + w)
     mean over it:       p + sum_n s_n dt_n (C_n f_n + g_n + w)
 
-where s_n is the share of the block that comes after sample n, its own end included. A delay tau shifts what
-is measured by the force that acted, and the centre of mass by its velocity.
+where s_n is the share of the block that comes after sample n, its own end included. A delay tau shifts the
+measurement by the force that acted, and the centre of mass by its velocity.
 """
 
 from typing import NamedTuple
@@ -30,19 +30,19 @@ _ORDER = ([2, 3, 4], [2, 3, 4, 0, 1, 5])
 
 
 class Rows(NamedTuple):
-    """What a block does to the momentum, and what measures it; C components, N unknowns.
+    """A block's effect on the momentum, and its measurement; C components, N unknowns.
 
     Attributes:
         mean: The block's mean momentum by the unknowns at its start, shape (C, N).
-        mean_rest: And what it is besides, shape (C,).
+        mean_rest: Its constant part, shape (C,).
         end: The momentum at its end, shape (C, N).
         end_rest: As above.
-        measured: What was measured of the mean, shape (C,).
-        at_end: What was measured at the block's end, shape (C,).
-        variance: Of what was measured, as stated, shape (C, C).
+        measured: Measurement of the mean, shape (C,).
+        at_end: Measurement at the block's end, shape (C,).
+        variance: Of the measurement, as stated, shape (C, C).
         walk: Variance that the block adds to the momentum at its end, shape (C, C).
         crossed: The block's mean momentum by each channel's place and each channel's F0, shape (C, K, K).
-        lasting: Variance of what acts for longer than a block, as an outside wrench does, shape (C,).
+        lasting: Variance of errors that last longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
         load: Mean vertical force in W as published.
         height: Of the centre of mass over o in m.
@@ -130,7 +130,7 @@ class Model:
         heading = _heading(rotation)
         summed = np.einsum("nck,nk->nc", unit, force)
         velocity = block.velocity.mean(axis=0)
-        # What of the block comes after a sample's interval begins: all of it for the first.
+        # Share of the block after the beginning of a sample's interval: all of it for the first.
         after = np.cumsum(dt[::-1])[::-1] / T
 
         def add_up(share: Array) -> tuple[Array, Array]:
@@ -147,7 +147,7 @@ class Model:
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
             H[:, columns.momentum] = np.eye(C)
             H[:, columns.wrench] = share.sum() * np.eye(C)
-            # a u is linear about what is published.
+            # a u is linear about the published map.
             rest = pulled - reach @ (a * u)
             return H, rest
 
@@ -155,7 +155,7 @@ class Model:
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
-        # Chips have clocks of their own: what a channel changes by is an error of its own.
+        # Chips have clocks of their own: each channel's change is an error of its own.
         change = (
             np.diff(force, axis=0, prepend=force[:1])
             * (dt * self._ripple * _samples_per_reading(block.read))[:, None]
@@ -185,7 +185,7 @@ class Model:
             velocity: Of the centre of mass in m/s, whose level part cells do not see, shape (3,).
 
         Returns:
-            A transition, shape (N, N), and what it adds, shape (N,).
+            A transition, shape (N, N), and a constant that it adds, shape (N,).
         """
         columns, at = self._columns, self._columns.momentum.start
         x, y, z = step.tolist()
@@ -211,7 +211,7 @@ class Model:
         force = rotation @ self._wrench_map[:, :3]
         torque = rotation @ self._wrench_map[:, 3:]
         if not self._shear:
-            # Cells see nothing of what acts along the ground, and the sole is on it.
+            # Cells see no force along the ground, and the sole is on it.
             force[..., :2, :] = 0.0
         arm = np.broadcast_to(sole[..., None], force.shape)
         torque = torque + np.cross(arm, force, axis=-2)

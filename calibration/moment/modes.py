@@ -1,11 +1,11 @@
-r"""What acts on the robot besides its feet: nothing much, a hand, or a load.
+r"""Forces on the robot besides those of its feet: hardly any, a hand, or a load.
 
-An outside wrench w comes and goes with a time constant, and how large it may be is what modes differ in. They
+An outside wrench w comes and goes with a time constant, and modes differ in how large it may be. They
 are an interacting multiple model (Blom and Bar-Shalom, 1988): each mode is a Kalman filter of its own, they
 are mixed before each block by how likely one turns into the other, and weighed by their innovations
 afterwards. Who changes mode begins with a w of its own.
 
-* **free**: what the model leaves out, and small pushes.
+* **free**: errors of the model, and small pushes.
 * **held**: a hand, a gantry, a chair. It takes the innovations, and the cells learn nothing of them.
 * **loaded**: free, but heavier by something that was picked up or put on, and stays.
 """
@@ -21,13 +21,13 @@ from surefoot.calibration.moment.state import Belief
 
 
 class Mode(NamedTuple):
-    """How an outside wrench behaves, and what weighs on the robot.
+    """How an outside wrench behaves, and the load on the robot.
 
     Attributes:
         time: The wrench's time constant in s.
         force: Its standard deviation in W.
         torque: The same about the feet's centre of pressure, in W times the height of the centre of mass.
-        load: Standard deviation of what the robot carries, as a share of its weight.
+        load: Standard deviation of the robot's load, as a share of its weight.
         shift: By how much a load moves the centre of mass along each axis, in m.
     """
 
@@ -104,7 +104,7 @@ MODE_CONSTANTS = ModeConstants(
 
 
 def wrench_variance(mode: Mode, rows: Rows) -> Array:
-    """Return the variances of an outside wrench, and of what acts like one within, shape (C,)."""
+    """Return the variances of an outside wrench, and of errors that act like one, shape (C,)."""
     force = force_and_wrench(len(rows.measured))
     outside: Array = force * mode.force**2 + (1.0 - force) * (mode.torque * rows.height) ** 2
     return outside + rows.lasting
@@ -114,7 +114,7 @@ def mix(belief: Belief, rows: Rows, columns: Columns, duration: float, mass_std:
     """Let modes turn into each other.
 
     Args:
-        belief: What modes hold.
+        belief: The modes' posteriors.
         rows: The block that follows.
         columns: The unknowns.
         duration: For how long, in s.
@@ -143,7 +143,7 @@ def _part(belief: Belief, i: int) -> tuple[Array, Array]:
 def _turn_into(
     j: int, belief: Belief, i: int, rows: Rows, columns: Columns, mass_std: float
 ) -> tuple[Array, Array]:
-    """Turn mode i into mode j: the wrench begins anew, and so does a load."""
+    """Turn mode i into mode j: the wrench starts again, and so does a load."""
     before, mode = MODES[i], MODES[j]
     mean, covariance = belief.mean[i].copy(), belief.covariance[i].copy()
     begin(mean, covariance, columns.wrench, wrench_variance(mode, rows))
@@ -155,14 +155,14 @@ def _turn_into(
 
 
 def begin(mean: Array, covariance: Array, part: slice, variance: Array) -> None:
-    """Let unknowns begin anew in place, at 0."""
+    """Let unknowns start again in place, at 0."""
     mean[part] = 0.0
     covariance[part], covariance[:, part] = 0.0, 0.0
     covariance[part, part] = np.diag(variance)
 
 
 def begin_momentum(belief: Belief, rows: Rows, columns: Columns) -> Belief:
-    """Let the momentum begin with what is measured at a block's end, and the wrench anew."""
+    """Let the momentum begin with the measurement at a block's end, and the wrench too."""
     mean, covariance = belief.mean.copy(), belief.covariance.copy()
     for i, mode in enumerate(MODES):
         begin(mean[i], covariance[i], columns.wrench, wrench_variance(mode, rows))
@@ -180,10 +180,10 @@ def combine(chance: Array, mean: Array, covariance: Array) -> tuple[Array, Array
 
 
 class Step(NamedTuple):
-    """What a block taught; J modes.
+    """Result of a block; J modes.
 
     Attributes:
-        belief: What modes hold at its end; how likely they are is as before.
+        belief: The modes' posteriors at its end; how likely they are is as before.
         likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
         innovation: Of the mode that was likeliest before, shape (C,).
         expected: Its covariance with variances as they were used, shape (C, C).
@@ -201,14 +201,14 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
     """Predict the block's mean momentum in each mode, measure it, and go on to the block's end.
 
     Args:
-        belief: What modes hold about the block's point o.
+        belief: The modes' posteriors about the block's point o.
         rows: The block.
         noise: By how many times rows' variances are larger than stated, shape (C,).
         columns: The unknowns.
         duration: Of the block in s.
     """
     larger = np.sqrt(noise)
-    # The mean over a block of what walks within it has a third of its variance at the end.
+    # The mean over a block of a random walk within it has a third of its variance at the end.
     stated = rows.variance + rows.walk / 3.0
     variance = rows.variance * np.outer(larger, larger) + rows.walk / 3.0
     means, covariances, likelihoods, seen = [], [], [], []
@@ -228,7 +228,7 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
             -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
         )
         seen.append((innovation, expected, prior + stated))
-        # What a load weighs is estimated; what the robot itself weighs is only considered (Schmidt, 1966),
+        # A load's weight is estimated; the robot's own is only considered (Schmidt, 1966),
         # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
         if mode is HELD:

@@ -1,4 +1,4 @@
-r"""The robot's motion in axes that do not turn, from what it believes.
+r"""The robot's motion in axes that do not turn, from its beliefs.
 
 A :class:`~surefoot.calibration.reference.MomentumReference` is that already. A
 :class:`~surefoot.calibration.reference.Reference` has accelerations, in level axes that may turn and move
@@ -8,7 +8,7 @@ before. Velocity and angular momentum are then added up,
 .. math:: v \leftarrow v + c'' \Delta t + \frac{\Delta t}{T_v} (v_{legs} - v), \qquad
           L \leftarrow L + L' \Delta t - \frac{\Delta t}{T_L} L
 
-so that an accelerometer's bias does not grow: v_legs is what the centre of mass does relative to soles that
+so that an accelerometer's bias does not grow: v_legs is the centre of mass's velocity relative to soles that
 stand, and the angular momentum of a robot on its feet comes back to zero. Where legs contradict accelerations
 by more than a robot walks fast, they pull the less the more they do (Cauchy's weight): a log's centre of mass
 may be a constant. Of a robot in the air for longer than T_v nothing is added up.
@@ -36,7 +36,7 @@ FASTEST = 20.0
 
 
 class MotionConstants(NamedTuple):
-    """Constants of the motion, by their names in C; module constants of the same names say what they are."""
+    """Constants of the motion, by their names in C; module constants of the same names explain them."""
 
     leg_time: float = LEG_TIME
     spin_time: float = SPIN_TIME
@@ -45,7 +45,7 @@ class MotionConstants(NamedTuple):
 
 
 class Track(NamedTuple):
-    """Where the axes of the last sample lie, and what was added up; F feet.
+    """Where the axes of the last sample lie, and the sums so far; F feet.
 
     Attributes:
         motion: The last flat reference, shape (R,).

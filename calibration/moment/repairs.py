@@ -1,7 +1,7 @@
-"""What is done about readings that the robot's motion speaks against.
+"""Repair of readings that the robot's motion speaks against.
 
 A channel that is dead is taken out, flipped and exchanged ones are put right, and a leap that zeros make
-together is taken off the readings. What was learnt in the last seconds was learnt from wrong readings: the
+together is taken off the readings. The last seconds' learning came from wrong readings: the
 filter goes back before it.
 """
 
@@ -20,11 +20,11 @@ from surefoot.calibration.moment.suspects import Leap, SuspectConstants, Suspect
 
 
 class Finding(NamedTuple):
-    """What is wrong with the readings.
+    """A fault of the readings.
 
     Attributes:
         guilty: A suspect of :class:`~surefoot.calibration.moment.suspects.Suspects`, or ``None``.
-        leap: What all zeros, or those of a foot, have leapt by; or ``None``.
+        leap: Leap of all zeros, or of those of a foot; or ``None``.
     """
 
     guilty: int | None
@@ -60,13 +60,13 @@ class Repairs:
         """Hold all suspects against a block.
 
         Args:
-            state: What the filter knows.
+            state: The filter's state.
             block: The samples.
             rows: Theirs.
-            published: What rows are linear about, shape (M,).
-            belief: What modes hold before the block, about its point o.
+            published: Map about which rows are linear, shape (M,).
+            belief: The modes' posteriors before the block, about its point o.
             moved: Transition of the unknowns to that point, shape (N, N).
-            added: What it adds, shape (N,).
+            added: Constant that it adds, shape (N,).
         """
         columns, stand_in, suspects = self._columns, self._faults.stand_in, state.suspects
         momentum, likeliest = columns.momentum, belief.chance.argmax()
@@ -86,11 +86,11 @@ class Repairs:
         return state._replace(suspects=suspects), found
 
     def repair(self, state: MomentState, found: Finding) -> MomentState:
-        """Put right what is wrong, and let suspicions begin anew.
+        """Repair a fault, and let suspicions start again.
 
         Args:
-            state: What the filter knew before anything was wrong.
-            found: What is wrong; a leap comes first.
+            state: The filter's state before the fault.
+            found: The fault; a leap comes first.
         """
         cleared = state.suspects._replace(score=np.zeros(self.suspects.count))
         state = state._replace(suspects=cleared)

@@ -1,13 +1,13 @@
 r"""How bad the sensors are: the posterior under several priors, weighed by evidence.
 
-The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds what the data say: the information
+The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds the data's evidence: the information
 I = P^-1 - P0^-1, and i = P^-1 (x - x0), of the map alone: the rest of the state has one prior, and is
 integrated out. Under another prior D,
 
     V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
-exactly so for sensors that stay as they are. What is handed out is the mixture of all of them. A mixture of
-modes may be wider than P0 in some direction: there the data say nothing. What has drifted since the start has
+exactly so for sensors that stay as they are. The mixture of all of them is published. A mixture of
+modes may be wider than P0 in some direction: there the data say nothing. Drift since the start has
 one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
 started.
 """
@@ -55,7 +55,7 @@ class Weighed(NamedTuple):
 
 
 class SeverityConstants(NamedTuple):
-    """Constants of priors, by their names in C; module constants of such names say what they are.
+    """Constants of priors, by their names in C; module constants of such names explain them.
 
     Attributes:
         spread_scale, spread_offset, unit: As of

@@ -15,7 +15,7 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
 _STIFFNESS_ERROR = 0.03
-"""Standard deviation in body weights of a force about what equal springs would give it."""
+"""Standard deviation in body weights of a force about that of equal springs."""
 
 _FLOOR = 1e-5
 """Variance in body weights squared that is never gone below: the inverse is one in C's float32 too."""
@@ -33,7 +33,7 @@ class StandIn:
 
     Attributes:
         cells: Channels that are cells under one plate (bool), shape (K,): others cannot be reconstructed.
-        renewal: Share of what is known that one block decides.
+        renewal: Share of the moments that one block decides.
         prior: Second moments at first in body weights squared, shape (K, K).
         together: Whether two channels are cells of one plate (0 or 1), shape (K, K).
     """
@@ -70,7 +70,7 @@ class StandIn:
         """Take in forces that are trusted.
 
         Args:
-            moments: What is known, shape (K, K).
+            moments: Second moments of forces, shape (K, K).
             force: Calibrated forces of one block in N, shape (n, K).
         """
         scaled = force / self._weight
@@ -81,7 +81,7 @@ class StandIn:
         """Return how each channel follows from those that are not lost.
 
         Args:
-            moments: What is known, shape (K, K).
+            moments: Second moments of forces, shape (K, K).
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:

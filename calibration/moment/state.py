@@ -9,7 +9,7 @@ from surefoot.calibration.moment.motion import Track
 
 
 class Belief(NamedTuple):
-    """What the modes hold, and how likely they are; J modes, N unknowns.
+    """The modes' posteriors, and how likely they are; J modes, N unknowns.
 
     Attributes:
         mean: Shape (J, N).
@@ -23,7 +23,7 @@ class Belief(NamedTuple):
 
 
 class Publication(NamedTuple):
-    """What is handed out: the posterior of scales, offsets and drift, M unknowns.
+    """The published posterior of scales, offsets and drift, M unknowns.
 
     Attributes:
         mean: Shape (M,).
@@ -37,7 +37,7 @@ class Publication(NamedTuple):
 
 
 class TareState(NamedTuple):
-    """What the last tares of the feet showed.
+    """Results of the feet's last tares.
 
     Attributes:
         reading: Mean reading of each channel in W, shape (K,).
@@ -55,13 +55,13 @@ class TareState(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What was known some seconds ago, to go back to.
+    """The state of some seconds ago, to go back to.
 
     Attributes:
-        belief: What modes held, the last time but one.
-        published: What was handed out then.
-        next_belief: What they held the last time.
-        next_published: What was handed out then.
+        belief: The modes' posteriors, the last time but one.
+        published: The posterior that was published then.
+        next_belief: The modes' posteriors the last time.
+        next_published: The posterior that was published then.
         age: Time in s since the last time.
     """
 
@@ -73,7 +73,7 @@ class Kept(NamedTuple):
 
 
 class SuspectState(NamedTuple):
-    """What speaks against the readings; H suspects.
+    """Evidence against the readings; H suspects.
 
     Attributes:
         score: S, shape (H,).
@@ -96,24 +96,25 @@ class MomentState(NamedTuple):
     """All that the moment filter remembers.
 
     Attributes:
-        front: What the way of a sample remembers.
+        front: State of the front end.
         track: The motion of late.
-        faults: What is known of channels' faults.
-        pending: Samples that wait, shape (n, S); :mod:`~surefoot.calibration.moment.blocks` says of what.
+        faults: Faults of channels so far.
+        pending: Samples that wait, shape (n, S), in the order of
+            :mod:`~surefoot.calibration.moment.blocks`.
         before: The sample before them, shape (S,).
         waiting: How many wait; -1 before there is one before them.
         linked: Whether the momentum is known at the sample before them.
         point: o in m, of the last block, shape (3,).
         time: Time in s since the start.
-        belief: What the modes hold.
+        belief: The modes' posteriors.
         drifted: Variances that scales and zeros have drifted by since the start, shape (2,).
         noise: By how many times rows' variances are larger than stated, shape (C,).
-        tare: What tares showed.
-        suspects: What speaks against the readings.
+        tare: Results of tares.
+        suspects: Evidence against the readings.
         shift: By how much zeros have leapt together in N, which is taken off the readings, shape (K,).
-        published: What is handed out.
+        published: The published posterior.
         covariance: Covariance of (a, b) by it, b in N, shape (2K, 2K).
-        kept: What was known some seconds ago.
+        kept: The state of some seconds ago.
         status: Flags of the last block.
     """
 

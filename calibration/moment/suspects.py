@@ -1,4 +1,4 @@
-r"""What can be wrong with the readings themselves, held against each other by evidence.
+r"""Faults of the readings themselves, held against each other by evidence.
 
 Channels may be out, turned, or exchanged. Each of these suspects changes the forces of a block by what is
 known, so each has a likelihood of its own. It is compared with the best of three innocent causes (nothing is
@@ -7,8 +7,8 @@ be better (Page's test, 1954),
 
     S <- max(0, S + log p(block | suspect) - log p(block | innocent))
 
-Exchanged channels spoil what is learnt and tared of them, so suspects are judged by the unknowns from before.
-The momentum at a block's start is what was measured there: what a filter made of wrong readings is not used.
+Exchanged channels spoil all that is learnt and tared of them, so suspects are judged by the unknowns from
+before. The momentum at a block's start is as measured there: a filter's, from wrong readings, is not used.
 
 All zeros of a foot or of the robot may also **leap** together: somebody tares it as it stands, and all read
 nothing; or its supply steps, and all step alike. Steps of the readings that look so are tried as such a leap,
@@ -35,12 +35,12 @@ CONTRAST = 4.6
 which was seen: a hundred to one."""
 
 ALIKE = 0.05
-"""Share of what channels read before that they read after a tare at most, and share of a step by which they
+"""Largest share of their readings before that channels read after a tare, and share of a step by which they
 step unlike: within two samples loads change by a twentieth."""
 
 LEAST_ERROR = 0.02
 """Mean force in W, or torque in W times the height, that a fault changes in a block that may speak for it:
-ten times what is left out of a robot that nobody touches."""
+ten times the errors of the model of a robot that nobody touches."""
 
 SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 """How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
@@ -48,7 +48,7 @@ is believed; and the squared surprise of which more counts no more (three standa
 
 
 class SuspectConstants(NamedTuple):
-    """Constants of suspects, by their names in C; module constants of such names say what they are."""
+    """Constants of suspects, by their names in C; module constants of such names explain them."""
 
     sure: float = SURE
     contrast: float = CONTRAST
@@ -122,7 +122,7 @@ class Suspects:
         """Hold all suspects against a block.
 
         Args:
-            state: What is known.
+            state: Evidence so far.
             rows: The block.
             known: The unknowns before the momentum, about which rows are linear, shape (M,).
             covariance: Theirs, shape (M, M).
@@ -130,7 +130,7 @@ class Suspects:
             others_std: How far that is off in W, shape (K,).
 
         Returns:
-            The state, who is guilty, and what has leapt.
+            The state, the guilty suspect, and the leap.
         """
         columns = self._columns
         H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
@@ -168,10 +168,10 @@ class Suspects:
         return state, self._find_guilty(score), leap
 
     def follow(self, state: SuspectState, force: Array, momentum: Array) -> SuspectState:
-        """Note what was measured at a block's end, and what was read in it.
+        """Note the measurement at a block's end, and the block's readings.
 
         Args:
-            state: What is known.
+            state: Evidence so far.
             force: F0 of the block in W, shape (n, K).
             momentum: Measured at its end, shape (C,).
         """

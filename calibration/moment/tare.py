@@ -1,7 +1,7 @@
 r"""A foot in the air shows its zeros.
 
-Its mean reading r obeys a (r + u) + b = 0. At the first tare that ties b to a; from then on u is what the
-zeros have drifted since, known by definition, u = r_first - r, and the row says of scales what it said then.
+Its mean reading r obeys a (r + u) + b = 0. At the first tare that ties b to a; from then on u is the drift of
+the zeros since, known by definition, u = r_first - r, and the row says the same of scales as then.
 From tare to tare the readings show how fast zeros drift, and scales are thought to drift with them.
 """
 
@@ -46,7 +46,7 @@ a foot bears that stands."""
 
 
 class TareConstants(NamedTuple):
-    """Constants of tares, by their names in C; module constants of such names say what they are.
+    """Constants of tares, by their names in C; module constants of such names explain them.
 
     Attributes:
         tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
@@ -95,13 +95,13 @@ class Tare:
         Args:
             block: The samples.
             time: At its end in s.
-            belief: What modes hold.
-            published: What is handed out, about which a u is linear, shape (M,).
-            state: What tares showed before.
+            belief: The modes' posteriors.
+            published: The published map, about which a u is linear, shape (M,).
+            state: Results of tares before.
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The belief, what is handed out with the drift that is known now, and the state.
+            The belief, the published map with the drift of now, and the state.
         """
         for foot, channels, reading, seconds in self._hanging(block, lost):
             belief, published, state = self._tare(
@@ -205,9 +205,9 @@ class Tare:
         return belief, published, TareState(shown, centres, times, rate, followed)
 
     def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
-        """Return by how many times sensors drift faster than stated, by what changed since the last tare.
+        """Return by how many times sensors drift faster than stated, by changes since the last tare.
 
-        What is common to a foot's channels is not drift alone: a sole's own inertia is in it.
+        A change that a foot's channels share is not drift alone: a sole's own inertia is in it.
         """
         count = len(change)
         own = (change - change.mean()) ** 2 * count / max(count - 1, 1)
