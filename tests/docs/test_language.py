@@ -55,7 +55,7 @@ BUDGETS = {
     "benchmarks/in_situ": Budget(9, 27, 0),
 }
 
-OLD_PAGES = ("estimator.md", "in-situ.md", "results.md")
+OLD_PAGES = ("in-situ.md", "results.md")
 """Pages that still have the old language."""
 
 pytestmark = pytest.mark.skipif(not GLOSSARY.exists(), reason="the pages are not part of the wheel")
