@@ -284,7 +284,7 @@ class CompressedSet:
     @property
     def log_colour(self) -> float:
         """The sum of the logarithms of the power of the rows' noise, before they were weighted."""
-        left, weights = (of(self.rows, self.spacing) for of in (self.colour.left, self.colour.weights))
+        left, weights = (of(self.rows, self.spacing) for of in (self.colour.power_after, self.colour.weights))
         return float(np.sum(np.log(left) - np.log(weights)))
 
     @property
