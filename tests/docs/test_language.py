@@ -40,7 +40,7 @@ EXCEPTIONS = {
 """Functions that may be named by a participle."""
 
 
-OLD_PAGES = ("estimator.md", "in-situ.md", "results.md")
+OLD_PAGES = ("estimator.md",)
 """Pages that still have the old language."""
 
 pytestmark = pytest.mark.skipif(not GLOSSARY.exists(), reason="the pages are not part of the wheel")
