@@ -1,4 +1,4 @@
-"""How right and how sure in-situ calibration is, by the limb's path and what the sensor lags by.
+"""How right and how sure in-situ calibration is, by the limb's path and the sensor's hysteresis.
 
     python benchmarks/in_situ_raster.py                       # 20 seeds, about half an hour
     python benchmarks/in_situ_raster.py --seeds 3 --paths raster --kinds "backlash of 1 %"
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.calibration.in_situ.validation import normalised_error
+from surefoot.calibration.in_situ.validation import normalise_error
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
@@ -49,7 +49,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "creep_time_constants": (10.0, 100.0),
     },
 }
-"""What a sensor has beside its noise, drift and converter, as options of the device; the first has none."""
+"""Hysteresis of a sensor, as options of the device; the first has none."""
 
 BACKLASH = 0.01
 """Half of its width over the largest amplitude of a load."""
@@ -92,7 +92,7 @@ def score(path: str, sensor: str, kind: str, seed: int, rate: float, times: bool
     if fit.refusals:
         return Score(np.nan, np.nan, np.nan, str(fit.refusals[0]))
     off = np.abs(fit.matrix - np.linalg.inv(truth.response)) / fit.matrix_std
-    nees = normalised_error(fit, truth.response, truth.offset, truth.limb) / len(fit.covariance)
+    nees = normalise_error(fit, truth.response, truth.offset, truth.limb) / len(fit.covariance)
     return Score(fit.limb.mass / truth.limb.mass - 1.0, nees, float(np.mean(off < TWO_SIDED)), "")
 
 

@@ -3,12 +3,12 @@
     SUREFOOT_DATA=/path/to/recordings python benchmarks/in_situ_real.py          # about 5 s
 
 * The right foot of an iCub that stands on its left and swings the right leg: 32 s at 100 Hz, raw counts, the
-  factory matrix, gravity from the joints, and what a model says the foot weighs.
+  factory matrix, gravity from the joints, and the foot's weight by a model.
 * An ATI Gamma under 0.93 kg on a KUKA arm: 24 readings at rest in six directions, gravity from the arm's
   joints and from an accelerometer that is off by 0.08 g.
 
 * A printed optical sensor of eight channels, a case that is lost: four loads, bare and with 0.719 kg at three
-  places, in 12 postures each. A third of the loaded postures is saturated and left out. Of what is left, a
+  places, in 12 postures each. A third of the loaded postures is saturated and left out. Of the rest, a
   linear response to the true wrenches leaves 30 counts RMS where the readings spread by 94. It is refused;
   accepted all the same, fits are compared on the load that they have not seen.
 
@@ -61,10 +61,10 @@ def sensor_recordings_folder() -> Path | None:
 
 
 class FootRow(NamedTuple):
-    """What one calibration of the iCub's foot leaves on the half that it has not seen.
+    """Errors of one calibration of the iCub's foot on the half that it has not seen.
 
     Attributes:
-        method: What tables call it.
+        method: Its name in tables.
         fitted: Which half was fitted, ``"first"`` or ``"second"``.
         rmse: Of the wrench in N and N m against the model's weight, shape (6,); NaN if refused.
         mass: Of the limb by the fit in kg; NaN where there is none.
@@ -79,7 +79,7 @@ class FootRow(NamedTuple):
 
 
 class GammaRow(NamedTuple):
-    """What one kind of gravity makes of the ATI Gamma.
+    """Errors of the ATI Gamma by one kind of gravity.
 
     Attributes:
         gravity: Where gravity came from.
@@ -117,7 +117,7 @@ _FOOT: dict[str, tuple[float | None, float, bool]] = {
 def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[FootRow]:
     """Calibrate the iCub's foot on one half of its recording and score it on all samples of the other.
 
-    Counts are filtered in each half by itself, and filtered counts are scored. What the wrench should be is
+    Counts are filtered in each half by itself, and filtered counts are scored. The true wrench is
     the weight of the model's foot.
 
     Args:
@@ -200,7 +200,7 @@ def gamma_on_arm(folder: Path) -> list[GammaRow]:
                 error_in_situ=float(np.linalg.norm((fit.offset - reference)[:3])),
                 axes=semi_axes(wrench, gravity, size),
                 mass=fit.limb.mass,
-                held_out=_predicted(wrench, gravity, direction),
+                held_out=_predict(wrench, gravity, direction),
                 refusal=refusal_of(fit),
             )
         )
@@ -214,7 +214,7 @@ def semi_axes(wrench: Floats, gravity: Floats, size: float) -> Floats:
     return np.asarray(size * np.linalg.svd(slope, compute_uv=False), dtype=np.float64)
 
 
-def _predicted(wrench: Floats, gravity: Floats, direction: NDArray[np.intp]) -> float:
+def _predict(wrench: Floats, gravity: Floats, direction: NDArray[np.intp]) -> float:
     """RMSE in N of forces in each direction by III-B of the other directions."""
     square = 0.0
     for left_out in np.unique(direction):
@@ -231,7 +231,7 @@ def refusal_of(fit: InSituFit) -> str:
 
 
 def foot_table(folder: Path) -> Table:
-    """Lay out what each calibration leaves of the iCub's foot."""
+    """Make the table of each calibration's errors on the iCub's foot."""
     rows = icub_foot(folder)
     return Table(
         name="in_situ_icub_foot",
@@ -245,7 +245,7 @@ def foot_table(folder: Path) -> Table:
 
 
 def gamma_table(folder: Path) -> Table:
-    """Lay out what each kind of gravity makes of the ATI Gamma's offset."""
+    """Make the table of the ATI Gamma's offset by each kind of gravity."""
     rows = gamma_on_arm(folder)
     return Table(
         name="in_situ_gamma",
@@ -271,7 +271,7 @@ def refusals_note(reasons: dict[str, str]) -> str:
 
 
 _LOST = "to see what comes out of a sensor that is not linear"
-"""Why refusals are passed; what is open is refused all the same."""
+"""Why refusals are passed; unknowns that stay open are refused all the same."""
 
 _LOADS = ("bare", "mass at (+, +)", "mass at (-, +)", "mass at (-, -)")
 
@@ -280,7 +280,7 @@ class OpticalRow(NamedTuple):
     """One method on the printed sensor.
 
     Attributes:
-        method: What tables call it.
+        method: Its name in tables.
         mass: Of the bare base by all four loads in kg, 0.309 by a scale; NaN if it has none.
         com_error: How far its centre of mass is off in m.
         force: RMSE of a force in N in each load that was left out, with its offset by III-B, shape (4,); NaN
@@ -344,7 +344,7 @@ def _by_paper(sets: Sequence[InSituSet]) -> PaperMatrixFit:
 
 
 def optical_table(folder: Path) -> Table:
-    """Lay out what each method predicts of the printed sensor's loads."""
+    """Make the table of each method's predictions of the printed sensor's loads."""
     refusals = calibrate_in_situ(load_optical(folder)[0], accept=_LOST).refusals
     return Table(
         name="in_situ_optical",

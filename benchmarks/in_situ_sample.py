@@ -4,7 +4,7 @@
 
 makes it again. Its sensor is the leg's FTSens with all its
 errors, whose maker's matrix, long outdated, goes with the log as the factory matrix; its IMU is that of a
-small robot after its zeros were taken. What the simulator knew is in neither file.
+small robot after its zeros were taken. The simulator's truth is in neither file.
 """
 
 from pathlib import Path
@@ -33,11 +33,11 @@ SPEED_DEG = 12.0
 
 
 class SampleTruth:
-    """What the simulator knows of the sample's sensor.
+    """The simulator's truth of the sample's sensor.
 
     Attributes:
         response: A in counts per N and N m, shape (6, 6).
-        limb_mass: What hangs beyond the sensor in kg, nothing added.
+        limb_mass: Mass of the limb beyond the sensor in kg, nothing added.
     """
 
     def __init__(self, response: NDArray[np.float64], limb_mass: float) -> None:
@@ -60,7 +60,7 @@ def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[
     response = np.array(state.response)
     recordings = record_rig(duration=DURATION, rate=RATE, speed_deg=SPEED_DEG, seed=seed)
     rows: dict[str, list[NDArray[np.float64]]] = {"time_s": [], "set": [], "raw": [], "imu": []}
-    for begun, recording in enumerate(recordings):
+    for index, recording in enumerate(recordings):
         raw = np.empty((len(recording.time), config.channels))
         felt = np.concatenate([recording.specific_force, recording.angular_velocity], axis=1)
         for i, wrench in enumerate(recording.wrench_leg):
@@ -68,7 +68,7 @@ def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[
             dt = 1.0 / RATE if i else PAUSE
             raw[i], state = sensor.apply(wrench, state, rng, dt)
             felt[i], motion_state = motion.apply(felt[i], motion_state, rng, dt)
-        rows["time_s"].append(recording.time + begun * (DURATION + PAUSE))
+        rows["time_s"].append(recording.time + index * (DURATION + PAUSE))
         rows["set"].append(np.full(len(raw), float(recording.configuration)))
         rows["raw"].append(raw)
         rows["imu"].append(felt)
@@ -116,11 +116,11 @@ def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
         "full_scale = [1500, 1500, 2000, 35, 35, 25]  # N and N m, of its data sheet",
         "",
         "[accelerometer]",
-        f"position_m = {_listed(recordings[0].position_imu_leg)}  # in the sensor's frame",
+        f"position_m = {_list_toml(recordings[0].position_imu_leg)}  # in the sensor's frame",
         "",
         "[factory]",
         "matrix = [  # N and N m per count, of the maker's certificate",
-        *(f"  {_listed(np.array(row))}," for row in config.matrix),
+        *(f"  {_list_toml(np.array(row))}," for row in config.matrix),
         "]",
         "",
         "[fit]",
@@ -134,11 +134,11 @@ def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
         lines += ["", "[[sets]]", f'name = "{recording.configuration}"']
         lines += [f"added_mass_kg = {recording.added_mass:.5g}"]
         if recording.added_mass > 0.0:
-            lines += [f"added_com_m = {_listed(recording.added_com_leg)}"]
+            lines += [f"added_com_m = {_list_toml(recording.added_com_leg)}"]
     return "\n".join(lines) + "\n"
 
 
-def _listed(values: NDArray[np.float64]) -> str:
+def _list_toml(values: NDArray[np.float64]) -> str:
     return "[" + ", ".join(f"{value:.9g}" for value in np.asarray(values).tolist()) + "]"
 
 

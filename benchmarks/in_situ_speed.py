@@ -5,9 +5,9 @@
     python benchmarks/in_situ_speed.py --times 10
 
 Compared are the fit with the sensor's hysteresis and without, and the in-situ paper's least squares
-(Traversaro, Pucci and Nori, 2015, Eqs. 14-17 and 21-24). They take turns in one process, so that what else
-the machine does hits all of them alike. Memory is measured in a process of its own for each: by how much the
-peak of what it holds (VmHWM of Linux, LAPACK's work space included) rises over what it held with the sets
+(Traversaro, Pucci and Nori, 2015, Eqs. 14-17 and 21-24). They take turns in one process, so that other work
+of the machine slows all of them alike. Memory is measured in a process of its own for each: by how much the
+peak of its memory (VmHWM of Linux, LAPACK's work space included) rises over that with the sets
 loaded. No test asserts these figures.
 """
 
@@ -55,7 +55,7 @@ def simulate(duration: float, seed: int = 0) -> tuple[tuple[InSituSet, ...], flo
 
 
 def denser(sets: Sequence[InSituSet], times: int, seed: int = 0) -> tuple[InSituSet, ...]:
-    """Return sets of so many times the rate: what was read is interpolated and rounded with new noise."""
+    """Return sets of so many times the rate: readings are interpolated and rounded with new noise."""
     rng, found = np.random.default_rng([seed, 2]), []
     for one in sets:
         assert one.time is not None

@@ -56,7 +56,7 @@ POUND = 0.45359237
 
 @dataclass(frozen=True)
 class Log:
-    """What a calibration is given, and the truth beside it."""
+    """Input of a calibration, and the truth beside it."""
 
     sets: tuple[InSituSet, ...]
     factory: Floats | None
@@ -67,7 +67,7 @@ class Log:
 
 
 @cache
-def recorded(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log:
+def record(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log:
     """Return a sound log of a rig, with the factory matrix."""
     how: dict[str, Any] = {"duration": DURATION, "rate": RATE, "speed_deg": SPEED_DEG, "seed": seed} | rig
     recordings = record_rig(range(1, FITTED + 1), **how)
@@ -103,7 +103,7 @@ class Spoilt:
 
     Attributes:
         cause: Words by which a message names it.
-        sizes: What happens to a log, by the size in words.
+        sizes: Changes of a log, by the size in words.
         rig: Options of the rig, where the recording itself is spoilt.
         factory, without: Whether it is tried with and without the factory matrix.
         gyroscope: With and without.
@@ -126,7 +126,7 @@ def each(change: Callable[[InSituSet], InSituSet], chosen: tuple[int, ...] = (0,
 
 
 def vectors(change: Callable[[Floats], Floats]) -> Change:
-    """Change what the accelerometer shows."""
+    """Change the accelerometer's readings."""
     return each(lambda one: replace(one, gravity=change(one.gravity)))
 
 
@@ -147,7 +147,7 @@ def read(wrench: list[float], chosen: int, begin: float, end: float) -> Change:
     return change
 
 
-def clipped(share: float, chosen: int, channel: int) -> Change:
+def clip(share: float, chosen: int, channel: int) -> Change:
     """Let a channel of a set end below the converter's rail."""
 
     def change(one: InSituSet) -> InSituSet:
@@ -158,7 +158,7 @@ def clipped(share: float, chosen: int, channel: int) -> Change:
     return each(change, (chosen,))
 
 
-def turned(angles: list[float]) -> Change:
+def turn(angles: list[float]) -> Change:
     """Let the IMU be built in turned, by degrees about x, y and z."""
     R = Rotation.from_euler("xyz", angles, degrees=True).as_matrix().T
 
@@ -171,19 +171,19 @@ def turned(angles: list[float]) -> Change:
     return each(change)
 
 
-def added(mass: float, place: float = 1.0, chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
+def scale_masses(mass: float, place: float = 1.0, chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
     """Scale the added masses, and their places."""
     return each(
         lambda one: replace(one, added_mass=mass * one.added_mass, added_com=place * one.added_com), chosen
     )
 
 
-def moved(step: list[float], chosen: int) -> Change:
+def move(step: list[float], chosen: int) -> Change:
     return each(lambda one: replace(one, added_com=one.added_com + step), (chosen,))
 
 
-def swapped(i: int, j: int) -> Change:
-    """Exchange what was added in two sets."""
+def swap(i: int, j: int) -> Change:
+    """Exchange the added masses of two sets."""
 
     def change(log: Log) -> Log:
         sets = list(log.sets)
@@ -208,7 +208,7 @@ def unit_rows(matrix: Floats) -> Floats:
     return np.concatenate([matrix[:3], 1000.0 * matrix[3:]])
 
 
-def inverted(matrix: Floats) -> Floats:
+def invert(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.inv(matrix))
 
 
@@ -250,18 +250,18 @@ SPOILTS: dict[str, Spoilt] = {
         },
     ),
     "clipped channel": Spoilt(
-        CLIP, {"3 %": clipped(0.03, 1, 3), "10 %": clipped(0.1, 2, 0), "25 %": clipped(0.25, 0, 5)}
+        CLIP, {"3 %": clip(0.03, 1, 3), "10 %": clip(0.1, 2, 0), "25 %": clip(0.25, 0, 5)}
     ),
-    "masses in g": Spoilt(MASS_UNIT, {"": added(1000.0)}),
-    "masses in lb": Spoilt(MASS_UNIT, {"": added(1.0 / POUND)}, (True,)),
-    "places in mm": Spoilt(PLACE_UNIT, {"": added(1.0, 1000.0)}),
-    "places in cm": Spoilt(PLACE_UNIT, {"": added(1.0, 100.0)}),
+    "masses in g": Spoilt(MASS_UNIT, {"": scale_masses(1000.0)}),
+    "masses in lb": Spoilt(MASS_UNIT, {"": scale_masses(1.0 / POUND)}, (True,)),
+    "places in mm": Spoilt(PLACE_UNIT, {"": scale_masses(1.0, 1000.0)}),
+    "places in cm": Spoilt(PLACE_UNIT, {"": scale_masses(1.0, 100.0)}),
     "gravity in cm/s^2": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: 100.0 * g)}),
     "gravity in mg": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665e-3)}),
     "gravity in g": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665)}),
     "IMU turned": Spoilt(
         ROTATION,
-        {"5 deg": turned([3.0, -4.0, 0.0]), "10 deg": turned([6.0, 4.0, -7.0]), "90 deg": turned([0, 0, 90])},
+        {"5 deg": turn([3.0, -4.0, 0.0]), "10 deg": turn([6.0, 4.0, -7.0]), "90 deg": turn([0, 0, 90])},
     ),
     "accelerometer's bias": Spoilt(
         BIAS,
@@ -275,7 +275,7 @@ SPOILTS: dict[str, Spoilt] = {
         {f"{100 * s - 100:+.0f} %": vectors(lambda g, s=s: s * g) for s in (1.05, 1.12, 0.88)},  # type: ignore[misc]
     ),
     "factory transposed": Spoilt(WHOLE, {"": factory(lambda F: F.T)}, (True,)),
-    "factory inverted": Spoilt(WHOLE, {"": factory(inverted)}, (True,)),
+    "factory inverted": Spoilt(WHOLE, {"": factory(invert)}, (True,)),
     "factory torques first": Spoilt(WHOLE, {"": factory(lambda F: np.roll(F, 3, axis=0))}, (True,)),
     "factory in N mm": Spoilt(WHOLE, {"": factory(unit_rows)}, (True,)),
     "factory negated": Spoilt(SIGN, {"": factory(np.negative)}, (True,)),
@@ -286,14 +286,14 @@ SPOILTS: dict[str, Spoilt] = {
         (True,),
     ),
     "one mass": Spoilt(
-        r"mass of 'set 3'", {f"{100 * s - 100:+.0f} %": added(s, 1.0, (2,)) for s in (0.8, 1.1, 1.2)}
+        r"mass of 'set 3'", {f"{100 * s - 100:+.0f} %": scale_masses(s, 1.0, (2,)) for s in (0.8, 1.1, 1.2)}
     ),
     "one place": Spoilt(
         r"mass of 'set 4'",
-        {"4 cm": moved([0.0, 0.04, 0.0], 3), "10 cm": moved([0.06, 0.0, -0.08], 3)},
+        {"4 cm": move([0.0, 0.04, 0.0], 3), "10 cm": move([0.06, 0.0, -0.08], 3)},
     ),
-    "two sets swapped": Spoilt(r"swap|exchang", {"2, 3": swapped(1, 2), "1, 4": swapped(0, 3)}),
-    "all places negated": Spoilt(PLACES, {"": added(1.0, -1.0)}, (True,)),
+    "two sets swapped": Spoilt(r"swap|exchang", {"2, 3": swap(1, 2), "1, 4": swap(0, 3)}),
+    "all places negated": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (True,)),
     "fast without a gyroscope": Spoilt(
         SPEED,
         {"38 deg/s": SAME, "76 deg/s": SAME, "swings": SAME},
@@ -310,16 +310,16 @@ SPOILTS: dict[str, Spoilt] = {
         rig={name: {"knee_slack": float(name)} for name in ("0.005", "0.02", "0.06")},
     ),
     "foot on the floor": Spoilt(TOUCH, {"": SAME}, rig={"": {"floor": True}}),
-    "places times 1.2": Spoilt(PLACES, {"": added(1.0, 1.2)}, unknowable=True),
+    "places times 1.2": Spoilt(PLACES, {"": scale_masses(1.0, 1.2)}, unknowable=True),
     "gravity negated, no factory": Spoilt(SIGN, {"": vectors(np.negative)}, (False,), unknowable=True),
-    "places negated, no factory": Spoilt(PLACES, {"": added(1.0, -1.0)}, (False,), unknowable=True),
-    "masses in lb, no factory": Spoilt(MASS_UNIT, {"": added(1.0 / POUND)}, (False,), unknowable=True),
+    "places negated, no factory": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (False,), unknowable=True),
+    "masses in lb, no factory": Spoilt(MASS_UNIT, {"": scale_masses(1.0 / POUND)}, (False,), unknowable=True),
 }
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a log."""
+    """Result of a log."""
 
     answer: str
     off: float
@@ -329,11 +329,11 @@ class Outcome:
 
     @property
     def wrong(self) -> bool:
-        """Whether a number is wrong beyond what was said of it."""
+        """Whether a number is wrong beyond its warnings and deviations."""
         return self.answer != "refused" and self.off > OFF and self.sigmas > SIGMAS
 
     def cells(self, gyroscope: bool, with_factory: bool) -> tuple[str, ...]:
-        """Lay out what was given, and what came of it."""
+        """Cells of the input and the result."""
         given = ("yes" if one else "" for one in (gyroscope, with_factory))
         off = (f"{100 * self.off:.1f} %", f"{self.sigmas:.1f}") if np.isfinite(self.off) else ("", "")
         wrong = self.wrong and self.answer == "answered"
@@ -342,14 +342,14 @@ class Outcome:
 
 def outcome(log: Log) -> Outcome:
     """Calibrate, and compare with the truth."""
-    begun = time.process_time()
+    start = time.process_time()
     try:
         fit = calibrate_in_situ(log.sets, factory_matrix=log.factory, limb=log.limb, options=log.options)
     except CalibrationRefused as refusal:
-        return Outcome("refused", np.nan, np.nan, str(refusal), time.process_time() - begun)
+        return Outcome("refused", np.nan, np.nan, str(refusal), time.process_time() - start)
     except (ValueError, np.linalg.LinAlgError) as error:
         return Outcome("crashed", np.nan, np.nan, f"{type(error).__name__}: {error}", 0.0)
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - start
     off, sigmas = errors(fit, log)
     return Outcome("warned" if fit.warnings else "answered", off, sigmas, " ".join(fit.warnings), seconds)
 
@@ -390,7 +390,7 @@ def main() -> None:
         counts = np.zeros(3, dtype=int)
         cases = product(spoilt.sizes.items(), spoilt.gyroscope, spoilt.factory)
         for (size, change), gyroscope, with_factory in cases if arguments.only in kind else ():
-            log = change(recorded(arguments.seed, gyroscope, **(spoilt.rig or {}).get(size, {})))
+            log = change(record(arguments.seed, gyroscope, **(spoilt.rig or {}).get(size, {})))
             came = outcome(log if with_factory else replace(log, factory=None))
             seconds += came.seconds
             named = came.answer != "crashed" and re.search(spoilt.cause, _first_cause(came.first)) is not None
@@ -425,7 +425,7 @@ def sound() -> Table:
     bad = 0
     for seed, gyroscope, with_factory in cases:
         sensor = "leg" if seed % 3 else "foot"
-        log = recorded(seed, gyroscope, sensor)
+        log = record(seed, gyroscope, sensor)
         came = outcome(log if with_factory else replace(log, factory=None))
         if came.answer != "answered" or came.wrong:
             bad += 1

@@ -5,7 +5,7 @@
 
 A leg's and a foot's sensor are calibrated with four masses, and then go on in the air for five minutes on
 another path: the bare limb sweeps, with the errors of sensor and IMU. Compared over the second half are the
-offset of the fit, the mean of what readings leave of the weight by the fit over the last 30 s, and the
+offset of the fit, the mean difference of readings and the fit's weight over the last 30 s, and the
 tracker: root mean square errors in N and N m, and the tracker's squared error by its own covariance (NEES, a
 channel; 1 is right). With ``--jump`` the sensor was switched off and on again in between.
 """

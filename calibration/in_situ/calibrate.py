@@ -1,12 +1,12 @@
 r"""In-situ calibration of a six-axis F/T sensor: gravity on a limb, with known masses added or without.
 
 The model is the in-situ paper's (Traversaro, Pucci and Nori, 2015), the fit is not: readings carry the noise,
-so readings are what is fitted,
+so the fit is of the readings,
 
 .. math:: r = A_0 (1 + D) (M_b + M_a^j) g + o_j(t) + e,
 
 over the errors D of a maker's matrix (or a response that nobody gave), the limb's inertial parameters and an
-offset for each set, each with what is known of it beforehand. One set or a hundred, at rest or moving, the
+offset for each set, each with its prior. One set or a hundred, at rest or moving, the
 way is the same: **data** that the accelerometer's own errors are taken off
 (:mod:`~surefoot.calibration.in_situ.imu`), sets
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
@@ -34,7 +34,7 @@ from surefoot.calibration.in_situ.hysteresis import fit_hysteresis
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
-from surefoot.calibration.in_situ.problem import Problem, pooled_noise, problem_of, starts
+from surefoot.calibration.in_situ.problem import Problem, pool_noise, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Fitted, minima
 from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures, check_gauges
@@ -53,7 +53,7 @@ _DELAYS = 5
 """Fits at most until the delay of an IMU has settled."""
 
 _DRIFTS = ("slow turning", "drift by temperature")
-"""Findings of what may hide behind a drift."""
+"""Findings that a drift may explain."""
 
 
 def calibrate_in_situ(
@@ -69,13 +69,13 @@ def calibrate_in_situ(
     """Return the calibration of a six-axis F/T sensor where it is built in.
 
     The model is that of III in the in-situ paper, fitted in measurement space. Three sets with different
-    added masses determine the matrix (Lemma 2). With a factory matrix one will do: what the readings do not
-    show stays as the maker gave it.
+    added masses determine the matrix (Lemma 2). With a factory matrix one will do: entries that the
+    readings do not show stay as the maker gave them.
 
     Args:
         sets: Readings and gravity, a set for each added mass.
         factory_matrix: The maker's C in N and N m per count, shape (6, k).
-        limb: What is known of the limb.
+        limb: Known mass and place of the limb.
         matrix: ``"keep"`` leaves the factory matrix as it is and finds bias, mass and centre of mass;
             ``"update"`` changes it as far as the readings show that it is off; ``"free"`` fits a matrix of
             its own and uses the factory's for checks only.
@@ -83,7 +83,7 @@ def calibrate_in_situ(
         refuse: Whether to raise where the data do not determine the fit; otherwise a fit full of NaN is
             returned, with the reason in ``refusals``.
         accept: Why a refusal shall be passed; empty if none shall. The fit that comes out holds this reason
-            and all refusals that were passed. What has no answer at all is refused nevertheless.
+            and all refusals that were passed. Data without any answer are refused nevertheless.
 
     Returns:
         The matrix, the offsets, the limb, and how sure they are.
@@ -186,7 +186,7 @@ def _fit(
     parts = compress(sets, options, task.moving, warms)
     problem = problem_of(task, parts, warms)
     if task.mode != "free":
-        problem = replace(problem, maker=prior_of(task, pooled_noise(parts)))
+        problem = replace(problem, maker=prior_of(task, pool_noise(parts)))
     first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
     rank = data_rank(problem, first[0])
     determined = not rank.missing
@@ -230,7 +230,7 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
         minima(free, starts(free, None, None)),
         key=lambda one: float(np.sum((problem.whitening @ (one.A - response)) ** 2)),
     )
-    noise = pooled_noise(problem.sets)
+    noise = pool_noise(problem.sets)
     found = check_factory(
         task.factory, replace(problem, maker=prior_of(task, noise)), by_data, determined=determined
     )
@@ -260,5 +260,5 @@ def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     problem = problem_of(task, parts, with_temperature)
     first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
     if data_rank(problem, first[0]).missing:
-        problem = replace(problem, maker=prior_of(task, pooled_noise(parts), _AGED))
+        problem = replace(problem, maker=prior_of(task, pool_noise(parts), _AGED))
     return Evidence(sets, problem, minima(problem, first)[0], options)

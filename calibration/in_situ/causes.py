@@ -1,6 +1,6 @@
-r"""What is wrong with sets that contradict each other: every cause that is known, by how much it explains.
+r"""Causes why sets contradict each other: each known cause is tried, and scored by how much it explains.
 
-A cause adds signals (a step, a touch, a limb that bends) or changes what was added; with each the fit is made
+A cause adds signals (a step, a touch, a limb that bends) or changes added masses; with each the fit is made
 again, on compressed sets. They are compared by Schwarz's criterion (1978), -2 log L + d log n, each with the
 colour of the noise that it leaves. Rows that still hang together count as fewer than they are,
 n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.in_situ.check import BENT_CURE, squares
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.judge import added_slope
+from surefoot.calibration.in_situ.judge import slope_by_added
 from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -61,7 +61,7 @@ _SHORTEST = 3
 """Rows that a touch must last."""
 
 _STEPS = 8
-"""Steps of Gauss and Newton by which what was added is fitted."""
+"""Gauss-Newton steps of a fit of the added masses."""
 
 _SETTLED = 1e-4
 """Change of it, in m or as a share, that ends them."""
@@ -84,7 +84,7 @@ _WEIGH = "Weigh what was added and measure where it hung, or leave the set out."
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What causes are judged by.
+    """Data and fit that causes are judged by.
 
     Attributes:
         sets: The sets.
@@ -115,8 +115,8 @@ class Cause(NamedTuple):
     """A cause that was tried.
 
     Attributes:
-        words: What it is.
-        cure: What to do about it.
+        words: The cause, for a message.
+        cure: Advice for the user.
         problem: Of the fit with it.
         solution: Of the fit with it.
         free: Number of unknowns that it adds.
@@ -132,12 +132,12 @@ class Cause(NamedTuple):
 
 
 def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
-    """Return a symptom with what likeliest lies behind it; the symptom itself if no cause explains it.
+    """Add the likeliest cause to a symptom; return the symptom itself if no cause explains it.
 
     Args:
         symptom: Sets that contradict each other or themselves.
-        evidence: What causes are judged by.
-        drift: What may hide behind a drift, or None.
+        evidence: Data and fit that causes are judged by.
+        drift: A finding that a drift may explain, or None.
     """
     if drift is not None:
         symptom = symptom.with_cause(drift.reason, drift.cure)
@@ -162,14 +162,14 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
     tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1)]
     for look in (_try_steps, _try_bending, _try_turn, _try_exchange, _try_masses):
-        # What is garbage with one cause left out may have no answer with another.
+        # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
     left = [whiten_residuals(cause.problem, cause.solution) for cause in tried]
     values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
     share = _independent(left[int(np.argmin(values))])
     rows = sum(map(len, left[0]))
-    # Twice the logarithm of the number of alternatives is what the best of them gains by chance.
+    # The best of n alternatives gains 2 log n by chance.
     scores = np.array(
         [
             share * value + cause.free * np.log(share * rows) + 2.0 * np.log(cause.choices)
@@ -190,11 +190,11 @@ def _independent(left: Sequence[Matrix]) -> float:
     return float(np.clip((1.0 - rho) / (1.0 + rho), 1e-3, 1.0))
 
 
-# What happened within a set: signals that act on its readings.
+# Events within a set: signals that act on its readings.
 
 
 def _measure_gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
-    """Return by how much each of the columns, shape (n, K), explains what a set's fit leaves, shape (K,)."""
+    """Measure how much of a set's residual each column explains: columns (n, K), gains (K,)."""
     data, part = evidence.sets[j], evidence.problem.sets[j]
     rows = np.flatnonzero(part.used)
     rows = rows[:: max(len(rows) // _THINNED, 1)]
@@ -230,7 +230,7 @@ def _try_steps(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int, int, int]:
-    """Find the likeliest span of samples of a set: what it explains, the set, the span, and out of how many.
+    """Find the likeliest span of samples of a set: gain, set, span, and number of spans tried.
 
     A touch ends, the leap of a zero does not.
     """
@@ -259,7 +259,7 @@ def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int
 
 def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
-    # A limb that bends does so by gravity, a sensor by its load, which grows with what was added.
+    # A limb that bends does so by gravity, a sensor by its load, which grows with the added mass.
     T = transforms(evidence.problem, evidence.solution)[:, :AXES]
     loads = [np.nan_to_num(signals(data, evidence.problem.moving)) for data in evidence.sets]
     loads = [u @ t[:, : u.shape[1]].T for u, t in zip(loads, T, strict=True)]
@@ -274,7 +274,7 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         yield evidence.beside(words, BENT_CURE, columns, free, 1)
 
 
-# What was added: other masses, places and turns.
+# Added masses: other masses, places and turns.
 
 
 def _try_masses(evidence: Evidence) -> Iterator[Cause]:
@@ -332,8 +332,8 @@ def _try_exchange(evidence: Evidence) -> Iterator[Cause]:
 def _try_turn(evidence: Evidence) -> Iterator[Cause]:
     """Yield an IMU that is turned against the sensor.
 
-    Gravity and motion in its frame are those of a sensor that is turned with it, to whose frame only the
-    places of what was added were not.
+    A turned IMU has the same effect as a sensor turned with it whose added masses were measured in the
+    frame before the turn.
     """
     plain = evidence.problem
     if not np.any(plain.added[:, MASS] > 0.0) or plain.rotation:
@@ -346,10 +346,10 @@ def _try_turn(evidence: Evidence) -> Iterator[Cause]:
     # From none, and from the right angles that come next to it.
     tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]
 
-    def turned(x: Vector) -> Matrix:
+    def turn_added(x: Vector) -> Matrix:
         return _rotate(plain.added, Rotation.from_rotvec(x))
 
-    fits = [_fit_added(evidence, turned, start, outer) for _, _, start, outer in tried]
+    fits = [_fit_added(evidence, turn_added, start, outer) for _, _, start, outer in tried]
     lowest = min(solution.cost for _, _, solution in fits)
     # Masses in one plane do not tell a sensor from its mirror image: the smaller turn is likelier.
     near = [
@@ -381,7 +381,7 @@ def _rotate(parameters: Matrix, turn: Rotation) -> Matrix:
 def _fit_added(
     evidence: Evidence, make: Callable[[Vector], Matrix], x: Vector, outer: Vector | None = None
 ) -> tuple[Vector, Problem, Solution]:
-    """Return x, and the fit of the problem with what was added as a function of it, by Gauss and Newton."""
+    """Fit x, which determines the added masses, by Gauss-Newton steps; return x, problem and solution."""
 
     def fit(x: Vector, outer: Vector) -> tuple[Vector, Problem, Solution]:
         problem = replace(evidence.problem, added=make(x))
@@ -391,7 +391,7 @@ def _fit_added(
     for _ in range(_STEPS):
         x, problem, solution = best
         changes = [(make(x + _DIFFERENCE * step) - make(x)) / _DIFFERENCE for step in np.eye(len(x))]
-        slopes = [added_slope(problem, solution, change) for change in changes]
+        slopes = [slope_by_added(problem, solution, change) for change in changes]
         free = project(solution, np.stack(slopes, axis=1))
         rows = np.pad(solution.residual.ravel(), (0, len(free) - solution.residual.size))
         step = -np.linalg.lstsq(free, rows, rcond=None)[0]

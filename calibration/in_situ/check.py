@@ -1,4 +1,4 @@
-"""Checks of single sets: at the door, what no calibration can come from; after the fit, what is not rigid."""
+"""Checks of single sets: before the fit, of unusable data; after it, of limbs that are not rigid."""
 
 from collections.abc import Sequence
 
@@ -32,13 +32,13 @@ _UNITS = {
     1e3 * GRAVITY: "mm/s^2",
     GRAVITY**2: "m/s^2 already, and was converted once more",
 }
-"""What gravity of such a length is likely to be in."""
+"""Likely units of gravity vectors of these lengths."""
 
 _NEXT = 20
 """Values next to a channel's end that are counted."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
-"""What is said of that."""
+"""Reason in the message."""
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> list[Finding]:
@@ -47,7 +47,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
     Args:
         sets: As they were given.
         options: Of the fit.
-        leaning: Whether a factory matrix stands in for what gravity does not show.
+        leaning: Whether a factory matrix stands in for directions that gravity does not show.
 
     Raises:
         CalibrationRefused: If a set has no samples to speak of.
@@ -191,7 +191,7 @@ _FEW = 30
 """Rows below which bending does not show."""
 
 BENT_CURE = "Hold the joints beyond the sensor fast, or lighten what is added."
-"""What helps where readings go with gravity's squares."""
+"""Cure where readings go with gravity's squares."""
 
 
 def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> list[Finding]:
@@ -229,7 +229,7 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
 def check_bending(
     sets: Sequence[InSituSet], parts: Sequence[CompressedSet], loops: bool
 ) -> tuple[float, list[Finding]]:
-    """Return by how much a limb bends, and what to say of it.
+    """Measure how much a limb bends; return the share and the findings.
 
     With ``loops`` hysteresis, which looks like it for a while, may still be in the readings.
     """
@@ -270,7 +270,7 @@ def squares(gravity: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def measure_bending(part: CompressedSet) -> float:
-    """Return the share of the spread that goes with gravity's squares, beyond what noise would.
+    """Return the share of the spread that goes with gravity's squares, beyond that of noise.
 
     The squares are weighted like the rows, so that no drift is taken for them.
     """

@@ -5,15 +5,15 @@ The residuals of a set, in the order of their rows, have by their cosine transfo
 .. math:: S(f_k) = \sigma^2 \left(N + (f_d / f_k)^2\right), \qquad
     N = 1 + \min(f_k / f_0, 1)^2 (f_c / \max(f_k, f_0))^\alpha, \qquad f_k = k / 2 T,
 
-at its mode k: white noise, a **drift**, by which the offset walks at random, and what is left of
+at its mode k: white noise, a **drift**, by which the offset walks at random, and the rest of the
 **hysteresis**, which is hardly slower than the limb's own motion (:math:`f_0`). The parameters are those of
-the largest likelihood (Whittle, 1953); a mode that the signals explain as well counts for what they leave
-of it. Each part must be worth its parameters (Schwarz, 1978).
+the largest likelihood (Whittle, 1953); a mode that the signals also explain counts for the share that they
+do not explain. Each part must be worth its parameters (Schwarz, 1978).
 
-Rows that are weighted by the root of :math:`N / (N + (f_d / f)^2)` are free of drift: what a drift could
-feign has the weight that such a drift leaves it, no more and no less. What colour the rows still have, N,
-is no matter of the fit but of its covariance: hysteresis is no noise that is independent of the load, and
-weights against it would only raise the part of it that is fast. The constant is the offset, which is free.
+Rows that are weighted by the root of :math:`N / (N + (f_d / f)^2)` are free of drift: a signal that looks
+like drift has the weight that such a drift leaves it. The colour N that the rows still have changes the
+covariance but not the fit: hysteresis is not independent of the load, and weights against it would only raise
+the part of it that is fast. The constant is the offset, which is free.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ _SLOWER = 0.5
 """Share of the motion's frequency below which hysteresis falls off."""
 
 _NONE = 1e-200
-"""What stands for a corner or a power of zero in a logarithm."""
+"""Stands for a corner or a power of zero in a logarithm."""
 
 _LEAST_MODES = 24
 """Modes below which a set shows no colour."""
@@ -96,13 +96,13 @@ class Colour:
         beside = 1.0 + self.hysteresis.power(frequency)
         return np.asarray(beside / (beside + self.drift.power(frequency)))
 
-    def left(self, rows: int, spacing: float) -> Vector:
-        """Return the power that weighted rows still have, of mean one, shape (rows,)."""
+    def power_after(self, rows: int, spacing: float) -> Vector:
+        """Power of the weighted rows, of mean one, shape (rows,)."""
         power = 1.0 + self.hysteresis.power(_frequencies(rows, spacing))
         return np.asarray(power / np.mean(power))
 
     def weigh(self, columns: Matrix, spacing: float) -> Matrix:
-        """Return columns without what is slow as far as it may be drift, shape (rows, c)."""
+        """Weight the modes of columns against drift, shape (rows, c)."""
         if self.drift.corner == 0.0:
             return columns
         root = np.sqrt(self.weights(len(columns), spacing))
@@ -117,8 +117,8 @@ class Colour:
             at: Places between the first row, 0, and the last, 1; shape (p,).
 
         Returns:
-            What rows that are not weighted count for, shape (p, rows), and variances over that of a weighted
-            row, shape (p,).
+            Coefficients of the unweighted rows, shape (p, rows), and variances over that of a weighted row,
+            shape (p,).
         """
         places = np.asarray(at)
         if self.drift.corner == 0.0:
@@ -127,7 +127,7 @@ class Colour:
         share[0] = 0.0
         row = places * (rows - 1)
         modes = np.cos(np.pi * (row[:, None] + 0.5) / rows * np.arange(rows)) * np.sqrt(2.0 / rows)
-        variance = modes**2 @ (share * self.left(rows, spacing))
+        variance = modes**2 @ (share * self.power_after(rows, spacing))
         return np.asarray(idct(share * modes, norm="ortho", axis=1)), np.asarray(variance)
 
 
@@ -171,7 +171,7 @@ class Spectrum:
 
         Args:
             residual: In the order of time.
-            explained: An orthonormal basis of what was explained, shape (m, c).
+            explained: An orthonormal basis of the explained signals, shape (m, c).
             spacing: Between rows.
         """
         rows = len(residual)

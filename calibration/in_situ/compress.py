@@ -1,18 +1,19 @@
 r"""A set of thousands of samples as one small triangle.
 
 A set becomes rows: means over windows in which the limb hardly turns, of the samples that take part; those
-that are missing, or that disagree with all others, do not. Its readings follow
-:math:`r = A T u + o + e`: the response A to the wrench T u, an offset, and noise, which hangs together in
-time where the offset walks. Rows are weighted against that (:mod:`~surefoot.calibration.in_situ.colour`):
-what a drift could feign counts for as little as such a drift leaves of it. One orthogonal triangularisation
+that are missing, or that disagree with all others, do not. Its readings follow :math:`r = A T u + o + e`: the
+response A to the wrench T u, an offset, and noise, which hangs together in time where the offset walks. Rows
+are weighted against that (:mod:`~surefoot.calibration.in_situ.colour`): a signal that looks like drift counts
+for as little as such a drift leaves of it. One orthogonal triangularisation
 
 .. math::
     Q' [1 \; u \; r] =
     \begin{bmatrix} R_{11} & R_{1u} & R_{1r} \\ & R_{uu} & R_{ur} \\ & & R_{rr} \end{bmatrix}
 
 keeps all that least squares can ever ask of the set: :math:`R_{uu} T' A' = R_{ur}` are three rows in place of
-thousands (the inertial parameters in T are unknown, but constant), :math:`R_{rr}` is what no A or T explains,
-and the offset is a weighted sum of rows (:class:`OffsetAt`). Nothing is squared, so no digits are lost.
+thousands (the inertial parameters in T are unknown, but constant), :math:`R_{rr}` is the part that no A or T
+explains, and the offset is a weighted sum of rows (:class:`OffsetAt`). Nothing is squared, so no digits are
+lost.
 """
 
 from collections.abc import Sequence
@@ -63,8 +64,8 @@ _ROWS, _ROWS_MOVING = 2000, 200
 
 _WITHIN, _WITHIN_MOVING = 1e-3, 0.1
 """... so that this share of the signals' spread is lost within them. A gyroscope's noise grows with the
-frequency as it is differentiated, and signals with noise are less than they seem: what is faster than the
-motion is left out."""
+frequency as it is differentiated, and noise makes signals look larger than they are: frequencies above
+those of the motion are left out."""
 
 
 class SetRows(NamedTuple):
@@ -147,7 +148,7 @@ def _window(signals: Matrix, moves: bool) -> int:
 
 
 def means(columns: Matrix, width: int) -> Matrix:
-    """Return means of windows of rows; the last window takes what is left over."""
+    """Return means of windows of rows; the last window takes the rest."""
     windows = max(len(columns) // width, 1)
     whole = columns[: (windows - 1) * width].reshape(windows - 1, width, columns.shape[1])
     rest = columns[(windows - 1) * width :]
@@ -157,8 +158,9 @@ def means(columns: Matrix, width: int) -> Matrix:
 def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     """Return which samples disagree with all others, shape (n,).
 
-    Least squares with Cauchy's weights finds what most samples agree on; what is left is held against its own
-    median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the readings.
+    Least squares with Cauchy's weights finds the map that most samples agree on; residuals are compared with
+    their own median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the
+    readings.
     """
     weight = np.ones(len(columns))
     limit = float(chdtri(raw.shape[1], _GATE))
@@ -216,7 +218,7 @@ class CompressedSet:
         gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
         score: Signals less their mean, orthonormal, of the m rows, shape (m, s).
         scatter: Squares of the residual, over the power that its modes have, shape (k, k).
-        residual: What of the rows' readings no linear map of the signals explains, (m, k).
+        residual: Part of the rows' readings that no linear map of the signals explains, (m, k).
         index: Mean place in the set of the samples that made a row, shape (m,).
         width: Samples that made a row.
         colour: Of the noise that the rows are weighted by.
@@ -244,7 +246,7 @@ class CompressedSet:
 
     @cached_property
     def whiten(self) -> Matrix:
-        """What makes rows of :attr:`ur` ones of the variance of a row's noise, shape (s, s)."""
+        """Matrix that gives the rows of :attr:`ur` the variance of a row's noise, shape (s, s)."""
         values, vectors = self._gram
         return np.asarray((vectors / np.where(values > 0.0, np.sqrt(values), np.inf)) @ vectors.T)
 
@@ -282,7 +284,7 @@ class CompressedSet:
     @property
     def log_colour(self) -> float:
         """The sum of the logarithms of the power of the rows' noise, before they were weighted."""
-        left, weights = (of(self.rows, self.spacing) for of in (self.colour.left, self.colour.weights))
+        left, weights = (of(self.rows, self.spacing) for of in (self.colour.power_after, self.colour.weights))
         return float(np.sum(np.log(left) - np.log(weights)))
 
     @property
@@ -308,7 +310,7 @@ class CompressedSet:
 
     def level(self, columns: Matrix) -> float:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
-        power = self.colour.left(self.rows, self.spacing)
+        power = self.colour.power_after(self.rows, self.spacing)
         return float(np.mean(power @ dct(columns, norm="ortho", axis=0) ** 2))
 
 
@@ -399,7 +401,7 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     score = centred[:, : rows.inputs] @ np.linalg.pinv(uu)
     slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
     residual = centred[:, rows.inputs :] - centred[:, : rows.inputs] @ slope
-    power = colour.left(len(white), rows.spacing)
+    power = colour.power_after(len(white), rows.spacing)
     left = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
     # Noise that depends on the load is nowhere less than on average.
     modes = np.sqrt(np.maximum(power, 1.0))[:, None] * dct(score, norm="ortho", axis=0)
@@ -429,7 +431,7 @@ def _offsets(rows: SetRows, colour: Colour, mean: Vector) -> list[OffsetAt]:
     """Return the offset at the middle and at the end; by ``mean`` of weighted rows it is one, shape (m,)."""
     first = 1 + rows.inputs
     drifts, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
-    # The noise of a row is that of a sample; what drifts is larger there by the root of the samples of a row.
+    # The noise of a row is that of a sample; drift is larger there by the root of the samples of a row.
     per_row = float(np.sqrt(np.mean(rows.weight**2)))
     steady = colour.weigh(mean[:, None], rows.spacing)[:, 0]
     own = float(mean @ mean)

@@ -1,10 +1,10 @@
-r"""The covariance of an in-situ calibration, and what its data know.
+r"""The covariance of an in-situ calibration, and the share of it that its data determine.
 
 With rows of variance one, :math:`z = J \theta + e`, the covariance is :math:`J^+ J^{+\prime}`. The rows are
-free of drift, and weighted by what is left in them of hysteresis and of a limb that is not quite rigid
+free of drift, and weighted by the hysteresis and the bending of the limb that their residuals still have
 (:mod:`~surefoot.calibration.in_situ.colour`). It is raised or lowered as far as the sets disagree with each
-other by more or less than that (Birge, 1932). What else may move the answer is a column beside that root, in
-the order of the answer: (C row by row, the last set's offset at its end, m, m c).
+other by more or less than that (Birge, 1932). Each other error is a column beside that root, in the order of
+the answer: (C row by row, the last set's offset at its end, m, m c).
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ __all__ = [
     "answer_root",
     "data_share",
     "disagreement",
+    "invert_response",
     "slope_doubts",
     "slow_turn",
     "unknowns_root",
-    "weighted_inverse",
 ]
 
 Matrix = NDArray[np.float64]
@@ -70,8 +70,8 @@ class OpenErrors(NamedTuple):
 def disagreement(problem: Problem, solution: Solution) -> Vector:
     """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
 
-    At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
-    signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
+    At the frequency of the limb's motion no residual is left to show a spectrum. The noise along a signal
+    shows in the difference between one common response and the sets' own maps, as far as their rows are free.
     """
     left, _ = orthonormal(solution.jacobian)
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
@@ -82,7 +82,7 @@ def disagreement(problem: Problem, solution: Solution) -> Vector:
     return np.asarray(np.sqrt((believed + shown) / (believed + rows)))
 
 
-def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
+def invert_response(response: Matrix, noise: Matrix) -> Matrix:
     """Return C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
     root = np.linalg.inv(np.linalg.cholesky(noise))
     return np.asarray(np.linalg.pinv(root @ response, rcond=ROUNDING) @ root)
@@ -92,7 +92,7 @@ def answer_of(problem: Problem, solution: Solution, noise: Matrix) -> Vector:
     """Return (C row by row, the last set's offset at its end, m, m c), shape (7 k + 4,)."""
     predicted = solution.response @ transforms(problem, solution)[-1]
     offset = problem.sets[-1].end.by(predicted)
-    C = weighted_inverse(solution.A, noise)
+    C = invert_response(solution.A, noise)
     return np.concatenate([C.ravel(), offset, solution.limb[:STATIC]])
 
 
@@ -139,7 +139,7 @@ def slope_doubts(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
     the time.
     """
     A = solution.A
-    C = weighted_inverse(A, noise)
+    C = invert_response(A, noise)
     T = transforms(problem, solution)[:, :AXES]
     load = T[-1] @ problem.sets[-1].end.signals
     loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
@@ -175,7 +175,7 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
     inputs, columns = problem.inputs, FitColumns.of(channels)
     of_phi = channels * inputs
     of_rotation = of_phi + problem.parameters
-    C = weighted_inverse(A, noise)
+    C = invert_response(A, noise)
     steep = np.linalg.pinv(A.T @ np.linalg.solve(noise, A), hermitian=True)
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
     slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
@@ -203,7 +203,7 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
 
 
 _UNKNOWN = 1e3
-"""What nobody knows counts as known to so many times its size."""
+"""Prior deviation of an unknown, as a multiple of its size."""
 
 _REACH = 0.1
 """Lever in m by which first moments are judged at least."""
@@ -211,7 +211,7 @@ _REACH = 0.1
 
 @dataclass(frozen=True, eq=False)
 class DataShare:
-    """What the data know of a fit.
+    """Share of a fit that the data determine.
 
     Attributes:
         share: Of the information on each entry of the fit's covariance, shape (7 k + 4,), from 0 to 1.
@@ -242,7 +242,7 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix) -> DataShare
     """Split the information on a fit between data and prior.
 
     Args:
-        problem: With what was known beforehand.
+        problem: With its priors.
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
     """
@@ -253,7 +253,7 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix) -> DataShare
     J = solution.jacobian * scale
     data, prior = J[:of_data], J[of_data:]
     squares = data.T @ data
-    # What an answer holds: neither loops nor the limb's inertia, which are integrated out.
+    # Unknowns of the answer: neither loops nor the limb's inertia, which are integrated out.
     asked = np.ones(len(squares), dtype=np.bool_)
     asked[:linear].reshape(channels, inputs)[:, inputs - problem.channel_lags :] = False
     asked[linear + STATIC : linear + problem.parameters] = False

@@ -1,12 +1,12 @@
-"""What a calibration is given: sets of readings, options, and what may be known of the limb.
+"""Input of a calibration: sets of readings, options, and known values of the limb.
 
 Conventions of this part of the library:
 
-* The wrench w is what the limb exerts on the robot through the sensor, at and in the sensor's frame, in N and
-  N m. At rest it is the weight of what hangs beyond the sensor, w = M(m, c) g with M = [m I; m [c]x] (in-situ
-  paper, Eqs. 3-5). What the ground pushes with, under a foot that stands, adds to it.
-* ``gravity`` is g in the sensor's frame and points **down**: the negative of what an accelerometer at rest
-  reads. While the limb moves it is g - a with the acceleration a of the sensor's origin.
+* The wrench w is the one that the limb exerts on the robot through the sensor, at and in the sensor's frame,
+  in N and N m. At rest it is the weight of the limb beyond the sensor, w = M(m, c) g with M = [m I; m [c]x]
+  (in-situ paper, Eqs. 3-5). Under a foot that stands the ground's wrench adds to it.
+* ``gravity`` is g in the sensor's frame and points **down**: the negative of an accelerometer's reading at
+  rest. While the limb moves it is g - a with the acceleration a of the sensor's origin.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from surefoot.calibration.checks import check_not_negative, check_positive
 __all__ = ["InSituOptions", "InSituSet", "InSituTrackerConfig", "KnownLimb", "MatrixMode", "Task", "shift"]
 
 MatrixMode = Literal["keep", "update", "free"]
-"""What becomes of a factory matrix."""
+"""How a factory matrix is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +32,14 @@ class InSituSet:
     Attributes:
         raw: Counts of the k >= 6 channels, shape (n, k); NaN where no sample arrived.
         gravity: g (moving: g - a) in the sensor's frame in m/s^2, pointing down, shape (n, 3).
-        added_mass: Mass of what was added to the limb in kg; in motion it counts as a cube of steel.
+        added_mass: Mass added to the limb in kg; in motion it counts as a cube of steel.
         added_com: Its centre of mass in the sensor's frame in m, shape (3,).
         angular_velocity: Of the limb in the sensor's frame in rad/s, shape (n, 3); None if it stood still.
         angular_acceleration: In the sensor's frame in rad/s^2, shape (n, 3); given with the velocity
             or not at all.
         temperature: Of the sensor in K or degrees Celsius, shape (n,); None if it was not measured.
         time: Of the samples in s, increasing, shape (n,); None for samples without an order in time.
-        name: What messages call the set.
+        name: Name of the set in messages.
 
     Raises:
         ValueError: If shapes do not belong together, time does not increase, or the mass is negative or not
@@ -105,7 +105,7 @@ class InSituSet:
 
 @dataclass(frozen=True, eq=False)
 class KnownLimb:
-    """What is known of the limb beforehand, such as from a model of the robot or from scales.
+    """Known values of the limb, such as from a model of the robot or from scales.
 
     Attributes:
         mass: m in kg.
@@ -200,8 +200,8 @@ class InSituTrackerConfig:
     """... and its centre of mass in the sensor's frame in m."""
 
     reject: float = 5.0
-    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
-    it adds is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
+    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if the
+    added wrench is also beyond ``touch``; if not, it pulls no harder than one at that distance."""
 
     touch: float = 0.05
     """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
@@ -233,9 +233,9 @@ class Task:
     Attributes:
         sets: Of one sensor, as they were read.
         factory: The maker's C in N and N m per count, shape (6, k), or None.
-        limb: What is known of the limb, or None.
+        limb: Known values of the limb, or None.
         options: How to fit.
-        mode: What becomes of the factory matrix.
+        mode: How the factory matrix is used.
 
     Raises:
         ValueError: If these do not belong together.

@@ -2,7 +2,7 @@ r"""Plans of which postures and masses to calibrate with: those whose readings b
 
 A reading y of a pose, linear in the unknowns :math:`\theta` with covariance P
 (:mod:`surefoot.calibration.in_situ.model`; whitened rows H, n samples averaged), informs of quantities q
-among them (what ``goal`` names), by the mutual information of Gaussian variables,
+among them (the ``goal``), by the mutual information of Gaussian variables,
 
 .. math:: I(q; y) = \tfrac12 \log\frac{\det P_{qq}}{\det P_{qq}^+}
     = \tfrac12 \log\det\bigl(H P H' + \tfrac1n\bigr) - \tfrac12 \log\det\bigl(H P_{|q} H' + \tfrac1n\bigr),
@@ -10,12 +10,12 @@ among them (what ``goal`` names), by the mutual information of Gaussian variable
 
 in nats: by how much the logarithm of the volume of q's uncertainty shrinks. All other unknowns are nuisances
 and share the reading. Every mass that hangs brings an offset of its own, as offsets jump from set to set, so
-the first poses of a new mass bring little: masses are compared by what ``block`` poses with each would bring
-together (greedy, then each pose exchanged for the best beside the others: Fedorov, 1972), and the best
+the first poses of a new mass bring little: masses are compared by the information of ``block`` poses with
+each (greedy, then each pose exchanged for the best beside the others: Fedorov, 1972), and the best
 block is taken, P is updated by it (:mod:`surefoot.calibration.kalman`), and so on.
 
-Covariances do not depend on what will be read but, as the model is bilinear, on the assumed A and
-limb. From a factory matrix alone a plan is good, not optimal: fit what was read and plan again.
+Covariances do not depend on the readings to come but, as the model is bilinear, on the assumed A and
+limb. From a factory matrix alone a plan is good, not optimal: fit the readings and plan again.
 """
 
 from collections.abc import Sequence
@@ -82,7 +82,7 @@ class MassCandidate(NamedTuple):
     Attributes:
         mass: In kg; 0 for the bare limb.
         com: Its centre of mass in the sensor's frame in m.
-        offset_covariance: What is known of the offset while it hangs, in counts^2, shape (k, k); None takes
+        offset_covariance: Covariance of the offset while it hangs, in counts^2, shape (k, k); None takes
             the prior's ``new_offset``.
     """
 
@@ -116,7 +116,7 @@ class PlannedPose(NamedTuple):
     Attributes:
         orientation: Index of the orientation.
         mass: Index of the mass.
-        information: What it adds on the goal to those before it, in nats.
+        information: Information that it adds on the goal, in nats.
     """
 
     orientation: int
@@ -169,11 +169,11 @@ def plan_excitation(
     """Plan which readings to take next.
 
     Args:
-        prior: A calibration, or what :func:`prior_from_factory` makes of a maker's matrix.
+        prior: A calibration, or a maker's matrix with :func:`prior_from_factory`.
         gravity: Reachable orientations, as g in the sensor's frame in m/s^2, pointing down, shape (N, 3).
         masses: Masses that can be hung, M of them, each a set with an offset of its own.
         count: Readings to propose.
-        goal: What they are for, a key of :data:`GOALS`.
+        goal: Quantities to learn, a key of :data:`GOALS`.
         block: Readings with one mass before masses are compared again; fewer than four do not separate a
             new set's offset from its load.
         samples: Samples that are averaged in each pose.
@@ -254,7 +254,7 @@ def prior_from_fit(
     columns = ErrorColumns.of(len(fit.offset))
     all_but_offset = slice(columns.response.start, columns.limb.stop)
     shared = error_covariance(fit)[all_but_offset, all_but_offset]
-    new = _checked_covariance(fit.response, offset_force, offset_torque)
+    new = _covariance_of(fit.response, offset_force, offset_torque)
     return ExcitationPrior(fit.response, fit.noise, fit.limb, shared, new)
 
 
@@ -274,9 +274,9 @@ def prior_from_factory(
 
     Args:
         matrix: C in N and N m per count, shape (6, k).
-        limb: What is assumed of the limb; an unknown centre of mass counts as the sensor's origin.
+        limb: Assumed values of the limb; an unknown centre of mass counts as the sensor's origin.
         scale_std: Standard deviation of each axis's scale, relative.
-        cross_talk_std: Standard deviation of what one axis shows of another, in shares of the full scales.
+        cross_talk_std: Standard deviation of an axis's share of another's load, in shares of the full scales.
         full_scale: Largest force in N and torque in N m.
         noise_force: Standard deviation of a sample in N.
         noise_torque: The same for torques in N m.
@@ -306,10 +306,10 @@ def prior_from_factory(
     covariance[_LIMB, _LIMB] = root @ root.T
     return ExcitationPrior(
         response,
-        _checked_covariance(response, noise_force, noise_torque),
+        _covariance_of(response, noise_force, noise_torque),
         Limb(limb.mass, limb.mass * com),
         covariance,
-        _checked_covariance(response, offset_force, offset_torque),
+        _covariance_of(response, offset_force, offset_torque),
     )
 
 
@@ -318,7 +318,7 @@ def _offset_of(mass: int, channels: int) -> slice:
     return slice(_SHARED.stop + channels * mass, _SHARED.stop + channels * (mass + 1))
 
 
-def _checked_covariance(response: Matrix, force: float, torque: float) -> Matrix:
+def _covariance_of(response: Matrix, force: float, torque: float) -> Matrix:
     check_value("force", force, positive=True)
     check_value("torque", torque, positive=True)
     return offset_covariance(response, force, torque)

@@ -1,4 +1,4 @@
-"""Findings: what checks see, as values; one place decides what becomes of them (:func:`decide`)."""
+"""Findings of checks, as values; one place decides which refuse (:func:`decide`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,12 +10,12 @@ __all__ = ["Decision", "Finding", "decide"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check saw.
+    """Result of a check.
 
     Attributes:
         name: Of the check.
-        reason: What was seen, in a sentence.
-        cure: What to do about it; empty if nothing need be done.
+        reason: The observation, in a sentence.
+        cure: Advice for the user; empty if nothing need be done.
         value: That was held against a limit.
         limit: The limit.
         refuses: Whether an answer must not be given without a reason of the caller's.
@@ -36,13 +36,13 @@ class Finding:
         return CalibrationRefused(self.reason, self.cure)
 
     def with_cause(self, likeliest: str, cure: str) -> "Finding":
-        """Return the finding with its likeliest cause, in words, and what to do about that."""
+        """Add the likeliest cause, in words, and its cure."""
         return replace(self, reason=f"{self.reason} {likeliest}", cure=cure)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What becomes of findings: ``refused`` without a reason, ``passed`` with one, and warnings."""
+    """Verdict on findings: ``refused`` without a reason, ``passed`` with one, and warnings."""
 
     refused: tuple[CalibrationRefused, ...]
     passed: tuple[CalibrationRefused, ...]

@@ -40,7 +40,7 @@ class FitColumns(NamedTuple):
 
 
 class ErrorColumns(NamedTuple):
-    """Places of a calibration's errors: the offset's, D row by row, the limb's, and what hysteresis adds."""
+    """Places of a calibration's errors: the offset's, D row by row, the limb's, and those by hysteresis."""
 
     offset: slice
     response: slice
@@ -57,7 +57,7 @@ class ErrorColumns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """The rigid body beyond the sensor, without what was added to it.
+    """The rigid body beyond the sensor, without added masses.
 
     Attributes:
         mass: m in kg.
@@ -100,20 +100,20 @@ class InSituFit:
         temperature_coefficient: Counts per K, shape (k,); None if no temperature was given, or it stayed.
         rotation: R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated.
         result: How much the data determined.
-        refusals: Why it was refused, and what was passed if that was accepted; empty if it was not.
-        warnings: What to know before the numbers are used.
+        refusals: Why it was refused, or which refusals were accepted; empty if there was none.
+        warnings: Limits of the numbers, to read before use.
         stats: Of all sets together; the residual is in counts.
         set_stats: One a set.
         affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
-        set_names: What messages call the sets.
+        set_names: Names of the sets in messages.
         temperature_reference: Temperature at which the offsets hold.
-        temperature_gain: What each axis reads more per K, as a share of its load, shape (6,); None if that
-            was not seen.
-        hysteresis: Width of the loop of each axis as a share of the load's swing, or what it creeps in an
-            octave of time as a share of the load, shape (6,); None if loads were not seen to lag.
+        temperature_gain: Change of each axis per K, as a share of its load, shape (6,); None if that was not
+            seen.
+        hysteresis: Width of the loop of each axis as a share of the load's swing, or its creep in an octave
+            of time as a share of the load, shape (6,); None if loads were not seen to lag.
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
-        offset_doubt: Covariance in counts^2, shape (k, k), of what hysteresis leaves open of the offset, part
-            of ``covariance``; None without hysteresis.
+        offset_doubt: Covariance in counts^2, shape (k, k), of the offset's error by hysteresis, part of
+            ``covariance``; None without hysteresis.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
         maker_known: Of each entry of D, A = A_0 (1 + D), the share that the readings know, 1 - posterior /
@@ -121,7 +121,7 @@ class InSituFit:
         accepted: The reason that was given to pass the refusals; empty if none was passed.
         bending: Share of a set's spread that goes with gravity's squares, where that is more than noise or
             hysteresis; the covariance counts it.
-        scope: What was found, in words.
+        scope: The quantities that were found, in words.
         maker_share: How far the maker's matrix is off by the readings, as a share of full scale; None without
             one.
         accelerometer_bias: In m/s^2, shape (3,), which was taken off.
@@ -198,7 +198,7 @@ class InSituFit:
                 hold by default.
 
         Returns:
-            What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
+            Wrench of the limb on the robot, at and in the sensor's frame, shape (..., 6).
         """
         o = self.offset if offset is None else np.asarray(offset)
         gain: NDArray[np.float64] | float = 1.0
@@ -293,7 +293,7 @@ def facts_of(
     notices: tuple[str, ...] = (),
     raw_unit: str = "counts",
 ) -> Any:
-    """Return a calibration as values that JSON can hold, with the sensor's name and what the log lacked."""
+    """Return a calibration as values that JSON can hold, with the sensor's name and notices of the log."""
     return _plain(
         {
             "format": FORMAT,
@@ -333,7 +333,7 @@ def facts_of(
 
 
 def _plain(value: Any) -> Any:
-    """Turn arrays into lists and what is not finite into null."""
+    """Turn arrays into lists and values that are not finite into null."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):
@@ -344,7 +344,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_calibration(path: Path) -> InSituFit:
-    """Read what ``surefoot calibrate ft`` wrote as JSON, to the last digit.
+    """Read a JSON file of ``surefoot calibrate ft``, to the last digit.
 
     Raises:
         ValueError: If the file is not there, is no calibration, one of another version, or holds numbers that

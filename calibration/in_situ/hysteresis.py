@@ -8,20 +8,19 @@ reading is the load and a share s of
 
 with play operators P of half-width :math:`r_i`, and the largest amplitude X of the data; for backlash
 :math:`p(x) = P_r(x) / s - \kappa x` with the one width that the share itself says, :math:`r = X s / 2`. The
-loop shows s, and the rest follows from s: an element with loops in proportion
-gives way by s more for each doubling of the swing, so that a small mass added to a heavy limb seems to weigh
-more than alone, by s / ln 2. Left out, this makes the limb too light by as much. What is taken off by
-:math:`\kappa` leaves p without correlation to x over the data; it only sets the swing at which the matrix
-holds, that of the data.
+loop shows s, and the rest follows from s: an element with loops in proportion gives way by s more for each
+doubling of the swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2.
+Left out, this makes the limb too light by as much. The term in :math:`\kappa` leaves p without correlation to
+x over the data; it only sets the swing at which the matrix holds, that of the data.
 
 Glue and metal creep besides: after a step they go on giving way for seconds and minutes, by about as much in
-each octave of time. Then p is the sum of what loads were by filters of the first order, less
+each octave of time. Then p is the sum of the past loads by filters of the first order, less
 :math:`\kappa x` as well.
 
-What lags follows from the fit's own loads, so that a fit is made again. Backlash is narrow: an error of the
-limb's first moment moves the times at which a torque turns by as much as it is wide. How it moves them is
-part of the fit (:func:`_turn`), which goes on until it settles. With one width, and without that, a limb of
-5 kg beside backlash of 1 % came out up to 1.4 % off, at a squared error of 6 times the covariance (NEES).
+The lagging signal follows from the fit's own loads, so that a fit is made again. Backlash is narrow: an error
+of the limb's first moment moves the times at which a torque turns by as much as it is wide. How it moves them
+is part of the fit (:func:`_turn`), which goes on until it settles. With one width, and without that, a limb
+of 5 kg beside backlash of 1 % came out up to 1.4 % off, at a squared error of 6 times the covariance (NEES).
 
 Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
@@ -69,7 +68,7 @@ _CREEPING = np.geomspace(4.0, 128.0, 6)
 a drift."""
 
 _NEARLY = 0.9
-"""Share of what creep explains from which on loops are the law. Chosen: of loops with thresholds of ratio 3,
+"""Share of creep's gain from which on loops are the law. Chosen: of loops with thresholds of ratio 3,
 where the law has 2, they explain 0.94 to 0.99 of it, of emulated sensors that creep 0.2 to 0.83."""
 
 _MOST_CREEP = 0.01
@@ -102,10 +101,10 @@ _REFINED, _SETTLED = 10, 1.0
 """More of them of backlash at most, until they change by so many nats."""
 
 _STEP = 1e-6
-"""Angle by which a first moment is turned to see what it does to backlash."""
+"""Angle in rad by which a first moment is turned to see its effect on backlash."""
 
 _Law = Callable[[Sequence[Matrix]], list[Matrix]]
-"""What lags behind the loads of each set, (n_j, a) each."""
+"""Signals that lag behind the loads of each set, (n_j, a) each."""
 
 _Make = Callable[[Problem, Solution], Problem]
 """Makes the problem with hysteresis whose loads are those of a fit."""
@@ -126,7 +125,7 @@ def fit_hysteresis(
     backlash = _lag_with_backlash(sets, problem, options)
     makes = [_lag_loads(sets, problem, options, _plays), backlash, _lag_channels(sets, problem, options)]
     tried = {make: fitted for make in makes if (fitted := _try(make, plain)) is not None}
-    # What leads the load is no hysteresis but two clocks that disagree.
+    # A signal that leads the load is no hysteresis but two clocks that disagree.
     lagging = [fitted for fitted in tried.values() if _lags(fitted)]
     best = min([plain, *lagging], key=lambda fitted: criterion(*fitted))
     if all(data.time is not None for data in sets):
@@ -217,7 +216,7 @@ class _Turn(NamedTuple):
     """A first moment that turns a little about each axis; one that grows only makes a lag larger."""
 
     load: Matrix
-    """What it adds to the loads by its share, (n, 6)."""
+    """Slope of the loads by the share of hysteresis, (n, 6)."""
     per_moment: Vector
     """Its share, by each first moment that torques depend on, (6,)."""
 
@@ -246,7 +245,7 @@ def _stride(data: InSituSet) -> int:
 
 
 def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
-    """Return wrenches that the limb and what was added exert, (n_j, 6) each; the last one is held in gaps.
+    """Return wrenches of the limb and the added mass, (n_j, 6) each; the last one is held in gaps.
 
     Between turning points a play only follows, so that few samples of a slow sweep are enough. They are
     smoothed: plays that follow noise would be signals with less of it, and a loop in nothing but noise.
@@ -306,10 +305,10 @@ def _play_sums(
 
 
 def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:
-    """Return the sums of what loads were by filters of the first order, (n_j, a) each.
+    """Return the sums of past loads by filters of the first order, (n_j, a) each.
 
-    What a set's limb did before is not known: filters begin at the mean of its loads. From the first load
-    they would feign a drift.
+    The motion before a set is not known: filters begin at the mean of its loads. If they began at the first
+    load, their transient would look like drift.
     """
     found = []
     for wrench, step in zip(wrenches, steps, strict=True):

@@ -1,20 +1,20 @@
-r"""What an IMU shows of gravity: its bias and scale by gravity's length, and a clock that is late.
+r"""Errors of an IMU that gravity shows: bias and scale by gravity's length, and a clock that is late.
 
 .. math:: |g_i - b + K_i p| = \rho, \qquad K = [\dot\omega]_\times + [\omega]_\times [\omega]_\times,
 
-where :math:`K p` is what turning adds at the arm p from the point that the limb turns about; while nobody
-gave the motion, gravity's own turning shows it. A bias goes into the offset by the weight of what hangs
-there: it is taken off before all else. Noise along the length reads as a limb that bends: of a limb at rest
-it is taken off, but for what turning adds, which the sensor feels. All three are what is likeliest beside
-what is known of such sensors. What stays open, and what turning adds to a sweep that was taken for rest,
-moves the answer by a vector each; the squares of all are part of its covariance (:func:`errors_of_imu`).
+where :math:`K p` is the acceleration by rotation at the arm p from the point that the limb turns about.
+Without a gyroscope, gravity's own rotation shows it. A bias would shift the offset by the limb's mass times
+the bias: it is subtracted first. Noise along the length looks like a limb that bends. For a limb at rest it
+is subtracted too, but the acceleration by rotation stays, since the sensor feels it. Bias, scale and arm are
+those of largest posterior probability. Their remaining errors, and the acceleration of a sweep that was
+treated as rest, move the answer by a vector each; the squares of all are part of its covariance
+(:func:`errors_of_imu`).
 
-Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column
-:math:`A T \dot u` of readings more. Two looks find d: one at each set's own linear map, which large delays
-and fast motion show at once, and one beside all else that a fit explains. The second is needed where a
-sensor has hysteresis, since its readings lag as well: what a late IMU adds cancels part of a loop, and the
-rest looks like a narrow one. The two differ after each turn of the limb, where a delay acts at once and a
-loop grows.
+Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column :math:`A T \dot u`
+of readings more. Two looks find d: one at each set's own linear map, which large delays and fast motion show
+at once, and one beside all else that a fit explains. The second is needed where a sensor has hysteresis,
+since its readings lag as well: the effect of a late IMU cancels part of a loop, and the rest looks like a
+narrow one. The two differ after each turn of the limb, where a delay acts at once and a loop grows.
 """
 
 from collections.abc import Sequence
@@ -106,7 +106,7 @@ steadily, rather than from one posture at rest to the next."""
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """What an accelerometer's readings of gravity show of it.
+    """An accelerometer's errors by its readings of gravity.
 
     Attributes:
         bias: b in m/s^2, shape (3,).
@@ -192,7 +192,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
 def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
     """Return sets with gravity less its bias, of its own length where the limb is at rest.
 
-    What turning adds is no noise: the sensor feels it as well.
+    The acceleration by rotation is no noise: the sensor feels it as well.
     """
     found = []
     for data in sets:
@@ -252,7 +252,7 @@ def _steady(gravity: Matrix, dt: float) -> bool:
 
 
 def _measure_turning(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from what a limb turns about."""
+    """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from the point of rotation."""
     if data.angular_velocity is None or data.angular_acceleration is None:
         return np.zeros((len(rows), 3, 3))
     spin, rate = data.angular_velocity[rows], data.angular_acceleration[rows]
@@ -373,7 +373,7 @@ class DelayLeft(NamedTuple):
 
     @property
     def nats(self) -> float:
-        """What the delay explains."""
+        """Log-likelihood that the delay gains."""
         return 0.5 * (self.delay / self.std) ** 2
 
 
@@ -411,7 +411,7 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
         late, loops = np.hsplit(columns - np.outer(mean, mean @ columns) / (mean @ mean), 2)
         seen = part.score.T @ late
         between.append(part.whiten @ seen @ problem.whitening.T)
-        power = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        power = np.sqrt(part.colour.power_after(part.rows, part.spacing))[:, None]
         within, left, late, loops = (
             dct(one, norm="ortho", axis=0) / power @ problem.whitening.T
             for one in (late - part.score @ seen, part.residual, late, loops)

@@ -1,4 +1,4 @@
-"""Checks between sets and of the answer: what the data determine, what contradicts them, what is absurd."""
+"""Checks between sets and of the answer: rank of the data, contradictions, absurd values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.covariance import weighted_inverse
+from surefoot.calibration.in_situ.covariance import invert_response
 from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
@@ -29,7 +29,6 @@ from surefoot.calibration.results import CalibrationRefused
 
 __all__ = [
     "DataRank",
-    "added_slope",
     "check_answer",
     "check_axes",
     "check_limb",
@@ -37,6 +36,7 @@ __all__ = [
     "check_rotation",
     "check_scale",
     "data_rank",
+    "slope_by_added",
 ]
 
 Matrix = NDArray[np.float64]
@@ -63,7 +63,7 @@ _PLACES = (
 )
 
 _NO_LOAD = 1e-300
-"""What stands for a load of zero in a quotient."""
+"""Stands for a load of zero in a quotient."""
 
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
@@ -75,12 +75,12 @@ _REACH = 0.1
 
 @dataclass(frozen=True)
 class DataRank:
-    """What the data, and what is known of the limb, determine without a factory matrix.
+    """Unknowns that the data and the limb's known values determine without a factory matrix.
 
     Attributes:
         found: Number of directions that they determine.
         missing: Number that they leave open.
-        open_unknowns: What takes part in those, in words.
+        open_unknowns: Unknowns that take part in those, in words.
     """
 
     found: int
@@ -215,13 +215,13 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> list[Fin
 
 
 def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Finding]:
-    """Return whether the readings contradict what was added, or doubt it."""
+    """Check the added masses against the readings."""
     used = orthonormal(solution.jacobian)[0][: solution.residual.size]
     freedom = solution.residual.size - float(np.sum(used**2))
     left = float(np.sum(solution.residual**2))
     if not (freedom > 0.5 and left >= limits.STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
         return []
-    off = float(np.max(_disagreement(problem, _seen_masses(problem, solution, noise))))
+    off = float(np.max(_disagreement(problem, _measure_masses(problem, solution, noise))))
     reason = "The added masses contradict each other or the readings."
     cure = "Weigh what was added and measure where it hung, or leave the set out."
     contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
@@ -244,23 +244,23 @@ def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Fi
 
 
 def _turn(added: Matrix, axis: Vector) -> Matrix:
-    """Return the change of what was added by turning all places about an axis, shape (J, p)."""
+    """Return the change of the added parameters as all places turn about an axis, shape (J, p)."""
     change = np.zeros_like(added)
     change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
     return change
 
 
 def _explain(problem: Problem, solution: Solution, changes: NDArray[np.float64]) -> tuple[Vector, float]:
-    """Return the step along changes of what was added, (q, J, p), that fits best, and what it explains."""
-    slopes = np.stack([added_slope(problem, solution, change) for change in changes], axis=1)
+    """Fit a step along changes of the added parameters, (q, J, p); return it and the squares it explains."""
+    slopes = np.stack([slope_by_added(problem, solution, change) for change in changes], axis=1)
     rows = solution.residual.ravel()
     free = project(solution, slopes)
     step = -np.linalg.lstsq(free, np.pad(rows, (0, len(free) - len(rows))), rcond=None)[0]
     return np.asarray(step), float(np.sum((free @ step) ** 2))
 
 
-def added_slope(problem: Problem, solution: Solution, change: Matrix) -> Vector:
-    """Return the slope of the rows of the sets, whitened, by a change of what was added, shape (J, p)."""
+def slope_by_added(problem: Problem, solution: Solution, change: Matrix) -> Vector:
+    """Slope of the sets' whitened rows by a change of the added parameters, shape (J, p)."""
     dT = np.einsum("jp,pws->jws", change, problem.basis)
     if problem.rotation:
         dT[..., DIRECT] = dT[..., DIRECT] @ solution.rotation
@@ -269,9 +269,9 @@ def added_slope(problem: Problem, solution: Solution, change: Matrix) -> Vector:
     return np.stack(rows).ravel()
 
 
-def _seen_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """Return (m, m c) that was added to each set by the readings, in kg and kg m, shape (J, 4)."""
-    matrix = weighted_inverse(solution.A, noise)
+def _measure_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+    """Measure the added (m, m c) of each set by the readings, in kg and kg m, shape (J, 4)."""
+    matrix = invert_response(solution.A, noise)
     beside = (solution.response @ transforms(problem, solution))[..., DIRECT.stop :]
     total = [
         weigh_hanging(matrix, part, solution.rotation, rest)
@@ -297,7 +297,7 @@ def check_limb(
     """Return whether the readings give the limb another mass than was given.
 
     Args:
-        known: What was given.
+        known: The limb as given.
         by_data: The limb's mass and its deviation in kg by the readings alone; None: not determined.
         by_maker: The same by the readings with the factory matrix; None without one.
     """

@@ -1,9 +1,9 @@
 """Limits that findings are held against: each a number with its unit and where it comes from.
 
-What they decide is in the checks that use them; constants of algorithms stand beside these. ``accept`` of
+The checks that use them decide; constants of algorithms stand in their own modules. ``accept`` of
 :func:`~surefoot.calibration.in_situ.calibrate_in_situ` passes any limit with a reason. "Sound" is the largest
 value of ten sound logs of ``benchmarks/in_situ_spoilt.py`` (five seeds, with a gyroscope and without), beside
-it are values of its spoilt logs; what nothing was measured for says "chosen".
+it are values of its spoilt logs; a limit without a measurement says "chosen".
 """
 
 from typing import Self
@@ -21,7 +21,7 @@ class Limit(float):
     source: str
 
     def __new__(cls, value: float, unit: str, source: str) -> Self:
-        """Return the number with what is said of it."""
+        """Return the number with its unit and source."""
         limit = super().__new__(cls, value)
         limit.unit, limit.source = unit, source
         return limit
@@ -42,9 +42,9 @@ TILT = Limit(0.02, "share of gravity", "a turn of 2 degrees to either side")
 EARTH = Limit(0.006, "share of gravity", "9.780 m/s^2 at the equator to 9.832 at the poles")
 ACCELEROMETER = Limit(3.0, "deviations", "0.3 % of sound logs get a word")
 LATE = Limit(1e-3, "s", "half of a sample at 500 Hz")
-LATEST = Limit(1.0, "s", "chosen: what is later is no delay")
+LATEST = Limit(1.0, "s", "chosen: a longer lag is no delay")
 
-# Within sets: samples left out, what no rigid limb explains, temperature.
+# Within sets: samples left out, residuals that no rigid limb explains, temperature.
 REJECTED = Limit(
     0.05, "share of samples", "sound 0; a push of 3 s in a minute 0.05, a foot on the floor 0.13"
 )
@@ -86,7 +86,7 @@ FACTORY_APART = Limit(
 KNOWN = Limit(0.9, "share of the information", "the prior makes deviations smaller by 5 %")
 
 # A factory matrix against the readings.
-FACTORY_MISSES = Limit(0.1, "share of what hangs there", "sensors that had aged were off by as much")
+FACTORY_MISSES = Limit(0.1, "share of the load", "sensors that had aged were off by as much")
 MISPRINT = Limit(0.7, "share of a row's largest entry", "a lost sign or digit; sensors age by less")
 READ_BETTER = Limit(
     0.7, "share of what is missed", "chosen: another way to read a matrix that is worth a look"

@@ -1,4 +1,4 @@
-"""Linear algebra of tall matrices: what columns span, and their triangles."""
+"""Linear algebra of tall matrices: orthonormal bases and triangles."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -2,8 +2,8 @@ r"""The maker's matrix as a prior: :math:`A = A_0 (1 + D)` with errors D of know
 
 A sheet states errors as shares of full scale, and so does the prior: an axis i that reads a load on axis j
 wrongly does so by :math:`D_{ij} \sim N(0, (s\, c_{ij}\, f_i / f_j)^2)`, where f are the full scales and c is
-one on the diagonal. In these units counts, newtons and any mixture of them have one answer. What the readings
-do not show of D stays zero, and the matrix the maker's.
+one on the diagonal. In these units counts, newtons and any mixture of them have one answer. Entries of D that
+the readings do not show stay zero, and the matrix there the maker's.
 
 How far off a maker's matrix is, s, and by how much less its cross-talk than its gains, is either stated
 (``factory_std``) or averaged over a grid, each member with its evidence,
@@ -54,10 +54,10 @@ _UNLIKE = 3.0
 """Factor by which full scales of one kind may differ from their mean."""
 
 _BEYOND = 0.3
-"""Deviation of what redundant channels read of a load beside what the maker's matrix says, as a share."""
+"""Deviation of redundant channels' readings of a load from the maker's matrix, as a share."""
 
 COMMON = 0.05
-"""Deviation of what all gains may have in common beside that, which neither is learnt nor moves the fit: new
+"""Deviation of an error that all gains have in common, which is not learnt and does not move the fit: new
 sensors are off by 1 %, two real ones that had aged in robots by 11 and 19 %."""
 
 _NEGLIGIBLE = 1e-3
@@ -120,7 +120,7 @@ class Leaning(NamedTuple):
 
 
 def _log_evidence(problem: Problem, solution: Solution) -> float:
-    """Return the logarithm of the evidence of a problem by Laplace, up to what all members share."""
+    """Compute the log evidence of a problem by Laplace's method, up to a constant of all members."""
     unit, size = of_unit_length(solution.jacobian)
     singular = np.linalg.svd(unit, compute_uv=False)
     seen = singular > ROUNDING * singular[0]
@@ -177,7 +177,7 @@ _REACH = 0.1
 """Lever in m by which moments of masses that all hang at one place are judged."""
 
 _NO_LOAD = 1e-300
-"""What stands for a load of zero in a quotient."""
+"""Stands for a load of zero in a quotient."""
 
 _TRIED = 4
 """Ways to read a matrix, and entries, that are compared by their evidence."""
@@ -197,17 +197,17 @@ _UNITS = {
     "masses are in grams": 1e3,
     "units of the factory matrix are kgf": GRAVITY,
 }
-"""What loads that hang there may be too large by over those that a factory matrix shows."""
+"""Factors of known loads over those that a factory matrix shows, by wrong units."""
 
 
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
 
-    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
-    against what hangs there: by a solution that does without it if the limb is determined or known, else by
+    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
+    with the loads: by a solution without the matrix if the limb is determined or known, else by
     the limb that it shows itself. Where it misses much, other ways to read it are compared by the evidence of
     the readings, each with errors of all likely sizes. A scale that is nearer to another unit of the masses
-    than to what is expected is a warning.
+    than to the expected one is a warning.
 
     Args:
         factory: As it was given, shape (6, k).
@@ -340,11 +340,11 @@ _OF_ROWS = {
     "units of the factory's torques are N cm": (1.0, 1e-2),
     "units of the factory matrix are kgf": (GRAVITY, GRAVITY),
 }
-"""What may be wrong with a matrix or with units, by the factors of its forces and of its torques."""
+"""Possible errors of a matrix or of units, by the factors of its forces and of its torques."""
 
 
 def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
-    """Yield what may be wrong with a whole matrix, or with units, and the matrix as it then is."""
+    """Yield possible errors of a whole matrix or of units, and the matrix as it then is."""
     for words, factors in _OF_ROWS.items():
         yield words, np.repeat(factors, 3)[:, None] * factory
     for axis, name in enumerate("xyz"):

@@ -1,4 +1,4 @@
-r"""What hangs on the sensor, as a linear map of what the IMU measured, and a sensor's small errors.
+r"""Loads of the sensor, as a linear map of the IMU's signals, and a sensor's small errors.
 
 With f = g - a at the sensor's origin, the angular velocity :math:`\omega` and acceleration
 :math:`\dot\omega` of the limb, all in the sensor's frame, Newton and Euler give the wrench that the limb
@@ -80,10 +80,10 @@ ENOUGH_MASSES = 3
 """Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
 
 _STEEL = 7850.0
-"""Density of what is added in kg/m^3."""
+"""Density of added masses in kg/m^3."""
 
 _NOISE_FLOOR = 1e-6
-"""Noise counts as at least this share of what the limb's weight does to a channel: a simulation may have
+"""Noise counts as at least this share of a channel's reading of the limb's weight: a simulation may have
 none."""
 
 
@@ -176,7 +176,7 @@ class LinearSensor:
     Args:
         response: A in counts per N and N m, shape (k, 6).
         noise: Covariance of a sample in counts^2, shape (k, k).
-        parameters: Inertial parameters of what hangs on the sensor: (4,), or (10,) with its inertia.
+        parameters: Inertial parameters of the load: (4,), or (10,) with its inertia.
 
     Attributes:
         whitening: W, shape (k, k).
@@ -209,7 +209,7 @@ class LinearSensor:
         w = self.wrench(signals)
         relative = known.whitened[..., :, None] * w[..., None, None, :]
         relative = relative.reshape(*w.shape[:-1], known.whitened.shape[0], RELATIVE_ERRORS)
-        # (6, 4, s) by u: what a kilogram and a kilogram metre add to the wrench.
+        # (6, 4, s) by u: the wrench of a kilogram and of a kilogram metre.
         limb = (known.basis @ signals[..., None, :, None])[..., 0]
         return np.concatenate([relative, known.whitened @ limb], axis=-1)
 
@@ -228,6 +228,6 @@ def offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:
     """
     image = response * np.repeat([force, torque], 3)
     inside = image @ image.T
-    # What redundant channels read beyond any wrench moves as much as the rest, on average.
+    # Readings of redundant channels beyond any wrench move as much as the rest, on average.
     beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
     return np.asarray(inside + beyond @ beyond.T * np.trace(inside) / AXES)

@@ -14,7 +14,7 @@ solution itself, not an approximation, and unlike normal equations it does not s
 
 **Lemma 2**: fewer than three sets leave C undetermined (25). Three do not always suffice: masses must differ,
 and the whole limb's centres of mass must not lie on one line. The rank shows whether they did. Noise would
-fill any direction, so that the rank is judged by what gravity explains of the readings, against the noise.
+fill any direction, so that the rank is judged by the readings' part that gravity explains, against the noise.
 
 **The weakness of the method**: the noise sits in the regressors r. Least squares then shrinks C and, with it,
 the limb's mass (errors in variables). With white noise of 0.3 % of each channel's spread, a leg of 4.9 kg
@@ -24,7 +24,7 @@ masses within 0.05 kg: neither check shows it. With 1 % it comes out at 1.2 kg, 
 work, fit where the noise is, r = C^-1 (M_b + M_a) g + o + noise.
 
 **More than six channels**: readings at rest span six dimensions, and C is unknown beyond them. It is solved
-within the six leading directions of what gravity explains and is zero across them (the smallest C).
+within the six leading directions of the part that gravity explains and is zero across them (the smallest C).
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ class PaperMatrixFit:
         limb: The body beyond the sensor without the added masses.
         covariance: Of (C row by row, the limb's mass, its first moment), shape (6 k + 4, 6 k + 4), from the
             scatter of the residuals as if readings were free of noise: it does not know of the attenuation.
-        residual_force: Root mean square of what Eq. 21 leaves in N.
+        residual_force: Root mean square of the residual of Eq. 21 in N.
         residual_torque: The same of the lower rows in N m.
         result: Always determined: a matrix that is not is refused.
         stats: Of Eq. 21 over all sets, with 40 unknowns; the residual adds N and N m up as the paper does.
@@ -78,7 +78,7 @@ class PaperMatrixFit:
             offset: o in counts, shape (..., k).
 
         Returns:
-            What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
+            Wrench of the limb on the robot, at and in the sensor's frame, shape (..., 6).
         """
         return np.asarray((np.asarray(raw, dtype=np.float64) - np.asarray(offset)) @ self.matrix.T)
 
@@ -93,8 +93,8 @@ def estimate_matrix(
         offsets: o in counts, of each set, shape (J, k), or of all, shape (k,).
         tolerance: Singular values at or below this share of the largest, with columns scaled to one length,
             count as not determined. An iCub leg of 5 kg under the paper's masses of 0.7 kg shows 0.0015.
-        noise_margin: The same for those at or below this multiple of what white noise of the size that is
-            seen in the readings would show; 0 leaves the noise out of account.
+        noise_margin: The same for those at or below this multiple of the singular value that white noise of
+            the readings would have; 0 leaves the noise out of account.
 
     Returns:
         The matrix and the limb.
@@ -103,7 +103,7 @@ def estimate_matrix(
         ValueError: If the shapes do not belong together.
         CalibrationRefused: If a set has no finite sample, or the sets leave some unknown undetermined.
     """
-    every_offset = _checked_offsets(sets, offsets)
+    every_offset = _check_offsets(sets, offsets)
     _check_masses(sets)
     channels = sets[0].channels
     compressed = [_compress(one, offset) for one, offset in zip(sets, every_offset, strict=True)]
@@ -113,7 +113,7 @@ def estimate_matrix(
     p = directions.shape[1]
     factors = [np.hstack([factor[:, :3], factor[:, 3:] @ directions]) for factor in factors]
 
-    # In a factor, the rows beyond gravity's three hold what gravity does not explain.
+    # In a factor, the rows beyond gravity's three hold the part that gravity does not explain.
     spare = max(samples - 3 * len(sets), 1)
     noise = np.sqrt(sum(np.sum(factor[3:, 3:] ** 2, axis=0) for factor in factors) / spare)
     noise = noise_margin * np.sqrt(3 * len(sets)) * noise
@@ -156,7 +156,7 @@ def estimate_matrix(
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """One half of Eq. 21: its unknowns, how sure they are, and what is left."""
+    """One half of Eq. 21: its unknowns, how sure they are, and the residual."""
 
     solution: Matrix
     covariance: Matrix
@@ -220,7 +220,7 @@ def _solve(
     noise: Matrix,
     rows: int,
 ) -> _Solved:
-    """Return the least-squares solution of one half, with its rank from what gravity explains."""
+    """Return the least-squares solution of one half, with its rank from the part that gravity explains."""
     length = np.linalg.norm(regressors, axis=0)
     length[length == 0.0] = 1.0
     singular = np.linalg.svd(signal / length, compute_uv=False)
@@ -268,7 +268,7 @@ def _check_masses(sets: Sequence[InSituSet]) -> None:
         )
 
 
-def _checked_offsets(sets: Sequence[InSituSet], offsets: ArrayLike) -> Matrix:
+def _check_offsets(sets: Sequence[InSituSet], offsets: ArrayLike) -> Matrix:
     """Return the offsets, shape (J, k), or raise ValueError if sets and offsets are not of one sensor."""
     if len(sets) == 0:
         raise ValueError("'sets' must hold at least one set, got none.")

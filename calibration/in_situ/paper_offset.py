@@ -6,13 +6,13 @@ in its centre. In an orthonormal basis U1 of that space the readings are an affi
 
     U1' (r_i - r_mean) = K g_i + lambda,                                                    (13)
 
-and what it gives for no gravity is the offset, o = r_mean + U1 lambda (11). The unknowns K and lambda are
+and its value for no gravity is the offset, o = r_mean + U1 lambda (11). The unknowns K and lambda are
 found by least squares. The paper stacks 3 N rows of 12 columns with the Kronecker product (14-17); the three
 rows of a sample share their regressors and the readings' mean is zero, so that lambda = -K g_mean and K is a
 regression of 3 unknowns on the centred samples. The triangular factor of [g, r] holds all that is needed of
 them, whatever their number.
 
-What the paper leaves out: gravity must turn in all three dimensions, or the offset is unknown along one;
+The paper does not say: gravity must turn in all three dimensions, or the offset is unknown along one;
 K takes up any rotation and any scale between the accelerometer and the sensor, so that neither matters, but a
 **bias of the accelerometer** goes straight into the offset as K b. Noise of gravity shrinks K.
 """
@@ -44,8 +44,8 @@ class OffsetFit:
         mean: r_mean in counts, shape (k,).
         response: K in counts per m/s^2: the semi-axes of the ellipsoid are its singular values times g, shape
             (3, 3).
-        affine_residual: What leaves the three-space of Lemma 1 as a share of the readings' spread (root of
-            the ratio of the squares), between 0 and 1.
+        affine_residual: Residual outside the three-space of Lemma 1 as a share of the readings' spread (root
+            of the ratio of the squares), between 0 and 1.
         affine_to_noise: The same as a multiple of the noise, per direction and sample; NaN without noise.
         covariance: Of the offset in counts^2, shape (k, k), from the scatter of the residuals; NaN for four
             samples, which leave none. It takes the noise for white: the errors of filtered samples are
@@ -101,8 +101,8 @@ def estimate_offset(
         raw: Counts, shape (n, k) with k >= 3. Samples that are not finite are left out.
         gravity: In the sensor's frame, or in any frame that is fixed to it, in m/s^2, shape (n, 3).
         noise: Standard deviation of a reading in counts, one number or shape (k,), that Lemma 1's residual is
-            compared with; by default what Eq. 13 leaves within the three-space from one sample to the next,
-            so that a drift is not taken for noise, which is right for channels of equal noise.
+            compared with; by default the steps of Eq. 13's residual from one sample to the next, so
+            that a drift is not taken for noise, which is right for channels of equal noise.
         minimum_spread: Standard deviation of gravity along its least seen direction, over gravity's size,
             that is asked for. It must lie above the noise of ``gravity``.
 
@@ -153,7 +153,7 @@ def estimate_offset(
     free = n - 4
     within = float(np.sum((residual @ basis) ** 2))
     left = (r - r_mean) @ basis - (g - g_mean) @ K.T
-    # What a drift, a bend or a loop leaves within the three-space changes little from sample to sample.
+    # Residuals of drift, bending and loops within the three-space change little from sample to sample.
     jumps = float(np.sum(np.diff(left, axis=0) ** 2)) / 2.0 * n / max(n - 1, 1)
     outside = float(np.sum(singular[3:] ** 2))
     scatter = residual.T @ residual / free if free else np.full((channels, channels), np.nan)

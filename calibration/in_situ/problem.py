@@ -1,6 +1,6 @@
-"""The least-squares problem of compressed sets, what is known beforehand, and where to search from.
+"""The least-squares problem of compressed sets, its priors, and where to search from.
 
-Rows of all sets have noise of variance one, so that what is known beforehand has its weight among them.
+Rows of all sets have noise of variance one, so that priors have their weight among them.
 """
 
 from collections.abc import Sequence
@@ -27,19 +27,19 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 
-__all__ = ["Maker", "Problem", "pooled_noise", "problem_of", "starts", "weigh_hanging", "whiten_channels"]
+__all__ = ["Maker", "Problem", "pool_noise", "problem_of", "starts", "weigh_hanging", "whiten_channels"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
 
 class Maker(NamedTuple):
-    """What is known of the response beforehand: A = A_0 (1 + D), and what redundant channels read beside it.
+    """Prior of the response: A = A_0 (1 + D), and the error of redundant channels beside it.
 
     Attributes:
         response: A_0 in counts per N and N m, shape (k, 6).
         std: Deviations of the entries of D, shape (6, 6).
-        beyond: Deviation of what lies beside the space of A_0, as a share of its columns.
+        beyond: Deviation of the part outside the space of A_0, as a share of its columns.
     """
 
     response: Matrix
@@ -74,14 +74,14 @@ class Problem:
 
     Attributes:
         sets: J of them, compressed.
-        added: Inertial parameters of what was added, shape (J, p).
+        added: Inertial parameters of the added masses, shape (J, p).
         whitening: W, shape (k, k): W Sigma W' = 1.
         basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
         moving: Whether the signals are those of a moving limb.
         temperature: Whether the temperature is a signal that acts on the readings directly.
         channel_lags: Number of such signals behind it, the lags of channels.
         rotation: Whether the accelerometer's rotation is unknown.
-        maker: What is known of the response beforehand, or None.
+        maker: Prior of the response, or None.
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
@@ -107,7 +107,7 @@ class Problem:
 
     @property
     def of_loads(self) -> slice:
-        """Places of what makes a load act on itself in the parameters, behind the limb's; or empty."""
+        """Places of the parameters by which loads lag, behind the limb's; or empty."""
         return slice(MOVING if self.moving else STATIC, self.parameters)
 
     @property
@@ -153,13 +153,13 @@ class Problem:
 
     @cached_property
     def prior(self) -> tuple[Matrix, Vector]:
-        """Rows by (W A row by row) of what the maker says, shape (m, k inputs), and their right side."""
+        """Rows of the maker's prior by (W A row by row), shape (m, k inputs), and their right side."""
         if self.maker is None:
             return np.zeros((0, len(self.whitening) * self.inputs)), np.zeros(0)
         return self.maker.rows(self.whitening, self.inputs)
 
-    def unwhitened(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the residual of the sets' rows, shape (J, n, k), in counts and by the sets' own rows."""
+    def unwhiten(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the residual of the sets' rows, shape (J, n, k), back to counts and to the sets' own rows."""
         root = np.stack([part.unwhiten for part in self.sets])
         return np.asarray(root @ residual @ np.linalg.inv(self.whitening).T)
 
@@ -176,12 +176,12 @@ _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
 
 
-def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
-    """Return the covariance of a sample's noise, shape (k, k); few samples bring it near to diagonal."""
+def pool_noise(sets: Sequence[CompressedSet]) -> Matrix:
+    """Pool the covariance of a sample's noise, shape (k, k); with few samples it is nearly diagonal."""
     scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
     freedom = max(sum(part.freedom for part in sets), 1)
     S = scatter / freedom
-    # It fades faster than the error of S: what is diagonal depends on how the channels mix.
+    # It fades faster than the error of S: the diagonal depends on how the channels mix.
     share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
     spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
     diagonal = np.diag(np.diag(S))
@@ -190,7 +190,7 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
 
 def whiten_channels(sets: Sequence[CompressedSet]) -> Matrix:
     """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pool_noise(sets))))
 
 
 def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:
@@ -240,7 +240,7 @@ _MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0,
 def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> list[Vector]:
     """Return outer unknowns to start from, shape (p,), or (p + 3,) where the rotation is unknown.
 
-    A factory matrix, shape (6, k), and what is known of the limb, shape (p,), give starts of their own.
+    A factory matrix, shape (6, k), and a known limb, shape (p,), give starts of their own.
     """
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:

@@ -1,4 +1,4 @@
-"""What a fit comes out with: the calibration and its statistics, or nothing but the reason of a refusal."""
+"""Outcome of a fit: the calibration and its statistics, or only the reason of a refusal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -33,7 +33,7 @@ from surefoot.calibration.in_situ.judge import (
 from surefoot.calibration.in_situ.linear import of_unit_length
 from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
-from surefoot.calibration.in_situ.problem import Problem, pooled_noise
+from surefoot.calibration.in_situ.problem import Problem, pool_noise
 from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
 from surefoot.calibration.in_situ.temperature import find_drift
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
@@ -52,15 +52,15 @@ class Solved:
     """A solved task, on its way to the answer.
 
     Attributes:
-        task: What was given.
+        task: The input.
         sets: Its sets with a levelled gravity, in step with the readings.
-        sphere: What gravity's length shows of the accelerometer.
+        sphere: Errors of the accelerometer by gravity's length.
         delay: By which gravity was late in s.
         delay_std: Its deviation.
         members: The fits by the likely sizes of the maker's errors.
         determined: Whether the readings determine all without the maker.
         reference: Mean of the temperatures; None where they take no part.
-        findings: What was seen on the way.
+        findings: Findings of the checks so far.
     """
 
     task: Task
@@ -85,10 +85,10 @@ class Solved:
 
 
 def fit_of(solved: Solved) -> InSituFit:
-    """Return the answer; what is to be said of it goes to the findings."""
+    """Return the answer; notes on it go to the findings."""
     task, findings, sets, members = solved.task, solved.findings, solved.sets, solved.members
     problem, solution = solved.problem, solved.solution
-    noise = pooled_noise(problem.sets)
+    noise = pool_noise(problem.sets)
     hidden = not (task.options.hysteresis and task.timed and shows_loops(problem))
     bends, said = check_bending(sets, problem.sets, loops=hidden)
     findings += said
@@ -127,7 +127,7 @@ def fit_of(solved: Solved) -> InSituFit:
 
 
 def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataShare) -> InSituFit:
-    """Return the fit, without what is said of it."""
+    """Return the fit, without its notes."""
     problem, solution = solved.problem, solved.solution
     parts, limb, k = problem.sets, solution.limb, len(solution.A)
     predicted = solution.response @ transforms(problem, solution)
@@ -140,7 +140,7 @@ def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataSha
         response=solution.A,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
         covariance=covariance,
-        noise=pooled_noise(parts),
+        noise=pool_noise(parts),
         temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
         rotation=solution.rotation,
         result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
@@ -181,8 +181,8 @@ def _common_scale(answer: Vector, channels: int, doubt: float, weighed: bool) ->
 def _bending_columns(answer: Vector, solution: Solution, load: Vector, weighed: bool) -> Matrix:
     """Return columns by which each axis, the last offset at its load, (6,), and the limb are unsure by all.
 
-    Squares of gravity move no slope, but what makes them has cubes as well, which do. A limb that was weighed
-    is moved by no axis.
+    Squares of gravity move no slope, but a limb that bends has cubes as well, which do. A limb that was
+    weighed is moved by no axis.
     """
     columns = FitColumns.of(len(solution.A))
     found = np.zeros((len(answer), 2 * AXES + STATIC))
@@ -207,8 +207,8 @@ def _stats(problem: Problem, solution: Solution, known: DataShare) -> tuple[FitS
         unknowns=known.seen + known.unseen,
         condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
     )
-    # What each set's response leaves of the common one, by its orthonormal signals, in counts.
-    left = problem.unwhitened(solution.residual)
+    # Difference of each set's response from the common one, by its orthonormal signals, in counts.
+    left = problem.unwhiten(solution.residual)
     each = tuple(
         replace(
             whole,
@@ -266,7 +266,7 @@ def _find_drift(solved: Solved) -> list[Finding]:
 
 
 def _members_root(solved: Solved, solution: Solution, noise: Matrix) -> Matrix:
-    """Return a root of the answer's covariance: of each member, what lies between them, and of the IMU."""
+    """Return a root of the answer's covariance: of each member, between members, and of the IMU."""
     problem, roots = solved.problem, []
 
     def unknowns(one: Solution) -> Vector:
@@ -277,13 +277,13 @@ def _members_root(solved: Solved, solution: Solution, noise: Matrix) -> Matrix:
         apart = (unknowns(one.solution) - middle)[:, None]
         roots += [np.sqrt(one.weight) * unknowns_root(one.problem, one.solution), np.sqrt(one.weight) * apart]
     if solved.task.mode == "keep":
-        roots.append(_kept_doubt(solved.task, problem, solution, noise))
+        roots.append(_doubt_maker(solved.task, problem, solution, noise))
     beside = errors_of_imu(solved.sets, problem, solution, solved.sphere, solved.delay_std)
     return answer_root(problem, solution, noise, beside, np.concatenate(roots, axis=1))
 
 
-def _kept_doubt(task: Task, problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """Return by how much deviations of a kept matrix's entries move all unknowns, shape (u, 36)."""
+def _doubt_maker(task: Task, problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+    """Compute how deviations of the entries of a matrix that stays move all unknowns, shape (u, 36)."""
     prior = prior_of(task, noise, _MAKER)
     assert prior is not None
     errors = np.diag(prior.std.ravel()).reshape(AXES, AXES, -1)
@@ -299,14 +299,14 @@ def _kept_doubt(task: Task, problem: Problem, solution: Solution, noise: Matrix)
 
 
 def _add_shares(solved: Solved, fit: InSituFit) -> InSituFit:
-    """Return the fit with what the readings know of the maker's errors, and what was found in words."""
-    task, what = solved.task, "bias, mass and centre of mass"
+    """Add the share of the maker's errors that the readings know, and the scope in words."""
+    task, base = solved.task, "bias, mass and centre of mass"
     sets = different_masses(solved.problem.added[:, :STATIC])
     tools = "one load" if sets == 1 else f"{sets} loads"
     if task.factory is None or task.mode == "free":
-        return replace(fit, scope=f"{what}, and a matrix of its own ({tools})")
+        return replace(fit, scope=f"{base}, and a matrix of its own ({tools})")
     if task.mode == "keep":
-        return replace(fit, scope=f"{what}; matrix kept ({tools})")
+        return replace(fit, scope=f"{base}; matrix kept ({tools})")
     assert solved.problem.maker is not None
     prior, posterior = np.zeros((AXES, AXES)), np.zeros((AXES, AXES))
     for one in solved.members:
@@ -320,7 +320,7 @@ def _add_shares(solved: Solved, fit: InSituFit) -> InSituFit:
     moved = float(np.max(np.abs(task.factory @ fit.response - np.eye(AXES)) / scales))
     share = float(np.exp(sum(one.weight * np.log(max(one.share, 1e-9)) for one in solved.members)))
     words = (
-        f"{what}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, "
+        f"{base}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, "
         f"{np.sum(known > 0.5)} of 36 entries by the readings ({tools})"
     )
     stated = task.options.factory_std
@@ -334,7 +334,7 @@ def _limb_alone(solved: Solved) -> tuple[tuple[float, float] | None, tuple[float
     problem, solution = solved.problem, solved.solution
     of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
     free = replace(problem, maker=None, limb_root=problem.limb_root[of_limb:])
-    noise = pooled_noise(problem.sets)
+    noise = pool_noise(problem.sets)
 
     def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])

@@ -6,8 +6,8 @@ noise is where it is,
 .. math:: r = A (M_b + M_a^j) g + o_j + e, \qquad A = C^{-1},
 
 bilinear in the response A and the limb's inertial parameters :math:`\varphi_b`. Given :math:`\varphi_b` (and
-a rotation of the accelerometer, if that is unknown) A is a linear least-squares solution, also with what the
-maker's matrix says of it, so only the few outer unknowns are searched (variable projection:
+a rotation of the accelerometer, if that is unknown) A is a linear least-squares solution, also with the
+maker's matrix as a prior, so only the few outer unknowns are searched (variable projection:
 Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
 """
 
@@ -67,7 +67,7 @@ class Solution:
     """A solution of a :class:`Problem`.
 
     Attributes:
-        response: A, and the coefficients of what acts on the readings directly beside it, (k, inputs).
+        response: A, and beside it the coefficients of signals that act on the readings directly, (k, inputs).
         limb: phi_b, shape (p,).
         rotation: R_sensor_accelerometer, shape (3, 3).
         jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame).
@@ -91,7 +91,7 @@ class Solution:
 
     @property
     def direct(self) -> Matrix:
-        """Coefficients of what acts on the readings directly, shape (k, inputs - 6)."""
+        """Coefficients of signals that act on the readings directly, shape (k, inputs - 6)."""
         return self.response[:, AXES:]
 
 
@@ -204,7 +204,7 @@ class _Linear(NamedTuple):
         return cls(outer, X, found.reshape(channels, problem.inputs).T, left, True)
 
     def free(self, of_sets: NDArray[np.float64], of_prior: int) -> NDArray[np.float64]:
-        """Return rows of sets, shape (..., n, k), and zeros of the prior, less what the response explains."""
+        """Remove the response's part from rows of sets, shape (..., n, k), and from zeros of the prior."""
         *batch, n, k = of_sets.shape
         if not self.coupled:
             return np.asarray((of_sets - self.left @ (self.left.T @ of_sets)).reshape(*batch, n * k))
@@ -213,7 +213,7 @@ class _Linear(NamedTuple):
 
 
 class _Residual:
-    """The rows by the outer unknowns, less what the best response explains, and their slopes."""
+    """Rows less the part that the best response explains, and their slopes, by the outer unknowns."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -234,9 +234,9 @@ class _Residual:
         return np.concatenate([(inner.X @ inner.response - problem.readings).ravel(), known, limb])
 
     def jacobian(self, x: Vector) -> Matrix:
-        """Return Kaufman's: what of dX A' the response could not undo."""
+        """Return Kaufman's Jacobian: the part of dX A' that the response cannot explain."""
         inner, problem = self._at(x), self._problem
-        axes = _left_jacobian(inner.outer.vector) if problem.rotation else np.eye(3)
+        axes = _jacobian_of_rotation(inner.outer.vector) if problem.rotation else np.eye(3)
         moved = _design_derivatives(problem, inner.outer, axes) @ inner.response
         free = inner.free(moved, len(problem.prior[1])).T
         known = np.zeros((len(problem.limb_root), problem.outer))
@@ -261,8 +261,8 @@ def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix) -> NDArra
     return dX
 
 
-def _left_jacobian(vector: Vector) -> Matrix:
-    """Return J: d exp([v + dv]x) = [J dv]x exp([v]x), shape (3, 3)."""
+def _jacobian_of_rotation(vector: Vector) -> Matrix:
+    """Return the left Jacobian J: d exp([v + dv]x) = [J dv]x exp([v]x), shape (3, 3)."""
     angle = float(np.linalg.norm(vector))
     K = skew(vector)
     if angle < _SMALL_ANGLE:
@@ -325,14 +325,14 @@ def beside_loads(
     options: InSituOptions,
     slopes: Matrix | None = None,
 ) -> Problem:
-    """Add signals of the loads to a problem, each with one parameter: what an axis reads of it.
+    """Add signals of the loads to a problem, each with one parameter: an axis's share of it.
 
     Args:
         plain: The problem without.
         columns: Signals of the axes at the rows of each set, shape (m, 6), or behind q of ``slopes``.
         std: Expected size of the parameters.
         options: Of the fit.
-        slopes: What each of the first signals adds to the wrench by the parameters, shape (q, 6, p).
+        slopes: Slopes of the wrench of each of the first signals by the parameters, shape (q, 6, p).
     """
     p, _, s = plain.basis.shape
     extra = () if slopes is None else slopes
@@ -365,7 +365,7 @@ def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOp
 
 
 def criterion(problem: Problem, solution: Solution) -> float:
-    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    """Return minus twice the log-likelihood, with Schwarz's penalty for free parameters (1978)."""
     left = whiten_residuals(problem, solution)
     rows = sum(part.rows for part in problem.sets)
     return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
@@ -379,7 +379,7 @@ def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
 
     Args:
         parts: The sets, with n rows of k channels in all.
-        left: What a fit leaves of them, as :func:`whitened` returns it.
+        left: Whitened residuals of a fit, as :func:`whiten_residuals` returns them.
     """
     rows, channels = sum(map(len, left)), left[0].shape[1]
     scatter = sum(one.T @ one for one in left)
@@ -394,9 +394,9 @@ def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
 def whiten_residuals(problem: Problem, solution: Solution) -> list[Matrix]:
     """Whiten the residuals of each set's rows by their colour, in the order of time, shape (m, k)."""
     found = []
-    between = problem.unwhitened(solution.residual)
+    between = problem.unwhiten(solution.residual)
     for part, one in zip(problem.sets, between, strict=True):
-        root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        root = np.sqrt(part.colour.power_after(part.rows, part.spacing))[:, None]
         modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
         found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
     return found

@@ -1,4 +1,4 @@
-"""What a sensor's temperature does: to its offsets, and to the gains of its axes.
+"""Effect of a sensor's temperature on its offsets and on the gains of its axes.
 
 The temperature is a signal that acts on the readings directly, and, times the load of each axis, six more
 where they are worth it.
@@ -40,7 +40,7 @@ _GAIN_STD = 0.005
 def centre_temperatures(
     sets: tuple[InSituSet, ...],
 ) -> tuple[tuple[InSituSet, ...], float | None, list[Finding]]:
-    """Return sets with temperatures less their mean, the mean in their unit, and what is to be said.
+    """Return sets with temperatures less their mean, the mean in their unit, and findings.
 
     Temperatures that show no effect are left out; the mean is None then.
     """

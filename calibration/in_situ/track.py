@@ -4,11 +4,11 @@ Offsets drift with heat and use. Whenever nothing but its own weight hangs on th
 
 .. math:: r = A\,(w + h) + o(t) + e, \qquad w = T(\varphi)\, u,
 
-with an offset o that walks at random and errors h that come and go as the load turns: what hysteresis adds,
-and what the calibration left open of its matrix and limb. A Kalman filter takes both in. While the limb
-stands still nothing tells h from the offset, however many samples repeat the same; once gravity has turned by
-``lag_angle``, h is another. So the offset is the mean over turns of the limb, as far back as its drift
-allows. What hysteresis keeps for good, no reading in the air tells from the offset: that stays in its
+with an offset o that walks at random and errors h that change as the load turns: hysteresis, and the errors
+of the calibration's matrix and limb. A Kalman filter estimates both. While the limb stands still h and the
+offset cannot be told apart, however many samples repeat the same; once gravity has turned by ``lag_angle``, h
+has another value. So the offset is the mean over turns of the limb, as far back as its drift allows. The part
+of the hysteresis that never fades cannot be told from the offset in the air: it stays in the offset's
 covariance. Nor is a scale learnt: a hanging limb turns too little to tell one from hysteresis.
 
 With ``in_air=False``, or where a reading is off beyond all chance, something else than the limb's weight
@@ -58,10 +58,10 @@ _FASTEST = 1e3
 
 
 class InSituEstimate(NamedTuple):
-    """A reading by what is known now; any leading batch dimensions ``...``; k channels. Always finite.
+    """Estimate from one reading; any leading batch dimensions ``...``; k channels. Always finite.
 
     Attributes:
-        wrench: What the limb exerts on the robot, at and in the sensor's frame in N and N m, shape (..., 6).
+        wrench: Wrench of the limb on the robot, at and in the sensor's frame in N and N m, shape (..., 6).
         wrench_std: Its standard deviation by the tracker's unknowns, shape (..., 6).
         offset: o in counts, shape (..., k).
         offset_std: Its standard deviation, shape (..., k).
@@ -159,7 +159,7 @@ class InSituTracker:
             in_air: Whether nothing touches the limb, one for all or shape (...).
 
         Returns:
-            The wrench, and what is known of the sensor.
+            The wrench, and the estimate of the sensor.
 
         Raises:
             ValueError: If a shape does not fit, or motion is given for a limb without inertia.
@@ -300,9 +300,9 @@ class _Stream:
     def _predict(
         self, state: InSituState, gravity: Array, physical: Array, aloft: Array, dt: float
     ) -> InSituState:
-        """Return the state a while later: the offset drifts, h is another as gravity turns.
+        """Predict the state after ``dt``: the offset drifts, and h fades as gravity turns.
 
-        Another load than the limb's own makes h another at once.
+        A load other than the limb's own resets h at once.
         """
         lag = self._lag
         angle = np.sqrt(((gravity - state.anchor) ** 2).sum(axis=-1)) / GRAVITY
@@ -314,8 +314,8 @@ class _Stream:
         covariance = f[..., :, None] * (state.covariance + dt * self._drift) * f[..., None, :]
         covariance[..., lag, lag] += (1.0 - kept**2)[..., None, None] * self._turning
         anchor = np.where(turned[..., None], gravity, state.anchor)
-        begun = (state.middle != 0.0).any(axis=-1)
-        share = (physical & aloft) * np.where(begun, 1.0 - np.exp(-dt / _MEMORY), 1.0)
+        started = (state.middle != 0.0).any(axis=-1)
+        share = (physical & aloft) * np.where(started, 1.0 - np.exp(-dt / _MEMORY), 1.0)
         middle = state.middle + share[..., None] * (gravity - state.middle)
         return InSituState(f * state.mean, covariance, state.raw, anchor, middle)
 
@@ -345,7 +345,7 @@ def _errors_of_turning(
 ) -> NDArray[np.float64]:
     """Return the covariance of h, shape (6, 6), over all directions of gravity.
 
-    Half of the loop's width, and what the fit's covariance of matrix and limb makes of the weight.
+    Half of the loop's width, and the weight's error by the fit's covariance of matrix and limb.
     """
     to = ErrorColumns.of(len(fit.offset))
     errors = error_covariance(fit)[to.response.start :, to.response.start :]
@@ -362,7 +362,7 @@ def _errors_of_turning(
 def _signals_of(
     raw: Array, gravity: Array, velocity: Array | None, acceleration: Array | None, like: Array, inertia: bool
 ) -> Array:
-    """Return u, gravity and in motion what turning adds, shape (..., 3) or (..., 12).
+    """Return u, gravity and in motion the terms of rotation, shape (..., 3) or (..., 12).
 
     Raises:
         ValueError: If a shape is not that of the first reading, or motion is given for a limb

@@ -2,7 +2,7 @@ r"""How good a calibrated six-axis sensor is: spheres, added masses and their pl
 
 Turned about, a limb of weight m |g| draws the force f = m g, a sphere. A sensor that is off by a matrix draws
 an ellipsoid instead, whose semi-axes show by how much and in how many directions (Table I). With the bare
-limb taken off, what is left is the added mass (Table II) and its place (Table III).
+limb taken off, the added mass (Table II) and its place (Table III) remain.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ __all__ = [
     "added_mass",
     "as_seen",
     "cramer_rao",
-    "expected_wrench",
     "force_ellipsoid",
     "motion_wrench",
-    "normalised_error",
+    "normalise_error",
     "offset_bounds",
     "offset_of_set",
+    "predict_wrench",
     "semi_axes",
 ]
 
@@ -60,7 +60,7 @@ class Ellipsoid(NamedTuple):
 
 
 class AddedMassEstimate(NamedTuple):
-    """What hangs on a limb besides itself.
+    """Mass added to a limb, and its place.
 
     Attributes:
         mass: In kg; may come out negative where nothing hangs.
@@ -108,7 +108,7 @@ def semi_axes(force: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
 
 
 def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
-    """Return mass and place of what hangs on a limb at rest (in-situ paper, Tables II and III).
+    """Return mass and place of the load added to a limb at rest (in-situ paper, Tables II and III).
 
     Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c; a limb in motion is brought to
     rest by :func:`motion_wrench` first.
@@ -116,7 +116,7 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
     Args:
         wrench: C (r - o) of one set in N and N m, shape (n, 6).
         gravity: g in the sensor's frame in m/s^2, shape (n, 3).
-        limb: What hangs there without the added mass.
+        limb: The limb without the added mass.
 
     Raises:
         ValueError: If shapes do not agree, fewer than four rows are finite, or gravity has one direction
@@ -144,8 +144,8 @@ def offset_of_set(
 ) -> NDArray[np.float64]:
     """Return a sensor's offset from a set that took no part in its calibration.
 
-    Least squares of r = A M(m, c) g + o in o, m and m c: A is known, and neither what hangs there nor how
-    heavy the limb is.
+    Least squares of r = A M(m, c) g + o in o, m and m c: A is known; the added mass and the limb
+    are not.
 
     Args:
         raw: Counts of one set at rest, shape (n, k).
@@ -170,7 +170,7 @@ def offset_of_set(
     if there.sum() < 4:
         raise ValueError(f"Only {there.sum()} rows are finite, and an offset needs at least four.")
     r, g = raw[there], gravity[there]
-    # Each of m and m c by itself: what one kg, or one kg m along an axis, would read.
+    # Readings of one kg, and of one kg m along each axis.
     parts = [g @ A[:, :3].T, *(np.cross(axis, g) @ A[:, 3:].T for axis in np.eye(3))]
     covariance = np.eye(len(A)) if noise is None else np.asarray(noise, dtype=np.float64)
     white = np.linalg.inv(np.linalg.cholesky(covariance)).T
@@ -181,11 +181,11 @@ def offset_of_set(
     )
 
 
-def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+def predict_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
     """Compute the wrench of limb and added mass in N and N m (in-situ paper, Eq. 4), shape (n, 6).
 
     Args:
-        data: The set; what was added counts as compact.
+        data: The set; the added mass counts as compact.
         limb: The bare limb; where its inertia is unknown it counts as compact.
     """
     body = limb.parameters
@@ -197,13 +197,13 @@ def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
 
 
 def motion_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
-    """Return the part of :func:`expected_wrench` that comes of turning: zero at rest, shape (n, 6)."""
+    """Return the part of :func:`predict_wrench` that comes of turning: zero at rest, shape (n, 6)."""
     still = replace(data, angular_velocity=None, angular_acceleration=None)
-    return expected_wrench(data, limb) - expected_wrench(still, limb)
+    return predict_wrench(data, limb) - predict_wrench(still, limb)
 
 
 def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
-    """Return a set with gravity in the sensor's frame, and readings without what the temperature does."""
+    """Return a set with gravity in the sensor's frame, and readings without the effect of temperature."""
     raw = data.raw if data.temperature is None else fit.at_reference(data.raw, data.temperature)
     return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
 
@@ -274,11 +274,11 @@ def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
     return np.array([C @ bound[place, place] @ C.T for place in places])
 
 
-def normalised_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Limb) -> float:
+def normalise_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Limb) -> float:
     """Return the squared error of (C, the last offset, limb) by the covariance of the fit (NEES).
 
     Args:
-        fit: What was fitted.
+        fit: The calibration.
         response: The true A in counts per N and N m, shape (k, 6).
         offset: The true last offset in counts, shape (k,).
         limb: The true limb.

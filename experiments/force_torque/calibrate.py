@@ -1,4 +1,4 @@
-"""Calibrate one six-axis sensor from a log of in-situ sets, and write what came of it."""
+"""Calibrate one six-axis sensor from a log of in-situ sets, and write the result."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from surefoot.experiments.force_torque.export import write_json, write_ros2_para
 from surefoot.experiments.force_torque.icub import write_icub_matrix
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.force_torque.page import write_in_situ_page
-from surefoot.experiments.force_torque.tables import Calibrated, shown_tables
+from surefoot.experiments.force_torque.tables import Calibrated, make_tables
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Table
 
@@ -30,9 +30,9 @@ class CalibratedSensor:
     """Where the result of a calibration lies."""
 
     fit: InSituFit
-    files: dict[str, Path]  # by what they are: "calibration" (JSON), "yaml", "ros2", "report", "icub"
-    tables: tuple[Table, ...]  # what to show at once
-    notices: tuple[str, ...]  # warnings of the fit and what the log lacks
+    files: dict[str, Path]  # by their kind: "calibration" (JSON), "yaml", "ros2", "report", "icub"
+    tables: tuple[Table, ...]  # to show at once
+    notices: tuple[str, ...]  # warnings of the fit and gaps of the log
 
 
 def calibrate_in_situ_log(
@@ -48,15 +48,15 @@ def calibrate_in_situ_log(
 
     Args:
         paths: One log with all sets, or several with one each.
-        config: What the tables leave open; by default the TOML file beside the first one.
+        config: Settings that the tables leave open; by default the TOML file beside the first one.
         folder: Where the files go.
-        accept: Why to go on past what the fit refuses; each file says it, and what was refused. Empty: not.
+        accept: Why to go on past the fit's refusals; each file has this reason and the refusals. Empty: not.
         stem: How their names begin; by default the first log's name.
         topics: The mapping file of ROS bags; by default the one beside each.
 
     Raises:
         LogError: If the log cannot be used; the message has the cure.
-        CalibrationRefused: If the log does not determine what was asked; nothing is written.
+        CalibrationRefused: If the log does not determine the calibration; nothing is written.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem
@@ -72,7 +72,7 @@ def calibrate_in_situ_log(
         then("drawing the report")
         found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
         files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
-    return CalibratedSensor(fit, files, shown_tables(found), found.notices)
+    return CalibratedSensor(fit, files, make_tables(found), found.notices)
 
 
 def _fit(log: InSituLog, accept: str) -> InSituFit:

@@ -1,4 +1,4 @@
-"""What would mislead an in-situ fit is refused with a cure; what it can do without is left out, and noted."""
+"""Checks of a log: input that would mislead a fit is refused with a cure; the rest is left out, and noted."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +29,7 @@ _LOOKS = {
     1e3 * GRAVITY: "it looks like mm/s^2: convert the columns to m/s^2",
     1e2 * GRAVITY: "it looks like cm/s^2: convert the columns to m/s^2",
 }
-"""What an acceleration at rest of that length in m/s^2 is likely to be."""
+"""Likely units of an acceleration at rest of that length in m/s^2."""
 
 
 def check_samples(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:

@@ -1,4 +1,4 @@
-"""What a log of in-situ sets leaves open, as the TOML file beside it and docs/in-situ-log.md say it."""
+"""Settings of a log of in-situ sets, in the TOML file beside it; docs/in-situ-log.md describes them."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from surefoot.files import read_toml
 from surefoot.names import page
 
 SI = mapping.SI | {"degC": 0.0, "K": -273.15}
-"""What each unit is worth in SI: a factor, for temperatures what is added."""
+"""SI value of each unit: a factor; for temperatures, a term to add."""
 Axes = tuple[str, str, str]
 Place = Annotated[Floats, array_of(3)]
 Range = Annotated[tuple[Number, Number], must_be("[lowest, highest]", lambda ends: ends[0] < ends[1])]
@@ -60,7 +60,7 @@ class Units(Settings):
 
     @property
     def of_raw(self) -> str:
-        """What tables call the unit of the channels."""
+        """Unit of the channels in tables."""
         return "counts" if self.raw == "count" else "N, N m"
 
 
@@ -73,7 +73,7 @@ class Accelerometer(Settings):
 
 
 class Sensor(Settings):
-    """What is known of the six-axis sensor."""
+    """Known values of the six-axis sensor."""
 
     name: str = ""
     range_count: Range | None = None
@@ -126,14 +126,14 @@ class Fit(Settings):
 
 
 class AddedMass(Settings):
-    """What hung on the limb during one set: kg, and m in the sensor's frame."""
+    """Mass on the limb during one set: kg, and m in the sensor's frame."""
 
     name: str
     added_mass_kg: Annotated[Number, Field(ge=0.0)] = 0.0
     added_com_m: Place = Field(default_factory=lambda: np.zeros(3))
 
     @model_validator(mode="after")
-    def _placed(self) -> Self:
+    def _require_place(self) -> Self:
         if self.added_mass_kg > 0.0 and "added_com_m" not in self.model_fields_set:
             raise ValueError(
                 f"set '{self.name}' has {self.added_mass_kg:g} kg and no 'added_com_m'; give the place of "
@@ -165,7 +165,7 @@ class InSituConfig(Settings):
         return {**given, "factory": given.get("factory") or {"matrix": np.eye(6)}} if raw == "N" else given
 
     @model_validator(mode="after")
-    def _listed_once(self) -> Self:
+    def _reject_duplicates(self) -> Self:
         twice = [name for name, n in Counter(one.name for one in self.sets or ()).items() if n > 1]
         if twice:
             raise ValueError(f"set '{twice[0]}' is listed twice; list each set once")

@@ -32,7 +32,7 @@ class Cloud(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Axes in space: a title and what is drawn there."""
+    """Axes in space: a title and the points to draw."""
 
     title: str
     clouds: Sequence[Cloud]
@@ -107,7 +107,7 @@ def force_ellipsoids(path: Path, found: Calibrated) -> Path:
 
 
 def residuals_over_time(path: Path, found: Calibrated) -> Path:
-    """Draw what the fit leaves of every channel, set after set."""
+    """Draw the fit's residual of every channel, set after set."""
     channels, colour = found.log.channels, look_of("moment").colour
     with figure_at(path, 10.0, 0.8 + 1.15 * len(channels)) as figure:
         panels = grid_of(figure, len(channels), 1, sharex=True)[:, 0]

@@ -32,13 +32,13 @@ _ALIKE = 1e-6  # in kg or m
 
 @dataclass(frozen=True, eq=False)
 class InSituLog:
-    """What was read, ready to be fitted."""
+    """A log that was read, ready for the fit."""
 
     sets: tuple[InSituSet, ...]  # one for each added mass
     channels: tuple[str, ...]  # names of the raw columns
     config: InSituConfig  # of the TOML file and the command line
     files: tuple[str, ...]
-    notices: tuple[str, ...]  # what the log lacks and the fit can do without
+    notices: tuple[str, ...]  # gaps of the log that the fit can do without
 
     @property
     def fitted(self) -> tuple[InSituSet, ...]:
@@ -55,13 +55,13 @@ def read_in_situ_log(
     Args:
         paths: One ``.csv`` or ``.parquet`` file or ROS bag, or several; a file without a column of sets is
             one set that has the file's name without its ending.
-        config: What the tables leave open, or the TOML file with it; by default the one beside the first
+        config: Settings that the tables leave open, or their TOML file; by default the one beside the first
             file.
         topics: The mapping file of bags; by default the one beside each.
 
     Raises:
         LogError: If a file, a column, a value or a mass is not as it must be. The message names the file, the
-            column, what was found and the cure.
+            column, the value and the cure.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     if not paths:
@@ -73,7 +73,7 @@ def read_in_situ_log(
     notices: list[str] = []
     parts = [samples for path in paths for samples in read_samples(path, config, notices, topics)]
     _check_names(parts, config)
-    added = [_added_mass(samples, config, notices) for samples in parts]
+    added = [_read_added_mass(samples, config, notices) for samples in parts]
     sound = [check_samples(samples, config.sensor.range_count, notices) for samples in parts]
     if config.accelerometer.calibrate is not None:
         sound = _calibrate(sound, config.accelerometer.calibrate, notices)
@@ -125,7 +125,7 @@ def _quote(names: Iterable[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def _added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> AddedMass:
+def _read_added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> AddedMass:
     """Return the added mass of columns or TOML; raise LogError if the two, or two rows, disagree."""
     listed = {one.name: one for one in config.sets or ()}.get(samples.name)
     if samples.added_mass is None:

@@ -1,4 +1,4 @@
-"""The page about one in-situ calibration: what came of it, and how far to trust it."""
+"""The page about one in-situ calibration: its result, and how far to trust it."""
 
 from collections.abc import Iterator
 from pathlib import Path

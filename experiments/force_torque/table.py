@@ -46,7 +46,7 @@ class Samples:
     added_com: Floats | None  # in m, shape (n, 3)
 
     def __str__(self) -> str:
-        """What messages call it."""
+        """Name in messages."""
         return f"{self.file}, set '{self.name}'"
 
     @property
@@ -71,7 +71,7 @@ def read_samples(
 ) -> list[Samples]:
     """Read one file, and return the samples of each of its sets; LogError if it is no such table.
 
-    What was done to get them is added to the notices; a bag has the mapping file ``topics``.
+    Each conversion is added to the notices; a bag has the mapping file ``topics``.
     """
     absent = "'surefoot calibrate ft --sample' shows one that works."
     if is_bag(path):
@@ -79,7 +79,9 @@ def read_samples(
     else:
         table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
     notices += table.notices
-    found = _found(table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH)
+    found = _find_columns(
+        table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH
+    )
     if len(table) == 0:
         raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
     units = {name: SI[unit] for name, unit in config.units if name != "raw"}
@@ -109,7 +111,7 @@ def read_samples(
     return [replace(whole.take(labels == name), name=name) for name in dict.fromkeys(labels.tolist())]
 
 
-def _found(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Columns:
+def _find_columns(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
     there = f"there are {join_names(table.names)}."
     cure = f"{there} Name yours under [columns] in the TOML file, or on the command line."

@@ -10,10 +10,10 @@ from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
 from surefoot.calibration.in_situ.validation import (
     added_mass,
     as_seen,
-    expected_wrench,
     force_ellipsoid,
     motion_wrench,
     offset_of_set,
+    predict_wrench,
 )
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.experiments.arrays import Floats
@@ -30,7 +30,7 @@ class Calibrated:
 
     @cached_property
     def sets(self) -> tuple[InSituSet, ...]:
-        """The sets with gravity in the sensor's frame, and with what the temperature does taken off."""
+        """The sets with gravity in the sensor's frame, and without the effect of temperature."""
         return tuple(as_seen(data, self.fit) for data in self.log.sets)
 
     @cached_property
@@ -62,7 +62,7 @@ class Calibrated:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What was refused and why it was accepted, warnings of the fit, and what the log lacks."""
+        """Refusals and why they were accepted, warnings of the fit, and gaps of the log."""
         fit = self.fit
         passed = [f"Refused: {refusal}" for refusal in fit.refusals]
         passed += [f"Accepted all the same, with this reason: {fit.accepted}"] if passed else []
@@ -76,7 +76,7 @@ class Calibrated:
         return {"calibrated": self.fit.matrix} | ({} if factory is None else {"factory": factory})
 
     def label(self, index: int) -> str:
-        """What tables call a set."""
+        """Name of a set in tables."""
         name = self.log.sets[index].name
         return name if self.numbers[index] is not None else f"{name} (kept aside)"
 
@@ -89,11 +89,11 @@ class Calibrated:
     def residual(self, index: int) -> Floats:
         """Compute a set's residual in counts with a constant offset, shape (n, k)."""
         data = self.sets[index]
-        expected = expected_wrench(data, self.fit.limb) @ self.fit.response.T
+        expected = predict_wrench(data, self.fit.limb) @ self.fit.response.T
         return np.asarray(data.raw - self.offsets[index] - expected)
 
 
-def shown_tables(found: Calibrated) -> tuple[Table, ...]:
+def make_tables(found: Calibrated) -> tuple[Table, ...]:
     """Make the tables that a terminal shows."""
     return (set_table(found), limb_table(found), semi_axes_table(found), *weighing_tables(found))
 

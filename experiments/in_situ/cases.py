@@ -1,4 +1,4 @@
-"""What the simulated in-situ experiment runs; each function depends on its arguments alone."""
+"""Cases of the simulated in-situ experiment; each function depends on its arguments alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration.in_situ import InSituOptions, calibrate_in_situ, estimate_matrix, estimate_offset
-from surefoot.calibration.in_situ.validation import cramer_rao, normalised_error, offset_bounds
+from surefoot.calibration.in_situ.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.in_situ.instruments import (
@@ -64,7 +64,7 @@ MOTIONS = (
     RigMotion("swings at 0.8 to 2 Hz, with the gyroscope", 30.0, fast=True),
     RigMotion("swings at 0.8 to 2 Hz, with the gyroscope", 15.0, fast=True),
 )
-"""What is compared: as long as the paper's, as short as a sweep can be, and fast."""
+"""Motions to compare: as long as the paper's, as short as a sweep can be, and fast."""
 
 REST = 60.0  # s of rest in many postures for the accelerometer of a fast motion
 
@@ -142,7 +142,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
             counts, truth = read_sensor(config, sensor, run, seed)
             sets = static_sets(sensor, run, counts, _specific_force(run))
             if kind != "real":
-                # Each posture was held: with times a fit would count what turning from one to the next adds.
+                # Each posture was held: with times a fit would count the turns from one to the next.
                 sets = tuple(replace(one, time=None) for one in sets)
             fit = calibrate_in_situ(sets, options=options, refuse=False)
             bound = cramer_rao(sets, truth.response, truth.limb, noise)
@@ -152,7 +152,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
             limb = 6 * config.channels
             nees = np.nan
             if not fit.refusals:
-                nees = normalised_error(fit, truth.response, truth.offset, truth.limb)
+                nees = normalise_error(fit, truth.response, truth.offset, truth.limb)
             rows.append(
                 {
                     "kind": kind,

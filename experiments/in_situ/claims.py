@@ -1,4 +1,4 @@
-"""What the simulated in-situ experiment is to reach, whether it did, and what else it shows, in sentences."""
+"""Claims of the simulated in-situ experiment, their verdicts, and findings in sentences."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -58,12 +58,12 @@ def consistency(part: Frame) -> Nees:
     return Nees(float(nees.sum() / freedom), float(low), float(high))
 
 
-def over_bound(part: Frame, what: str) -> float:
-    """Return the rms error of some rows of ``white`` over its bound: ``what`` is force, torque or limb."""
-    there = part[np.isfinite(part[f"{what}_square"])]
+def over_bound(part: Frame, quantity: str) -> float:
+    """Return the rms error of rows of ``white`` over its bound: ``quantity`` is force, torque or limb."""
+    there = part[np.isfinite(part[f"{quantity}_square"])]
     if there.empty:
         return float("nan")
-    return float(np.sqrt(there[f"{what}_square"].sum() / there[f"{what}_bound"].sum()))
+    return float(np.sqrt(there[f"{quantity}_square"].sum() / there[f"{quantity}_bound"].sum()))
 
 
 def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
@@ -78,7 +78,7 @@ def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
     placed = int(results.sets[results.sets["place_error"].notna()].groupby(key).size().max())
     exact = results.exact[["offset", "matrix_force", "matrix_torque", "limb", "first_moment"]]
     still = [part for _, part in results.white[results.white["kind"] == "still"].groupby("sensor")]
-    ratios = np.array([over_bound(part, what) for part in still for what in ("force", "torque")])
+    ratios = np.array([over_bound(part, one) for part in still for one in ("force", "torque")])
     # How far the mean is out of its interval, in half widths about its middle.
     known = [consistency(part) for part in still]
     weight = np.abs(fits["limb_error"].dropna().to_numpy())
@@ -123,7 +123,7 @@ def summary_findings(results: InSituStudyResults) -> Iterator[str]:
 
 
 def limb_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say how heavy the limb comes out by each method, and what the loop model is worth."""
+    """Say how heavy the limb comes out by each method, and how much the loop model helps."""
     for sensor, part in results.fits.groupby("sensor", sort=False):
         errors = part.pivot(index="seed", columns="method", values="limb_error")
         mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
@@ -154,7 +154,7 @@ def bound_findings(results: InSituStudyResults) -> Iterator[str]:
 
 
 def motion_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say what the shortest fast motion that was answered leaves, beside the longest slow one."""
+    """Say how large the errors of the shortest fast motion are, beside those of the longest slow one."""
     for sensor, part in results.motions.groupby("sensor", sort=False):
         answered = part[part["refusal"] == ""]
         fast = np.array([MOTIONS[int(i)].fast for i in answered["motion"]], dtype=bool)

@@ -1,4 +1,4 @@
-"""Sensors on the rig of in-situ calibration: true wrenches and motion in, what a robot would have out.
+"""Sensors on the rig of in-situ calibration: from true wrenches and motion to a robot's readings.
 
 Everything random belongs to a seed. Offsets jump between data sets, as masses are changed.
 """
@@ -36,14 +36,14 @@ XSENS_MTX = Imu(
 per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at rest; its accelerometer was not
 calibrated. The walks are ours: the maker gives none."""
 
-OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of what the offsets jump by between sets, in N and N m
+OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of the offsets' jumps between sets, in N and N m
 WINDOW = 15  # samples, an odd number, over which the angular acceleration is taken
 
 _STREAM = 0x1F75
 
 
 class SensorTruth(NamedTuple):
-    """What the simulator knows of a sensor."""
+    """The simulator's truth of a sensor."""
 
     response: Floats  # A in counts per N and N m, shape (6, 6)
     offsets: Floats  # o in counts, means of each set's beginning and end, shape (J, 6)
@@ -77,19 +77,19 @@ def read_sensor(
     response = true_response(config, state)[0]
     dt = float(recordings[0].time[1] - recordings[0].time[0])
     counts: list[Floats] = []
-    begun: list[Floats] = []
-    ended: list[Floats] = []
+    first: list[Floats] = []
+    last: list[Floats] = []
     for recording in recordings:
-        if begun:
-            # It is switched on anew for each set: its offsets have jumped since the last, and nothing else.
+        if first:
+            # It is switched on again for each set: only its offsets have jumped since the last.
             state = shift_offset(config, state, rng, *OFFSET_SHIFT)
         raw, after = read_sequence(config, getattr(recording, f"wrench_{sensor}"), state, stream, dt)
         counts.append(raw)
-        begun.append(state.offset)
-        ended.append(after.offset)
-    offsets = (np.array(begun) + np.array(ended)) / 2.0
+        first.append(state.offset)
+        last.append(after.offset)
+    offsets = (np.array(first) + np.array(last)) / 2.0
     limb = Limb(*getattr(recordings[0], f"limb_{sensor}"))
-    return np.array(counts), SensorTruth(response, offsets, ended[-1], limb)
+    return np.array(counts), SensorTruth(response, offsets, last[-1], limb)
 
 
 def read_sequence(

@@ -28,7 +28,7 @@ METHODS = {
     "paper": "paper (III-B, III-C)",
     "manufacturer": "manufacturer's matrix",
 }
-"""What is compared, and what tables call it."""
+"""Methods and their names in tables."""
 
 FILTER = 3.0  # length of the paper's filter in s: 301 samples at 100 Hz
 FORCE, TORQUE = slice(0, 3), slice(3, 6)  # parts of a wrench
@@ -36,7 +36,7 @@ FORCE, TORQUE = slice(0, 3), slice(3, 6)  # parts of a wrench
 
 @dataclass(frozen=True, eq=False)
 class MethodResult:
-    """What a method made of a sensor's sets."""
+    """A method's result from a sensor's sets."""
 
     matrix: Floats  # C in N and N m per count, shape (6, 6)
     offsets: Floats  # o of every set in counts, shape (J, 6)

@@ -53,7 +53,7 @@ class InSituStudyOptions:
 
 @dataclass(eq=False)
 class InSituStudyResults:
-    """What the study found; the functions of ``cases`` describe the rows of each table."""
+    """Results of the study; the functions of ``cases`` describe the rows of each table."""
 
     options: InSituStudyOptions
     exact: Frame = field(default_factory=pd.DataFrame)
@@ -71,16 +71,18 @@ def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
     rate = options.rate
     batches, moving = _batches(options.seeds), _batches(min(options.seeds, options.moving_seeds))
 
-    def named(run: Any, arguments: list[tuple[Any, ...]]) -> list[Case]:
+    def name_cases(run: Any, arguments: list[tuple[Any, ...]]) -> list[Case]:
         return [Case(f"{run.__name__}{given}", run, given) for given in arguments]
 
     return {
-        "sensors without error": named(exact_errors, [(s, min(rate, EXACT_RATE)) for s in SENSORS]),
-        "sweep and calibrate": named(sweep_and_calibrate, [(batch, rate) for batch in batches]),
-        "compare with the bound": named(
+        "sensors without error": name_cases(exact_errors, [(s, min(rate, EXACT_RATE)) for s in SENSORS]),
+        "sweep and calibrate": name_cases(sweep_and_calibrate, [(batch, rate) for batch in batches]),
+        "compare with the bound": name_cases(
             compare_with_bound, [(b, kind, options.white_rate) for kind in options.kinds for b in batches]
         ),
-        "compare motions": named(compare_motion, [(i, b, rate) for i in options.motions for b in moving]),
+        "compare motions": name_cases(
+            compare_motion, [(i, b, rate) for i in options.motions for b in moving]
+        ),
     }
 
 
@@ -91,8 +93,8 @@ def run_in_situ_study(options: InSituStudyOptions) -> InSituStudyResults:
     cases = [case for listed in stages.values() for case in listed]
     store = Store(options.out / "results")
     with store.open_for(), runner(options.jobs, results.seconds) as run:
-        for what, listed in stages.items():
-            run.run(what, listed, store)
+        for stage, cases in stages.items():
+            run.run(stage, cases, store)
     for name in (*FRAMES, "shown"):
         setattr(results, name, store.rows(name, cases))
     results.failures = store.failures(cases)

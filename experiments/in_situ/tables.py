@@ -1,4 +1,4 @@
-"""Tables of the simulated in-situ experiment, beside what the paper printed in its Tables I to III."""
+"""Tables of the simulated in-situ experiment, beside the paper's Tables I to III."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -33,7 +33,7 @@ Triple = tuple[float, float, float]
 
 
 class PrintedRow(NamedTuple):
-    """What a sensor showed of a validation set, by this and the maker's matrix; minus signs are lost."""
+    """A validation set in the paper, by its matrix and by the maker's; minus signs are lost."""
 
     axes: Triple  # semi-axes in N (Table I)
     axes_maker: Triple
@@ -71,8 +71,8 @@ def _short(value: float) -> str:
     return decimal(value, ".1e") if 0.0 < abs(value) < 1e-4 else number(float(value), 4)
 
 
-def _of_values(what: Callable[..., float]) -> Callable[[Limit], str]:
-    return lambda limit: _short(what(limit.values)) if len(limit.values) else "–"
+def _of_values(reduce: Callable[..., float]) -> Callable[[Limit], str]:
+    return lambda limit: _short(reduce(limit.values)) if len(limit.values) else "–"
 
 
 def _first(part: Frame, column: str) -> str:
@@ -83,9 +83,9 @@ def _percent_of(column: str) -> Cell:
     return lambda part: number(100.0 * part[column].mean())
 
 
-def _limb_error(what: Callable[[Frame], str]) -> Cell:
+def _limb_error(show: Callable[[Frame], str]) -> Cell:
     """Make a cell of the errors of the limb's weight in percent."""
-    return lambda part: what(100.0 * part["limb_error"].dropna())
+    return lambda part: show(100.0 * part["limb_error"].dropna())
 
 
 def _count_refused(part: Frame) -> str:
@@ -208,7 +208,7 @@ _BY_SET: tuple[tuple[str, str, Mapping[str, Cell], Mapping[str, Printed], str], 
         "In print the minus signs were lost.",
     ),
 )
-"""Tables of a row a sensor and set: cells of each method, and what the paper printed."""
+"""Tables of a row a sensor and set: cells of each method, and the paper's figures."""
 
 
 def all_tables(results: InSituStudyResults) -> dict[str, Table]:
@@ -250,6 +250,6 @@ def _by_set(
         **{f"{_SHOWN[m]}: {heading}": of_method(m, ours[heading]) for m in _SHOWN for heading in ours},
         **{f"printed: {heading}": of_paper(cell) for heading, cell in printed.items()},
     }
-    # What was not added is nowhere.
+    # The bare limb has no added mass, and so no place of one.
     shown = sets[sets["added"] > 0.0] if name == "table3" else sets
     return table_of(name, title, columns, _parts(shown, "sensor", "set"), note)

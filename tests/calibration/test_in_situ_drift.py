@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, Limb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.validation import normalised_error
+from surefoot.calibration.in_situ.validation import normalise_error
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 
@@ -177,7 +177,7 @@ def test_a_limb_that_turns_slowly_is_no_point():
     sets, _ = moving_sets(np.random.default_rng(0), 0.2, slower=15.0)
     still = [replace(one, angular_velocity=None, angular_acceleration=None) for one in sets]
     fit = calibrate_in_situ(still)
-    nees = normalised_error(fit, np.linalg.inv(matrix), np.full(6, 500.0), Limb(mass, mass * com))
+    nees = normalise_error(fit, np.linalg.inv(matrix), np.full(6, 500.0), Limb(mass, mass * com))
     # As a point it were 6.
     assert 0.5 < nees / len(fit.covariance) < 2.5
 

@@ -50,7 +50,7 @@ def test_deviance_is_that_of_a_dense_normal_distribution(colour):
         b, u, r = np.split(source.columns, [1, 1 + source.inputs], axis=1)
         offset = np.linalg.lstsq(b, r - u @ response.T, rcond=None)[0]
         left.append(r - b @ offset - u @ response.T)
-        power = colour.left(part.rows, part.spacing) / colour.weights(part.rows, part.spacing)
+        power = colour.power_after(part.rows, part.spacing) / colour.weights(part.rows, part.spacing)
         waves = idct(np.eye(part.rows), norm="ortho", axis=0)
         dense.append(waves @ np.diag(power) @ waves.T)
     rows = sum(map(len, left))

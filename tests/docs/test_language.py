@@ -40,24 +40,6 @@ EXCEPTIONS = {
 """Functions that may be named by a participle."""
 
 
-class Budget(NamedTuple):
-    """How much of the old language a package still has: these numbers only ever shrink."""
-
-    participles: int
-    whats: int
-    returns_what: int
-
-
-BUDGETS = {
-    "calibration/in_situ": Budget(13, 186, 0),
-    "experiments/in_situ": Budget(1, 12, 0),
-    "experiments/force_torque": Budget(5, 23, 0),
-    "benchmarks/in_situ": Budget(9, 27, 0),
-}
-
-OLD_PAGES = ("in-situ.md", "results.md")
-"""Pages that still have the old language."""
-
 pytestmark = pytest.mark.skipif(not GLOSSARY.exists(), reason="the pages are not part of the wheel")
 
 
@@ -74,21 +56,20 @@ class Spoken(NamedTuple):
     """Everything that the code says, read once.
 
     Attributes:
-        named: Functions, classes and modules by package with a budget; ``""`` for all others.
-        words: Words of names and docstrings without a budget, and a place of each.
+        named: Functions, classes and modules.
+        words: Words of names and docstrings, and a place of each.
     """
 
-    named: dict[str, list[Named]]
+    named: list[Named]
     words: dict[str, str]
 
 
 @cache
 def spoken() -> Spoken:
     """Read all files."""
-    found, texts = Spoken({package: [] for package in ("", *BUDGETS)}, {}), set[str]()
+    found, texts = Spoken([], {}), set[str]()
     for file in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
         path = str(file.relative_to(ROOT))
-        package = next((name for name in BUDGETS if path.startswith(name)), "")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             place = f"{path}:{getattr(node, 'lineno', 1)}"
             said = [getattr(node, key) for key in ("name", "id", "arg", "attr") if hasattr(node, key)]
@@ -98,9 +79,9 @@ def spoken() -> Spoken:
                 is_value = not isinstance(node, ast.FunctionDef) or any(
                     mark.endswith(("property", "setter")) for mark in marks
                 )
-                found.named[package].append(Named(place, name, is_value, docstring))
+                found.named.append(Named(place, name, is_value, docstring))
                 said.append(docstring)
-            for text in said if not package else ():
+            for text in said:
                 if text in texts or not isinstance(text, str):
                     continue
                 texts.add(text)
@@ -109,10 +90,10 @@ def spoken() -> Spoken:
     return found
 
 
-def participles(package: str) -> list[str]:
-    """Functions of a package that a participle names."""
+def participles() -> list[str]:
+    """Functions that a participle names."""
     found = []
-    for one in spoken().named[package]:
+    for one in spoken().named:
         first = one.name.strip("_").split("_")[0]
         regular = re.fullmatch(r"[a-z]{2,}ed", first) and first not in VERBS_IN_ED
         if (regular or first in IRREGULAR) and not (one.is_value or one.name in EXCEPTIONS):
@@ -120,19 +101,19 @@ def participles(package: str) -> list[str]:
     return found
 
 
-def whats(package: str) -> tuple[list[str], int]:
-    """Places of "what" in docstrings of a package, and the number of all words."""
+def whats() -> tuple[list[str], int]:
+    """Places of "what" in docstrings, and the number of all words."""
     found, words = [], 0
-    for one in spoken().named[package]:
+    for one in spoken().named:
         own = re.findall(r"[A-Za-z']+", one.docstring)
         found += [f"{one.place} {one.name}"] * sum(word.lower() == "what" for word in own)
         words += len(own)
     return found, words
 
 
-def returns_what(package: str) -> list[str]:
+def returns_what() -> list[str]:
     """Places of docstrings that begin with "Return what"."""
-    found = [one for one in spoken().named[package] if one.docstring.startswith("Return what")]
+    found = [one for one in spoken().named if one.docstring.startswith("Return what")]
     return [f"{one.place} {one.name}" for one in found]
 
 
@@ -143,29 +124,21 @@ def forbidden() -> list[str]:
 
 
 def test_functions_are_verbs() -> None:
-    assert not participles("")
+    assert not participles()
 
 
 def test_docstrings_open_with_the_verb_or_the_thing() -> None:
-    assert not returns_what("")
-    found, words = whats("")
+    assert not returns_what()
+    found, words = whats()
     assert 1000 * len(found) < 2 * words, f"{len(found)} in {words} words: {found}"
 
 
 def test_pages_use_few_whats() -> None:
     texts = [
-        page.read_text(encoding="utf-8")
-        for page in [*ROOT.glob("docs/**/*.md"), ROOT / "CONTRIBUTING.md"]
-        if page.name not in OLD_PAGES
+        page.read_text(encoding="utf-8") for page in [*ROOT.glob("docs/**/*.md"), ROOT / "CONTRIBUTING.md"]
     ]
     words = re.findall(r"[A-Za-z']+", " ".join(texts))
     assert 1000 * sum(word.lower() == "what" for word in words) < 2 * len(words)
-
-
-@pytest.mark.parametrize("package", BUDGETS)
-def test_the_rest_of_the_old_language_only_shrinks(package: str) -> None:
-    found = Budget(len(participles(package)), len(whats(package)[0]), len(returns_what(package)))
-    assert all(now <= most for now, most in zip(found, BUDGETS[package], strict=True)), found
 
 
 def test_words_in_bold_in_the_glossary_are_in_no_name_and_no_docstring() -> None:

@@ -212,7 +212,7 @@ def test_validation_expects_the_wrench_of_the_rig(fast: bool) -> None:
         angular_acceleration=told.angular_acceleration,
     )
     limb = Limb(*told.limb_leg)
-    np.testing.assert_allclose(validation.expected_wrench(data, limb), told.wrench_leg, atol=1e-9)
+    np.testing.assert_allclose(validation.predict_wrench(data, limb), told.wrench_leg, atol=1e-9)
     still = told.wrench_leg - validation.motion_wrench(data, limb)
     found = validation.added_mass(still, told.gravity_leg, limb)
     assert found.mass == pytest.approx(told.added_mass, abs=1e-4)

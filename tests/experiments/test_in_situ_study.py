@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
-from surefoot.calibration.in_situ.validation import cramer_rao, normalised_error, offset_bounds
+from surefoot.calibration.in_situ.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import cases, instruments, methods
 from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
@@ -240,16 +240,16 @@ def test_nees_grows_with_the_square_of_the_error():
     theta = np.concatenate([response.ravel(), [limb.mass], limb.mass_com, np.zeros(24)])
     raw = reading(theta, sets).reshape(4, 400, 6) + 0.01 * rng.standard_normal((4, 400, 6))
     fit = calibrate_in_situ([replace(one, raw=counts) for one, counts in zip(sets, raw, strict=True)])
-    near = normalised_error(fit, response, np.zeros(6), limb)
+    near = normalise_error(fit, response, np.zeros(6), limb)
     exact = np.linalg.pinv(fit.matrix)
     assert 15.0 < near < 110.0
-    at = normalised_error(fit, exact, fit.offset, fit.limb)
+    at = normalise_error(fit, exact, fit.offset, fit.limb)
     assert at == pytest.approx(0.0, abs=1e-6)
     off = Limb(fit.limb.mass + 3.0 * fit.limb_mass_std, fit.limb.mass_com)
     twice = Limb(fit.limb.mass + 6.0 * fit.limb_mass_std, fit.limb.mass_com)
-    once = normalised_error(fit, exact, fit.offset, off)
+    once = normalise_error(fit, exact, fit.offset, off)
     assert once >= 9.0 * (1.0 - 1e-6)
-    assert normalised_error(fit, exact, fit.offset, twice) == pytest.approx(4.0 * once)
+    assert normalise_error(fit, exact, fit.offset, twice) == pytest.approx(4.0 * once)
 
 
 def test_wrench_errors_are_shares_of_the_load():
