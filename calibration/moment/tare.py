@@ -45,6 +45,12 @@ is not in the air after all: three offsets of sensors three times as bad as stat
 a foot bears that stands."""
 
 
+TOUCH = 0.1
+"""Load in body weights above the least but one of a block's samples from which on a foot touches the ground:
+no sole's own inertia comes near it, and a foot that lands on soft ground before its plan passes it within a
+sample or two."""
+
+
 class TareConstants(NamedTuple):
     """Constants of tares, by their names in C; module constants of such names explain them.
 
@@ -65,6 +71,7 @@ class TareConstants(NamedTuple):
     tare_leap: float = LEAP
     largest_load: float = LARGEST_LOAD
     largest_sum: float = LARGEST_SUM
+    touch_load: float = TOUCH
 
 
 class Tare:
@@ -152,6 +159,9 @@ class Tare:
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
         if not (sure.any() and channels.size):
             return np.zeros(len(channels)), 0.0
+        load = (block.force[:, channels] / self._unit[channels]).sum(axis=1)
+        least = np.sort(load[sure])[:2][-1]
+        sure &= load <= least + TOUCH
         reading = block.force[np.ix_(sure, channels)].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
         total = abs(float((reading / self._unit[channels]).sum()))

@@ -56,7 +56,7 @@ typedef struct {
     sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
-    sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum;
+    sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
     sf_real most_load, least_row, reading_noise;
@@ -1198,15 +1198,24 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
 /* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
 SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
                                   int foot, const int *channels, int count, sf_real *reading) {
-    int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0;
-    sf_real seconds = 0, total = 0;
+    int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0, sure[SF_BLOCK];
+    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL;
     for (int k = 0; k < count; k++) reading[k] = 0;
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide, *before = t ? row - wide : s->before, *behind = t + 1 < n ? row + wide : row;
         /* The sample before and the one after are in the air as well. */
-        int sure = row[at] > (sf_real)0.5 && before[at] > (sf_real)0.5 && behind[at] > (sf_real)0.5;
-        for (int k = 0; k < count; k++) sure = sure && row[K + channels[k]] > (sf_real)0.5;
-        if (!sure) continue;
+        sure[t] = row[at] > (sf_real)0.5 && before[at] > (sf_real)0.5 && behind[at] > (sf_real)0.5;
+        for (int k = 0; k < count; k++) sure[t] = sure[t] && row[K + channels[k]] > (sf_real)0.5;
+        load[t] = 0;
+        for (int k = 0; k < count; k++) load[t] += row[channels[k]] / m->unit[channels[k]];
+        if (!sure[t]) continue;
+        if (load[t] < least) second = least, least = load[t];
+        else if (load[t] < second) second = load[t];
+    }
+    if (second == (sf_real)HUGE_VAL) second = least; /* a single sample */
+    for (int t = 0; t < n; t++) {
+        const sf_real *row = s->pending + t * wide;
+        if (!sure[t] || !(load[t] <= second + m->touch_load)) continue;
         found++;
         seconds += row[sf_at_dt(c)];
         for (int k = 0; k < count; k++) reading[k] += row[channels[k]];

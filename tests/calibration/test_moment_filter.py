@@ -278,6 +278,21 @@ def test_what_a_robot_learns_as_it_falls_is_taken_back_and_lying_teaches_nothing
     assert any(np.array_equal(lying[0], scale) for scale in before)
 
 
+def test_a_foot_that_lands_before_its_plan_is_not_tared():
+    """On soft ground: in the last third of a told swing the foot bears a third of the weight."""
+    log = move(2, 16.0, STATED)
+    swing, raw = log.reference.swing, log.raw.copy()
+    for foot in (0, 1):
+        ends = np.flatnonzero(np.diff(swing[:, foot].astype(int)) < 0)
+        for end in ends:
+            begin = end - np.argmin(swing[end::-1, foot]) + 1
+            late = slice(end - (end - begin) // 3, end + 1)
+            raw[late, 4 * foot : 4 * foot + 4] += WEIGHT / 12.0 / NOMINAL.scale[:4]
+    estimate = calibrated(log._replace(raw=raw))
+    zero = estimate.scale[-1] * log.raw[-1] + estimate.offset[-1] - log.force[-1]
+    assert np.abs(zero).max() < 0.02 * WEIGHT
+
+
 @pytest.mark.parametrize("flat", [True, False])
 def test_a_ball_stands_however_it_is_turned(flat):
     """The same forces, of soles whose frames stand on edge."""
