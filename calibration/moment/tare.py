@@ -189,8 +189,11 @@ class Tare:
         walked = noise * 2.0
         leapt = np.zeros(len(at), dtype=bool)
         rate, followed = state.rate, state.followed
+        change = reading - state.reading[channels]
+        if last >= 0.0 and time - last <= LEAST_APART and (change / self._unit[channels]).sum() > TOUCH:
+            # A foot that hung a moment ago has landed.
+            return belief, published, state
         if last >= 0.0:
-            change = reading - state.reading[channels]
             walked = walked + rate**2 * self._drift[channels] * (time - last)
             leapt = change**2 > LEAP**2 * walked
             if time - last > LEAST_APART:

@@ -1253,12 +1253,18 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
         sf_real seconds = sf_hanging_reading(c, m, s, n, foot, channels, count, reading);
+        sf_real more = 0;
         if (!(seconds >= m->tare_share * duration)) continue;
+        for (int k = 0; k < count; k++) {
+            change[k] = reading[k] - tare->reading[channels[k]];
+            more += change[k] / m->unit[channels[k]];
+        }
+        /* A foot that hung a moment ago has landed. */
+        if (last >= 0 && s->time - last <= m->least_apart && more > m->touch_load) continue;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             noise[k] = m->tare_variance[i] / seconds;
             centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
-            change[k] = reading[k] - tare->reading[i];
             walked[k] = noise[k] * 2;
             if (last >= 0) walked[k] += tare->rate * tare->rate * m->tare_drift[i] * (s->time - last);
             leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
