@@ -31,7 +31,7 @@ LOWEST_TESTS ?= tests/wrappers tests/experiments
 lowest: $(LOWEST)/.made
 	$(LOWEST)/bin/pytest -n auto --dist loadfile -m "not slow" -o filterwarnings=default $(LOWEST_TESTS) $(PYTEST)
 
-# All studies and their tables in docs: three quarters of an hour on two cores; what is finished is not run again. More
+# All studies and their tables in docs: about an hour on two cores; what is finished is not run again. More
 # walks, rigs and episodes make narrower intervals.
 RESULTS := out/results
 WALKS ?= 10

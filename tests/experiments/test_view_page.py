@@ -206,7 +206,7 @@ def rows_of(log: Log, count: int) -> list[bytes]:
 
 
 @pytest.fixture
-def described(log: Log, tmp_path: Path) -> Path:
+def described(viser: Any, log: Log, tmp_path: Path) -> Path:
     write_log(log, tmp_path / "walk.csv")
     return tmp_path / "walk.json"
 
