@@ -108,6 +108,8 @@ class StreamFeet:
             self._alone = alone
             self._begin()
         time = _number(row, "time_s")
+        if math.isnan(time):
+            raise LogError("'time_s' must be a number, got null.")
         step = time - self._time
         if not step > 0.0 and not math.isnan(step):
             # A robot that starts anew.

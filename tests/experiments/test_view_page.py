@@ -248,6 +248,7 @@ def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
         (b"{", "The row"),
         (b"[1]", "The row must be a JSON object of columns, got list."),
         (b'{"time_s": "now"}', "'time_s' must be a number or null, got 'now'."),
+        (b'{"time_s": null}', "'time_s' must be a number, got null."),
         (b'{"raw_left": 1}', "The row lacks 'time_s'; it has 1 columns."),
     ],
 )
