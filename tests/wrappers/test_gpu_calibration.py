@@ -1,4 +1,4 @@
-"""Calibrators of many robots on torch tensors, on the toy of the example, by kernels on Warp's CPU device."""
+"""Calibrators of many robots on torch tensors, on the example's toy, by kernels on a CPU or a GPU."""
 
 import copy
 import importlib.util
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from _gpu import DEVICE
 
 from surefoot.calibration import (
     METHODS,
@@ -40,6 +41,12 @@ def toy():
     return module
 
 
+@pytest.fixture(autouse=True)
+def device():
+    with DEVICE:
+        yield
+
+
 @pytest.fixture(scope="module")
 def log(toy):
     """Readings (T, N, 8), true forces and references of robots in different phases, in newtons."""
@@ -50,11 +57,11 @@ def log(toy):
     clock = (torch.arange(700)[:, None] + torch.tensor([0, 20, 50, 90])) % toy.CYCLE
     noise = 0.05 * torch.randn((len(clock), N, 8), generator=generator, dtype=torch.float64)
     raw = gain * force[clock] + zero + noise
-    return raw.float(), force[clock], [part[clock] for part in motion]
+    return raw.float().to(DEVICE), force[clock].to(DEVICE), [part[clock].to(DEVICE) for part in motion]
 
 
 def make(method="moment", robots=N, **options):
-    options = {"mass": MASS, "dt": DT, "lag": 0} | options
+    options = {"mass": MASS, "dt": DT, "lag": 0, "device": DEVICE} | options
     if method in ("window", "quasi-static"):
         options |= {"standing_start": False}
     return SelfCalibrationModule(LAYOUT, method, robots, **options)
@@ -116,16 +123,16 @@ def compare_with_alone(method, lag, log, given):
             single.reset([1])
         ours, theirs = module(raw.double(), reference), single(raw, reference)
         for i, calibrator in enumerate(alone):
-            own = type(reference)(*(part[i].numpy() for part in reference))
+            own = type(reference)(*(part[i].cpu().numpy() for part in reference))
             if i == 1 and 100 <= k <= 100 + lag:
                 nowhere = np.zeros(2, dtype=bool)
                 own = own._replace(com=own.com * np.nan, stance=nowhere, swing=nowhere)
-            expected = calibrator.update(raw[i].double().numpy(), own)
+            expected = calibrator.update(raw[i].double().cpu().numpy(), own)
             for name, part in expected._asdict().items():
                 if part is None:
                     assert getattr(ours, name) is None
                     continue
-                found = getattr(ours, name)[i].numpy()
+                found = getattr(ours, name)[i].cpu().numpy()
                 np.testing.assert_allclose(found, part, rtol=1e-9, atol=1e-9, err_msg=f"{name} {k}")
         torch.testing.assert_close(theirs.scale, ours.scale.float(), rtol=0.0, atol=1e-6)
         assert {part.dtype for part in (theirs.force, theirs.cop_foot)} == {torch.float32}
@@ -256,8 +263,8 @@ def test_bad_input_is_refused_with_the_reason(log):
     with pytest.raises(ValueError, match=r"'reference.com' must have shape"):
         module(raw, reference._replace(com=reference.com[:3]))
     with pytest.raises(TypeError, match=r"'reference\.com' must be a torch tensor"):
-        module(raw, reference._replace(com=reference.com.numpy()))
-    with pytest.raises(ValueError, match=r"'reference\.com' is on meta, but the module on cpu"):
+        module(raw, reference._replace(com=reference.com.cpu().numpy()))
+    with pytest.raises(ValueError, match=rf"'reference\.com' is on meta, but the module on {DEVICE}"):
         module(raw, reference._replace(com=reference.com.to("meta")))
     with pytest.raises(TypeError, match="'reference' must be a Reference or a MomentumReference, got tuple"):
         module(raw, tuple(reference))
@@ -272,13 +279,13 @@ def test_bad_input_is_refused_with_the_reason(log):
 
 @pytest.mark.slow
 def test_the_example_calibrates(toy):
-    before, after = toy.main(robots=8, seconds=6.0)
+    before, after = toy.main(robots=8, device=str(DEVICE), seconds=6.0)
     assert before > 8.0
     assert after < 0.4 * before
 
 
 def test_a_calibrator_starts_where_the_sensors_data_sheet_does(log):
-    feet = FootSensorsModule("hx711-load-cells", N, dt=DT, severity=0.0)
+    feet = FootSensorsModule("hx711-load-cells", N, DEVICE, dt=DT, severity=0.0)
     module = make("none", initial=feet.nominal)
     counts = feet(log[1][0])
     torch.testing.assert_close(module(counts, row(log, 0)[1]).force, log[1][0].float(), atol=1e-3, rtol=0.0)
@@ -308,17 +315,40 @@ def test_ankle_sensors_are_those_of_a_calibrator_alone(log):
         )
     )
     known = {"mass": MASS, "dt": DT, "lag": 0, "foot_length": 0.16}
-    module = SelfCalibrationModule(ankles, "moment", dtype=torch.float64, **known)
+    module = SelfCalibrationModule(ankles, "moment", device=DEVICE, dtype=torch.float64, **known)
     alone = FootCalibrator(ankles, "moment", **known)
     for k in range(200):
-        force, rng = log[1][k][0].numpy(), np.random.default_rng(k)
+        force, rng = log[1][k][0].cpu().numpy(), np.random.default_rng(k)
         raw = 0.2 * rng.normal(size=(2, 6))
         raw[:, 2] += 1.1 * force.reshape(2, 4).sum(axis=1)
         reference = Reference(*(part[k, :1] for part in log[2]))
-        found = module(torch.as_tensor(raw.reshape(1, 12)), reference)
-        expected = alone.update(raw.ravel(), Reference(*(part[0].numpy() for part in reference)))
-        np.testing.assert_allclose(found.force[0], expected.force, rtol=1e-9, atol=1e-9)
+        found = module(torch.as_tensor(raw.reshape(1, 12), device=DEVICE), reference)
+        expected = alone.update(raw.ravel(), Reference(*(part[0].cpu().numpy() for part in reference)))
+        np.testing.assert_allclose(found.force[0].cpu(), expected.force, rtol=1e-9, atol=1e-9)
     assert np.abs(expected.scale - 1.0).max() > 1e-3
+
+
+@pytest.mark.skipif(DEVICE.type != "cuda", reason="there is no GPU, or SUREFOOT_DEVICE does not name it")
+@pytest.mark.parametrize("method", METHODS)
+def test_a_captured_step_is_a_step(method, log):
+    """Sensors and calibrator in one graph, replayed with other loads and beliefs, and with resets between."""
+    feet = [FootSensorsModule("hx711-load-cells", N, DEVICE, dt=DT) for _ in "ab"]
+    modules = [make(method, initial=feet[0].nominal) for _ in "ab"]
+    force, parts = log[1][0].clone(), [part[0].clone() for part in log[2]]
+    for one, module in zip(feet, modules, strict=True):
+        module(one(force), Reference(*parts))  # compiles
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        captured = modules[0](feet[0](force), Reference(*parts))
+    for k in range(1, 120):
+        force.copy_(log[1][k])
+        for mine, now in zip(parts, log[2], strict=True):
+            mine.copy_(now[k])
+        if k == 60:
+            for module in (*feet, *modules):
+                module.reset([1])
+        graph.replay()
+        assert_same(captured, modules[1](feet[1](force), Reference(*parts)))
 
 
 @pytest.mark.parametrize("workers", [1, 3])

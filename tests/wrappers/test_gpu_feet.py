@@ -1,4 +1,4 @@
-"""Foot sensors of many robots on torch tensors, by kernels on Warp's CPU device."""
+"""Foot sensors of many robots on torch tensors, by kernels on Warp's CPU device or a GPU."""
 
 import copy
 import pickle
@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from _gpu import DEVICE
 
 from surefoot.sensors import Fault, ForceTorque, LoadCells, Wire, parse_fault
 from surefoot.sensors.presets import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE
@@ -27,14 +28,20 @@ CONFIGS = {
 }
 
 
+@pytest.fixture(autouse=True)
+def device():
+    with DEVICE:
+        yield
+
+
 def make(config="hx711-load-cells", robots=N, **options):
-    return FootSensorsModule(config, robots, dt=DT, **options)
+    return FootSensorsModule(config, robots, **({"device": DEVICE, "dt": DT} | options))
 
 
 def forces(feet, seed=0, substeps=None):
     generator = torch.Generator().manual_seed(seed)
-    middle = () if substeps is None else (substeps,)
-    return 20.0 * torch.rand((feet.num_envs, *middle, feet.channels), generator=generator)
+    shape = (feet.num_envs, *(() if substeps is None else (substeps,)), feet.channels)
+    return 20.0 * torch.rand(shape, generator=generator, device="cpu").to(DEVICE)
 
 
 @pytest.mark.parametrize("substeps", [None, 1, 4])
@@ -71,15 +78,14 @@ def test_a_robot_reads_what_it_reads_alone(case):
     for i, env in enumerate(alone):
         env.reset(seed=3 + i)
     config = alone[0].robot.equipment.instruments.parts[0].config
-    feet = FootSensorsModule(
-        config, 2, dtype=torch.float64, seed=3, dt=alone[0].source.dt, faults=options.get("faults", ())
-    )
+    dt, faults = alone[0].source.dt, options.get("faults", ())
+    feet = make(config, 2, dtype=torch.float64, seed=3, dt=dt, faults=faults)
 
     def same():
         loads = [env.robot.equipment.instruments.parts[0].load(env.source.truth) for env in alone]
         read = feet(torch.as_tensor(np.stack(loads)))
         expected = np.stack([env.robot.raw for env in alone])
-        np.testing.assert_allclose(read, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(read.cpu(), expected, rtol=1e-9, atol=1e-9)
 
     same()
     for ends, fresh in ((None, False), (0, False), (1, True)):
@@ -202,7 +208,7 @@ def test_no_reading_is_of_the_episode_before(config):
     """Converters of 80 Hz under a loop of 1 kHz hold their last reading, but not across a reset."""
     quiet = replace(config, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0)
     quiet = replace(quiet, scale_drift=0.0, offset_drift=0.0)
-    feet = FootSensorsModule(quiet, N, dt=0.001)
+    feet = make(quiet, dt=0.001)
     for _ in range(20):
         feet(torch.full((N, 8), 50.0))
     feet.reset([0, 4])
@@ -212,14 +218,13 @@ def test_no_reading_is_of_the_episode_before(config):
 
 
 def test_nobody_reads_nothing_at_first():
-    feet = FootSensorsModule("hx711-load-cells", 50, dt=0.001)
+    feet = make(robots=50, dt=0.001)
     assert torch.isfinite(feet(torch.zeros(50, 8))).all()
     feet.reset(slice(0, 10), fresh=True)
     assert torch.isfinite(feet(torch.zeros(50, 8))).all()
 
 
 def test_robots_are_named_as_managers_name_them():
-    device = torch.device("cpu")
     for ids, expected in (
         (None, [1, 1, 1, 1]),
         (slice(None), [1, 1, 1, 1]),
@@ -231,11 +236,11 @@ def test_robots_are_named_as_managers_name_them():
         (torch.tensor([], dtype=torch.long), [0, 0, 0, 0]),
         (np.array([1, 2]), [0, 1, 1, 0]),
     ):
-        assert mask_of(ids, 4, device).int().tolist() == expected
+        assert mask_of(ids, 4, DEVICE).int().tolist() == expected
     with pytest.raises(ValueError, match="must name robots from 0 to 3, got 4"):
-        mask_of([1, 4], 4, device)
+        mask_of([1, 4], 4, DEVICE)
     with pytest.raises(ValueError, match=r"A mask of robots must have shape \(4,\), got \(3,\)"):
-        mask_of(torch.ones(3, dtype=torch.bool), 4, device)
+        mask_of(torch.ones(3, dtype=torch.bool), 4, DEVICE)
 
 
 def test_the_seed_decides():
@@ -270,7 +275,7 @@ def test_a_saved_state_of_other_sensors_is_refused():
         ("configuration", make(severity=0.5)),
         ("faults", make(faults=[Fault("dead", 0)])),
         ("dtype", make(dtype=torch.float64)),
-        ("dt", FootSensorsModule("hx711-load-cells", N, dt=0.01)),
+        ("dt", make(dt=0.01)),
     ):
         with pytest.raises(ValueError, match=f"is of another FootSensorsModule: its {name} is"):
             other.load_state_dict(state)
@@ -286,9 +291,8 @@ def test_faults_begin_when_they_should():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_faults_begin_when_they_should_after_hours(dtype):
-    feet = FootSensorsModule(
-        "hx711-load-cells", 1, dtype=dtype, dt=0.005, faults=[Fault("dead", 3, start=7201.0)], severity=0.0
-    )
+    late = [Fault("dead", 3, start=7201.0)]
+    feet = make(robots=1, dtype=dtype, dt=0.005, faults=late, severity=0.0)
     faults = feet._device(FAULTS, feet._broken)
     views(feet._faults, faults.layout)["time"].fill_(7200.0)
     force = torch.full((1, 8), 10.0)
@@ -313,7 +317,7 @@ def test_bad_input_is_refused_with_the_reason():
         make("icub-force-torque")(torch.zeros(5, 3, 12))
     with pytest.raises(TypeError, match="must be a torch tensor, got ndarray"):
         feet(np.zeros((5, 8)))
-    with pytest.raises(ValueError, match="'force' is on meta, but the module on cpu"):
+    with pytest.raises(ValueError, match=f"'force' is on meta, but the module on {DEVICE}"):
         feet(torch.zeros((5, 8), device="meta"))
     with pytest.raises(ValueError, match="There is no foot sensor preset 'hx712'"):
         make("hx712")
@@ -333,8 +337,8 @@ def test_bad_input_is_refused_with_the_reason():
 def test_a_module_stays_where_it_was_made():
     feet = make()
     policy = torch.nn.Sequential(torch.nn.Linear(8, 2), feet)
-    policy.to("cpu").float()
-    with pytest.raises(RuntimeError, match=r"stays on cpu with torch\.float32; make another one"):
+    policy.to(DEVICE).float()
+    with pytest.raises(RuntimeError, match=rf"stays on {DEVICE} with torch\.float32; make another one"):
         policy.double()
     with pytest.raises(RuntimeError, match="device='meta'"):
         policy.to("meta")
@@ -382,7 +386,7 @@ def test_faults_may_be_words_and_mappings():
 
 def test_one_robot_may_be_named_by_its_number():
     for number in (2, torch.tensor(2), np.int64(2), -3):
-        assert mask_of(number, N, torch.device("cpu")).tolist() == [False, False, True, False, False]
+        assert mask_of(number, N, DEVICE).tolist() == [False, False, True, False, False]
     feet, other = make(), make()
     for module, ids in ((feet, 2), (other, [2])):
         module(forces(module))
@@ -408,4 +412,4 @@ def test_no_graph_is_kept_and_a_module_can_be_copied():
 
 def test_a_wire_too_short_is_refused_when_the_module_is_made():
     with pytest.raises(ValueError, match=r"readings 0\.002 s apart .* Wire\.under_way = 4; give at least 12"):
-        FootSensorsModule("hx711-bar-cells", N, dt=0.002)
+        make("hx711-bar-cells", dt=0.002)
