@@ -76,4 +76,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=256)
     parser.add_argument("--device", default="cpu")
+    parser.add_argument("--seconds", type=float, default=20.0)
     main(**vars(parser.parse_args()))

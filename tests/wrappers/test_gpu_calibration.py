@@ -25,6 +25,7 @@ warp = pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip in
 
 from surefoot.wrappers.gpu.batch import views  # noqa: E402
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule  # noqa: E402
+from surefoot.wrappers.gpu.kernels import kernel  # noqa: E402
 from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule  # noqa: E402
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "gpu_stack.py"
@@ -326,6 +327,17 @@ def test_ankle_sensors_are_those_of_a_calibrator_alone(log):
         expected = alone.update(raw.ravel(), Reference(*(part[0].cpu().numpy() for part in reference)))
         np.testing.assert_allclose(found.force[0].cpu(), expected.force, rtol=1e-9, atol=1e-9)
     assert np.abs(expected.scale - 1.0).max() > 1e-3
+
+
+def test_a_module_is_where_it_was_asked_for_whatever_torchs_default_device_is(log):
+    kernel.cache_clear()
+    with torch.device("meta"):
+        feet = FootSensorsModule("hx711-load-cells", N, DEVICE, dt=DT)
+        module = make(initial=feet.nominal)
+        module.reset([1])
+        found = module(feet(log[1][0]), row(log, 0)[1])
+    assert found.force.device == DEVICE
+    assert torch.isfinite(found.force).all()
 
 
 @pytest.mark.skipif(DEVICE.type != "cuda", reason="there is no GPU, or SUREFOOT_DEVICE does not name it")

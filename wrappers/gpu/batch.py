@@ -108,7 +108,9 @@ class BatchModule(nn.Module, ABC):
         self.counter = counter
         self._last: int | None = None
         self._records: dict[str, Tensor] = {}
-        self._starting = self._register("starting", torch.ones(num_envs, dtype=torch.bool))
+        self._starting = self._register(
+            "starting", torch.ones(num_envs, dtype=torch.bool, device=self.device)
+        )
         self._asked = True  # whether an episode may have started since the last call
 
     @abstractmethod

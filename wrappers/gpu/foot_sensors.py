@@ -141,7 +141,7 @@ class FootSensorsModule(BatchModule):
         names = "sensors", "faults", "streams"
         self._sensors, self._faults, self._streams = map(self._register, names, drawn)
         self._reading = self._register(
-            "reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype)
+            "reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype, device=self.device)
         )
 
     def forward(self, force: Tensor, step: int | None = None) -> Tensor:

@@ -69,7 +69,7 @@ class Kernel:
         lines.append('#include "device.h"')
         told = "surefoot_places()", "surefoot_places_count()", *fits
         tell = "".join(f"((size_t *)config.data)[{i}] = (size_t){one};" for i, one in enumerate(told))
-        table = torch.zeros((1, len(told)), dtype=torch.int64)
+        table = torch.zeros((1, len(told)), dtype=torch.int64, device="cpu")
         self._steps = _new_kernel(package, [*lines, '#include "library.c"'], tell)
         self.launch(1, [table])
         first, count, *functions = table[0].tolist()

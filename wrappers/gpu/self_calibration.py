@@ -211,7 +211,9 @@ class SelfCalibrationModule(BatchModule):
         estimate = self._nothing(num_envs, library.places["estimate"][""][2])
         self._state = self._register("state", self._fresh.expand(num_envs, -1))
         self._estimate = self._register("estimate", estimate)
-        self._waiting = self._register("waiting", torch.zeros(num_envs, dtype=torch.int32))
+        self._waiting = self._register(
+            "waiting", torch.zeros(num_envs, dtype=torch.int32, device=self.device)
+        )
         self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.record.dtype, native.estimate.now.dtype
         self._view()
