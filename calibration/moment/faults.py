@@ -94,6 +94,7 @@ class ChannelConstants(NamedTuple):
 
     Attributes:
         leap: Change of a force in one sample in N that no foot makes.
+        leap_stance: The same of a foot that stands.
         renewal: Share of how cells share loads that one block decides.
         prior: How they do so at first, in body weights squared, shape (K, K).
         cells: Channels that are cells under one plate (bool), shape (K,).
@@ -101,6 +102,7 @@ class ChannelConstants(NamedTuple):
     """
 
     leap: float
+    leap_stance: float
     renewal: float
     prior: Array
     cells: Array
@@ -113,13 +115,15 @@ class ChannelFaults:
     Args:
         setup: The robot.
         leap: Change of a force in one sample in body weights that no foot makes.
+        leap_stance: The same of a foot that stands.
         memory: Blocks that shares of load are remembered for.
     """
 
-    def __init__(self, setup: OnlineSetup, leap: float, memory: float) -> None:
+    def __init__(self, setup: OnlineSetup, leap: float, leap_stance: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
-        self._leap, self._weight = leap * setup.weight, setup.weight
-        foot = setup.layout.foot_of_channel
+        self._leap, self._leap_stance = leap * setup.weight, leap_stance * setup.weight
+        self._weight, foot = setup.weight, setup.layout.foot_of_channel
+        self._foot_of_channel = foot
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
 
@@ -128,7 +132,12 @@ class ChannelFaults:
         """Constants, by their names in C."""
         stand_in = self.stand_in
         return ChannelConstants(
-            self._leap, stand_in.renewal, stand_in.prior, stand_in.cells, stand_in.together
+            self._leap,
+            self._leap_stance,
+            stand_in.renewal,
+            stand_in.prior,
+            stand_in.cells,
+            stand_in.together,
         )
 
     def init(self, resting: Array) -> ChannelState:
@@ -150,7 +159,7 @@ class ChannelFaults:
         )
 
     def sample(
-        self, state: ChannelState, force: Array, read: Array, scale: Array
+        self, state: ChannelState, force: Array, read: Array, scale: Array, stance: Array
     ) -> tuple[ChannelState, Array, Array, Array]:
         """Put channels right and hold leaps, sample by sample.
 
@@ -159,6 +168,7 @@ class ChannelFaults:
             force: Forces by the starting map in N, shape (K,).
             read: Whether they were read just now (bool), shape (K,).
             scale: Newtons per newton by the starting map, as published, shape (K,).
+            stance: Whether each foot stands by the robot's plan (bool), shape (F,).
 
         Returns:
             The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
@@ -166,7 +176,8 @@ class ChannelFaults:
         if state.altered:
             force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
         step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
-        state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
+        most = np.where(stance[self._foot_of_channel], self._leap_stance, self._leap)
+        state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > most
         if not leaping.any():
             return state._replace(last=force, leaps=np.zeros_like(state.leaps)), force, read, state.kind
         # A foot that lands moves several of its cells.

@@ -94,6 +94,7 @@ static const place places[] = {
     C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(foot_of_channel), C_INT(cells), C_INT(together),
     C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length), C_REAL(reach), C_REAL(force_threshold),
     C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest), C_REAL(highest), C_REAL(wrench_map), C_REAL(leap),
+    C_REAL(leap_stance),
     C_REAL(renewal), C_REAL(prior),
 
     WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),

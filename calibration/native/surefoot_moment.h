@@ -1896,7 +1896,7 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
     sf_real waited = 0;
     sf_sample sample;
     sf_check(c, &s->front, raw, reference, 0, dt, &sample);
-    sf_fault_sample(c, &s->faults, s->published.mean, sample.force, sample.read, kinds);
+    sf_fault_sample(c, &s->faults, s->published.mean, reference->stance, sample.force, sample.read, kinds);
     for (int i = 0; i < K; i++) sample.force[i] -= s->shift[i];
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));

@@ -111,7 +111,7 @@ typedef struct {
     sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
-    sf_real leap, renewal;
+    sf_real leap, leap_stance, renewal;
     sf_real prior[SF_CHANNELS * SF_CHANNELS];
 } sf_config;
 
@@ -599,9 +599,9 @@ SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, con
 }
 
 /* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in place.
-   scale: what a newton by the starting map is as far as is known. */
-SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_real *scale, sf_real *force, int *read,
-                            sf_whole *kinds) {
+   scale: what a newton by the starting map is as far as is known; stance: which feet stand by the robot's plan. */
+SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_real *scale,
+                            const unsigned char *stance, sf_real *force, int *read, sf_whole *kinds) {
     int K = c->channels, any = 0, leaping[SF_CHANNELS];
     sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
     if (s->altered) {
@@ -622,7 +622,7 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         step[i] = sf_fabs(force[i] - s->last[i]) *
                   sf_clip(sf_fabs(scale[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
-        leaping[i] = step[i] > c->leap;
+        leaping[i] = step[i] > (stance[c->foot_of_channel[i]] ? c->leap_stance : c->leap);
         any = any || leaping[i];
         kinds[i] = s->kind[i];
     }

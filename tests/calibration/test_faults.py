@@ -257,17 +257,32 @@ def test_exchanged_channels_are_put_right(broken, kind):
 )
 def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
     weight = SETUP.weight
-    faults = ChannelFaults(SETUP, 0.25, 100.0)
+    faults = ChannelFaults(SETUP, 0.25, 0.15, 100.0)
     resting, read = np.full(8, 5.0), np.ones(8, dtype=bool)
-    state, *_ = faults.sample(faults.init(resting), resting, read, np.ones(8))
+    air = np.zeros(2, dtype=bool)
+    state, *_ = faults.sample(faults.init(resting), resting, read, np.ones(8), air)
     force, scales = resting.copy(), np.ones(8)
     force[3] += leap * weight
     scales[3] = scale
-    _, used, sure, flags = faults.sample(state, force, read, scales)
+    _, used, sure, flags = faults.sample(state, force, read, scales, air)
     assert bool(flags[3] & int(Flag.SPIKE)) == held
     assert sure[3] != held
     assert used[3] == (5.0 if held else force[3])
     assert not np.delete(flags, 3).any()
+
+
+@pytest.mark.parametrize(
+    ("channels", "leap", "held"), [([3], 0.2, True), ([3], 0.1, False), ([3, 2], 0.2, False)]
+)
+def test_a_cell_alone_of_a_foot_that_stands_leaps_sooner(channels, leap, held):
+    faults = ChannelFaults(SETUP, 0.25, 0.15, 100.0)
+    resting, read, stance = np.full(8, 5.0), np.ones(8, dtype=bool), np.array([True, False])
+    state, *_ = faults.sample(faults.init(resting), resting, read, np.ones(8), stance)
+    for foot in (0, 1):
+        force = resting.copy()
+        force[np.array(channels) + 4 * foot] += leap * SETUP.weight
+        *_, flags = faults.sample(state, force, read, np.ones(8), stance)
+        assert ((flags & int(Flag.SPIKE)) > 0).any() == (held and foot == 0)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +297,7 @@ def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
     ],
 )
 def test_a_reading_that_is_wrong_once_goes_between_its_neighbours(changed, by, smoothed):
-    faults = ChannelFaults(SETUP, 0.25, 100.0)
+    faults = ChannelFaults(SETUP, 0.25, 0.15, 100.0)
     before, after = (np.concatenate([np.full(8, force), np.ones(8)]) for force in (0.2, 0.22))
     row = np.concatenate([np.full(8, 0.21), np.ones(8)])
     row[changed] += by
