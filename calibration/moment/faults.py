@@ -39,6 +39,12 @@ _BUMPY = 1.5
 _BUMP_MEMORY = 0.993
 """Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
 
+LANDING_TIME = 600.0
+"""Time in s for which a robot is known to land on one cell of a foot: it is its feet's shape."""
+
+_ONCE = 0.5
+"""Count of leaps or of landings of late from which on there was one."""
+
 _MOVING = 0.02
 """Change of a reading within a block in body weights that shows that the foot's load changes."""
 
@@ -64,8 +70,10 @@ class ChannelState(NamedTuple):
 
     Attributes:
         last: Last readings that were believed, F0 in N, shape (K,).
-        leaps: Samples in a row that were held for leaping, shape (K,).
+        leaps: Samples in a row that were held for leaping, shape (K,); more than are held where the last one
+            was not read.
         leapt: How often each channel leapt of late, shape (K,).
+        landed: How often a cell alone of a foot in the air leapt and stayed of late: a landing on a corner.
         moments: How cells share loads, shape (K, K).
         lost: Channels that are out (0 or 1), shape (K,).
         kind: Flags of each channel's faults, shape (K,).
@@ -79,6 +87,7 @@ class ChannelState(NamedTuple):
     last: Array
     leaps: Array
     leapt: Array
+    landed: float
     moments: Array
     lost: Array
     kind: Array
@@ -94,7 +103,8 @@ class ChannelConstants(NamedTuple):
 
     Attributes:
         leap: Change of a force in one sample in N that no foot makes.
-        leap_stance: The same of a foot that stands.
+        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone.
+        landing_kept: Share of the count of landings that a sample keeps.
         renewal: Share of how cells share loads that one block decides.
         prior: How they do so at first, in body weights squared, shape (K, K).
         cells: Channels that are cells under one plate (bool), shape (K,).
@@ -102,7 +112,8 @@ class ChannelConstants(NamedTuple):
     """
 
     leap: float
-    leap_stance: float
+    leap_alone: float
+    landing_kept: float
     renewal: float
     prior: Array
     cells: Array
@@ -115,13 +126,14 @@ class ChannelFaults:
     Args:
         setup: The robot.
         leap: Change of a force in one sample in body weights that no foot makes.
-        leap_stance: The same of a foot that stands.
+        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone.
         memory: Blocks that shares of load are remembered for.
     """
 
-    def __init__(self, setup: OnlineSetup, leap: float, leap_stance: float, memory: float) -> None:
+    def __init__(self, setup: OnlineSetup, leap: float, leap_alone: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
-        self._leap, self._leap_stance = leap * setup.weight, leap_stance * setup.weight
+        self._leap, self._leap_alone = leap * setup.weight, leap_alone * setup.weight
+        self._landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
         self._weight, foot = setup.weight, setup.layout.foot_of_channel
         self._foot_of_channel = foot
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
@@ -133,7 +145,8 @@ class ChannelFaults:
         stand_in = self.stand_in
         return ChannelConstants(
             self._leap,
-            self._leap_stance,
+            self._leap_alone,
+            self._landing_kept,
             stand_in.renewal,
             stand_in.prior,
             stand_in.cells,
@@ -146,8 +159,9 @@ class ChannelFaults:
         zero = np.zeros(K)
         return ChannelState(
             last=resting,
-            leaps=np.full(K, LONGEST_LEAP, dtype=np.int64),
+            leaps=np.full(K, LONGEST_LEAP + 1, dtype=np.int64),
             leapt=zero,
+            landed=0.0,
             moments=self.stand_in.init(),
             lost=zero,
             kind=np.zeros(K, dtype=np.int64),
@@ -176,19 +190,26 @@ class ChannelFaults:
         if state.altered:
             force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
         step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
-        most = np.where(stance[self._foot_of_channel], self._leap_stance, self._leap)
-        state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > most
+        stands = stance[self._foot_of_channel]
+        most = np.where(stands | (state.landed < _ONCE), self._leap_alone, self._leap)
+        state = state._replace(leapt=_BUMP_MEMORY * state.leapt, landed=self._landing_kept * state.landed)
+        leaping = step > most
         if not leaping.any():
-            return state._replace(last=force, leaps=np.zeros_like(state.leaps)), force, read, state.kind
+            leaps = np.where(read, 0, LONGEST_LEAP + 1)
+            return state._replace(last=force, leaps=leaps), force, read, state.kind
         # A foot that lands moves several of its cells.
         others = (step * self._same_foot).max(axis=1)
-        leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
+        leaping = leaping & read & (step > _ALONE * others)
+        stayed = leaping & (state.leaps == LONGEST_LEAP)
+        leaping = leaping & (state.leaps < LONGEST_LEAP)
         leapt = state.leapt + (leaping & (state.leaps == 0))
         leaping = leaping & (state.leapt.sum() - state.leapt < _BUMPY)
-        leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, state.leaps))
+        leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, LONGEST_LEAP + 1))
         used = np.where(leaping, state.last, force)
         flags = state.kind | int(Flag.SPIKE) * leaping
-        return state._replace(last=used, leaps=leaps, leapt=leapt), used, read & ~leaping, flags
+        landed = state.landed + float((stayed & ~stands).sum())
+        state = state._replace(last=used, leaps=leaps, leapt=leapt, landed=landed)
+        return state, used, read & ~leaping, flags
 
     def smooth(self, before: Array, row: Array, after: Array, weight: float) -> Array:
         """Put readings that were wrong for one sample between their neighbours.
@@ -222,7 +243,8 @@ class ChannelFaults:
         flat = spread == 0.0
         moving = (spread > _MOVING * self._weight) @ self._same_foot > 0.5
         share = read.mean(axis=0)
-        missing = (share < _MOSTLY_MISSING) & (share.max() >= _MOSTLY_MISSING)
+        # A reading that was held for leaping is none that is missing.
+        missing = (share < _MOSTLY_MISSING) & (share.max() >= _MOSTLY_MISSING) & (state.leapt < _ONCE)
         was_missing = (state.kind & int(Flag.MISSING)) > 0
         state = self._return(state, (share > _ALL_READ) & ~flat & was_missing & (state.lost > 0.5))
 

@@ -44,9 +44,9 @@ LEAP, LEAP_RATE = 0.25, 40.0
 """Change of a cell's force from one sample to the next in body weights that no foot makes, and the same by
 the time between samples in body weights a second: a heel takes all of the weight within 25 ms."""
 
-STANCE_LEAP, STANCE_LEAP_RATE = 0.075, 12.0
-"""The same of one cell alone of a foot that stands. At 80 Hz 0.15: on NAO, OP3 and T1 no cell passed it, on a
-G1 that stands on the corners of its feet one to ten a minute did."""
+LEAP_ALONE, LEAP_ALONE_RATE = 0.075, 12.0
+"""The same of one cell of a foot that stands, or of a robot that lands on no cell alone. At 80 Hz 0.15: on
+NAO, OP3 and T1 no cell passed it; on a G1 by policy cells do as it lands on the corners of its feet."""
 
 SHARES_TIME = 20.0
 """Time in s over which is learnt how the cells of a foot share its load."""
@@ -133,7 +133,7 @@ class MomentFilter:
         self.tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
         six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
         # The words of a six-axis sensor come together: one that leaps away alone is a landing.
-        leaps = max(LEAP, LEAP_RATE * setup.dt), max(STANCE_LEAP, STANCE_LEAP_RATE * setup.dt)
+        leaps = max(LEAP, LEAP_RATE * setup.dt), max(LEAP_ALONE, LEAP_ALONE_RATE * setup.dt)
         leaps = (np.inf, np.inf) if six_axis else leaps
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
         self.repairs = Repairs(layout, setup.weight, self.faults, columns, spread.unit)

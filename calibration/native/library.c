@@ -19,7 +19,8 @@
         PART(record, front_clean, front.clean, "whole")
 #define FAULTS_OF(record)                                                                                    \
     PART(record, faults_last, faults.last, "real"), PART(record, faults_leaps, faults.leaps, "whole"),       \
-        PART(record, faults_leapt, faults.leapt, "real"), PART(record, faults_moments, faults.moments, "real"), \
+        PART(record, faults_leapt, faults.leapt, "real"), PART(record, faults_landed, faults.landed, "real"),   \
+        PART(record, faults_moments, faults.moments, "real"), \
         PART(record, faults_lost, faults.lost, "real"), PART(record, faults_kind, faults.kind, "whole"),     \
         PART(record, faults_wiring, faults.wiring, "real"), PART(record, faults_spare, faults.spare, "real"), \
         PART(record, faults_spare_std, faults.spare_std, "real"),                                            \
@@ -94,7 +95,7 @@ static const place places[] = {
     C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(foot_of_channel), C_INT(cells), C_INT(together),
     C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length), C_REAL(reach), C_REAL(force_threshold),
     C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest), C_REAL(highest), C_REAL(wrench_map), C_REAL(leap),
-    C_REAL(leap_stance),
+    C_REAL(leap_alone), C_REAL(landing_kept),
     C_REAL(renewal), C_REAL(prior),
 
     WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),

@@ -90,6 +90,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_SPIKE_LOAD ((sf_real)0.02)
 #define SF_BUMPY ((sf_real)1.5)
 #define SF_BUMP_MEMORY ((sf_real)0.993)
+#define SF_ONCE ((sf_real)0.5)
 #define SF_MOVING ((sf_real)0.02)
 #define SF_MOSTLY_MISSING ((sf_real)0.5)
 #define SF_ALL_READ ((sf_real)0.99)
@@ -111,7 +112,7 @@ typedef struct {
     sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
-    sf_real leap, leap_stance, renewal;
+    sf_real leap, leap_alone, landing_kept, renewal;
     sf_real prior[SF_CHANNELS * SF_CHANNELS];
 } sf_config;
 
@@ -142,7 +143,7 @@ typedef struct {
 typedef struct {
     sf_real last[SF_CHANNELS];
     sf_whole leaps[SF_CHANNELS];
-    sf_real leapt[SF_CHANNELS], moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
+    sf_real leapt[SF_CHANNELS], landed, moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
     sf_whole kind[SF_CHANNELS];
     sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
     sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
@@ -592,7 +593,7 @@ SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, con
     memset(s, 0, sizeof *s);
     for (int i = 0; i < K; i++) {
         s->last[i] = c->scale[i] * raw[i] + c->offset[i];
-        s->leaps[i] = SF_LONGEST_LEAP;
+        s->leaps[i] = SF_LONGEST_LEAP + 1;
         s->wiring[i * K + i] = s->spare[i * K + i] = 1;
     }
     sf_copy(s->moments, c->prior, K * K);
@@ -602,7 +603,7 @@ SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, con
    scale: what a newton by the starting map is as far as is known; stance: which feet stand by the robot's plan. */
 SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_real *scale,
                             const unsigned char *stance, sf_real *force, int *read, sf_whole *kinds) {
-    int K = c->channels, any = 0, leaping[SF_CHANNELS];
+    int K = c->channels, any = 0, leaping[SF_CHANNELS], corners = s->landed >= SF_ONCE;
     sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
     if (s->altered) {
         int was[SF_CHANNELS];
@@ -622,13 +623,14 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         step[i] = sf_fabs(force[i] - s->last[i]) *
                   sf_clip(sf_fabs(scale[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
-        leaping[i] = step[i] > (stance[c->foot_of_channel[i]] ? c->leap_stance : c->leap);
+        leaping[i] = step[i] > (corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone);
         any = any || leaping[i];
         kinds[i] = s->kind[i];
     }
+    s->landed *= c->landing_kept;
     if (!any) {
         sf_copy(s->last, force, K);
-        memset(s->leaps, 0, (size_t)K * sizeof(sf_whole));
+        for (int i = 0; i < K; i++) s->leaps[i] = read[i] ? 0 : SF_LONGEST_LEAP + 1;
         return;
     }
     for (int i = 0; i < K; i++) {
@@ -636,14 +638,16 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         sf_real others = 0;
         for (int j = 0; j < K; j++)
             if (j != i && c->foot_of_channel[j] == c->foot_of_channel[i]) others = sf_max(others, step[j]);
-        leaping[i] = leaping[i] && read[i] && s->leaps[i] < SF_LONGEST_LEAP && step[i] > SF_ALONE * others;
+        leaping[i] = leaping[i] && read[i] && step[i] > SF_ALONE * others;
+        if (leaping[i] && s->leaps[i] == SF_LONGEST_LEAP && !stance[c->foot_of_channel[i]]) s->landed += 1;
+        leaping[i] = leaping[i] && s->leaps[i] < SF_LONGEST_LEAP;
         leapt[i] = s->leapt[i] + (sf_real)(leaping[i] && s->leaps[i] == 0);
         total += s->leapt[i];
     }
     for (int i = 0; i < K; i++) {
         leaping[i] = leaping[i] && total - s->leapt[i] < SF_BUMPY;
         s->leapt[i] = leapt[i];
-        s->leaps[i] = leaping[i] ? s->leaps[i] + 1 : read[i] ? 0 : s->leaps[i];
+        s->leaps[i] = leaping[i] ? s->leaps[i] + 1 : read[i] ? 0 : SF_LONGEST_LEAP + 1;
         if (leaping[i]) {
             force[i] = s->last[i];
             read[i] = 0;
@@ -693,7 +697,7 @@ SF_API void sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *f
     }
     sf_return(c, s, again);
     for (int i = 0; i < K; i++) {
-        int moving = 0, missing = share[i] < SF_MOSTLY_MISSING && most >= SF_MOSTLY_MISSING;
+        int moving = 0, missing = share[i] < SF_MOSTLY_MISSING && most >= SF_MOSTLY_MISSING && s->leapt[i] < SF_ONCE;
         for (int j = 0; j < K; j++)
             moving = moving || (j != i && moves[j] && c->foot_of_channel[j] == c->foot_of_channel[i]);
         stuck[i] = flat[i] && moving && share[i] > SF_ALL_READ;
