@@ -15,7 +15,7 @@ import numpy as np
 from surefoot.calibration import FeetLayout, Parameters, Reference
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.exercise.moves import motions_offered
+from surefoot.envs.exercise.moves import list_motions
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working
@@ -125,7 +125,7 @@ def rehearse(
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
-    offered = motions_offered() if names is None else [[name] for name in names]
+    offered = list_motions() if names is None else [[name] for name in names]
     for alternatives in each("rehearsing motions", offered):
         for name in alternatives:
             try:

@@ -38,7 +38,7 @@ def evaluate(
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
     from surefoot.experiments.episodes.episode import COP_INPUTS
     from surefoot.experiments.episodes.plan import evaluation_plan
-    from surefoot.experiments.episodes.run import in_order, run_plan
+    from surefoot.experiments.episodes.run import run_plan, sort_episodes
 
     if page_of:
         if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
@@ -57,7 +57,7 @@ def evaluate(
     with one_line_errors(out, "give another folder with --out, or make room."):
         plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
         results = run_plan(plan, out, jobs=jobs, retry_failed=True)
-        _report(in_order(results.rows, chosen.get("controllers", ())), out, as_json)
+        _report(sort_episodes(results.rows, chosen.get("controllers", ())), out, as_json)
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:
@@ -192,13 +192,13 @@ def _exact(value: Any) -> Any:
 
 
 def _scenario_table() -> Any:
-    from surefoot.experiments.episodes.plan import SCENARIOS, scenario_named
+    from surefoot.experiments.episodes.plan import SCENARIOS, find_scenario
     from surefoot.experiments.study.tables import Table
 
     rows = []
     for name in SCENARIOS:
         try:
-            rows.append((name, scenario_named(name).title))
+            rows.append((name, find_scenario(name).title))
         except ValueError:
             continue
     return Table("scenarios", "Scenarios of a sweep", ("scenario", "what it is"), tuple(rows))

@@ -146,10 +146,10 @@ def _stream_page(server: Any, description: Path, feed: str, at: tuple[str, int])
 
 def _chosen(feed: str) -> dict[str, str]:
     """Return which feed and which calibrator a name stands for on the page; ValueError if it has none."""
-    from surefoot.experiments.walks.walkers import feed_named
+    from surefoot.experiments.walks.walkers import check_feed
     from surefoot.names import plain_name
 
-    if feed_named(feed) == "weights":
+    if check_feed(feed) == "weights":
         raise ValueError("'weights' is a feed of films; the page begins on the nominal map.")
     if feed in _PAGE_FEEDS:
         return {"feed": _PAGE_FEEDS[feed]}

@@ -45,28 +45,16 @@ def severities_of(frame: Frame) -> list[float]:
     return [float(severity) for severity in sorted(frame[frame["feed"] != "true"]["severity"].unique())]
 
 
-def seed_ranges(seeds: Iterable[int]) -> list[tuple[int, int]]:
-    """Return first and last of each row of seeds that follow each other.
-
-    >>> seed_ranges([7, 3, 1, 2])
-    [(1, 3), (7, 7)]
-    """
-    found: list[tuple[int, int]] = []
-    for seed in sorted({int(seed) for seed in seeds}):
-        if found and seed == found[-1][1] + 1:
-            found[-1] = (found[-1][0], seed)
-        else:
-            found.append((seed, seed))
-    return found
-
-
 def seeds_text(seeds: Iterable[int]) -> str:
     """Return seeds in words.
 
-    >>> seeds_text([7, 3, 1, 2])
-    '1 to 3, 7'
+    >>> seeds_text([3, 1, 2]), seeds_text([7, 3, 1, 2])
+    ('1 to 3', '4 of 1 to 7')
     """
-    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in seed_ranges(seeds))
+    numbers = {int(seed) for seed in seeds}
+    first, last = min(numbers), max(numbers)
+    text = f"{first} to {last}" if len(numbers) > 1 else f"{first}"
+    return text if len(numbers) == last - first + 1 else f"{len(numbers)} of {text}"
 
 
 def same_seeds(frame: Frame) -> bool:
@@ -82,7 +70,7 @@ def difference(frame: Frame, first: Run, second: Run, severity: float | None = N
     return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
 
 
-def share_recovered(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
+def recovery_share(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
     """Return the share of a controller's loss on drifting feet that a feed wins back, and its 95 % interval.
 
     ``None`` if it is no calibration, shares no seeds with true and drifting feet, or these do not clearly

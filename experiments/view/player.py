@@ -13,7 +13,7 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.view.session import check_method
 from surefoot.experiments.view.shown import Reading, Shown, move_cop
 from surefoot.experiments.walks.replay import replay_log, starting_map
 
@@ -49,7 +49,7 @@ class LogFeet:
 
     def choose(self, method: str) -> None:
         """Calibrate by another method; ValueError if there is none of that name."""
-        self.method = method_chosen(method)
+        self.method = check_method(method)
         self._estimate = self._raw if self.method == "none" else self._replay(self.method)
 
     def state_to_draw(self, i: int) -> Shown:

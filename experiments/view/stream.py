@@ -19,7 +19,7 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.player import SIZE
 from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.view.session import check_method
 from surefoot.experiments.view.shown import Reading, Shown, move_cop
 from surefoot.files import parse_json, read_text
 
@@ -90,7 +90,7 @@ class StreamFeet:
 
     def choose(self, method: str) -> None:
         """Calibrate by another method from now on; ValueError if there is none of that name."""
-        self.method = method_chosen(method)
+        self.method = check_method(method)
         self._begin()
 
     def take(self, line: bytes) -> None:

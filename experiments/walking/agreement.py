@@ -35,7 +35,7 @@ class Agreement(NamedTuple):
     rows: int
 
 
-def required_ground(log: Log) -> Ground:
+def ground_of_motion(log: Log) -> Ground:
     """Ground force and CoP that the robot's motion requires."""
     reference = _late_references(log)
     height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)

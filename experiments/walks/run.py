@@ -37,7 +37,7 @@ from surefoot.experiments.walks.run_score import (
     trace_of,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import Scenario, log_paths, record_missing, scenarios_named
+from surefoot.experiments.walks.scenarios import Scenario, find_scenarios, log_paths, record_missing
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -83,7 +83,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     used.
     """
     prepare_rendering()
-    chosen = scenarios_named(options.scenarios, quick=options.quick)
+    chosen = find_scenarios(options.scenarios, quick=options.quick)
     results = WalkStudyResults(options, chosen)
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]

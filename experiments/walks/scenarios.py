@@ -306,7 +306,7 @@ SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
 """The scenarios of the comparison by name, in the order of the page."""
 
 
-def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
+def find_scenarios(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
     """Return scenarios by names, or raise ValueError with their names; all for none, quick without long."""
     known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
     unknown = [name for name in names if name not in known]

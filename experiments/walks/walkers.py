@@ -53,7 +53,7 @@ that users register among them, also as ``"module:name"``."""
 STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, the filters a while
 
 
-def feed_named(name: str) -> str:
+def check_feed(name: str) -> str:
     """Return the name of a feed, or raise ValueError with their names."""
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
@@ -124,7 +124,7 @@ def make_walker(
     **env_options: Any,
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return a walker on a feed's feet, as :func:`on_feet`, for a duration in s with standing, at m/s."""
-    calibration = FEEDS[feed_named(feed)]
+    calibration = FEEDS[check_feed(feed)]
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
     bare = gym.make(
         "surefoot/NaoWalk-v0",

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from surefoot.controllers import PolicyFileError, PolicyNetwork
 from surefoot.experiments.episodes import run_episode
 from surefoot.experiments.policy.card import write_card
-from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, TrainOptions, shipped_policy, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, TrainOptions, find_task, shipped_policy
 from surefoot.experiments.policy.train import Trainer, TrainingError, remove_training
 from surefoot.experiments.policy.view import PARTS, PolicyView, export_zip, input_names, make_task, network_of
 from surefoot.experiments.walks.walkers import FEEDS
@@ -355,7 +355,7 @@ def test_a_training_says_which_task_it_is_for(tmp_path):
 
 def test_a_task_that_does_not_exist_is_refused():
     for refused in (
-        lambda: task_named("run"),
+        lambda: find_task("run"),
         lambda: TrainOptions(task="run"),
         lambda: run_episode("zero", "true", 0, task="run"),
         lambda: shipped_policy("true", "run"),
