@@ -66,11 +66,11 @@ def robots(
     as_json: Json = False,
 ) -> None:
     """Compare calibrators on robots that others made: standing, moving, falling."""
-    from surefoot.experiments.walks.robots import RobotOptions, compare_robots
+    from surefoot.experiments.walks.robots import compare_robots
 
+    amount: Any = {"seeds": min(seeds, 2), "duration": 3.0} if quick else {"seeds": seeds}
     with one_line_errors(out):
-        options = RobotOptions(out=out, seeds=seeds, jobs=jobs)
-        report = compare_robots(options.quickly() if quick else options)
+        report = compare_robots(out, jobs=jobs, **amount)
     show(report.tables, {"report": report.page}, as_json=as_json)
 
 

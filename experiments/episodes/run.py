@@ -68,7 +68,7 @@ def run_plan(
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 
-    Backend, jobs and address are those of :func:`~surefoot.experiments.study.backends.workers`. Raises
+    Backend, jobs and address are those of :func:`~surefoot.experiments.study.runner.workers`. Raises
     ValueError if something is refused before anything is run, StudyError if the folder cannot be used, the
     disk is full, or a worker runs other software.
     """

@@ -19,6 +19,7 @@ from surefoot.calibration import METHODS, online
 from surefoot.names import plain_name
 from surefoot.sensors import presets
 
+_DATA = (".xml", ".h", ".c")  # files of packages that decide results as well
 _ROOT = Path(surefoot.__file__).parent
 _IMPORT = re.compile(r"^[ \t]*from (surefoot[\w.]*) import (?:\(([^)]*)\)|([^\n(]*))", re.MULTILINE)
 _WHOLE = re.compile(r"^[ \t]*import (surefoot\.[\w.]+)", re.MULTILINE)
@@ -32,7 +33,7 @@ def source_hash(*entries: str) -> str:
     digest = sha256()
     for module in sorted(source_modules(*entries)):
         path = _file(module)
-        data = [] if path.name != "__init__.py" else [f for f in path.parent.iterdir() if f.suffix == ".xml"]
+        data = [] if path.name != "__init__.py" else [f for f in path.parent.iterdir() if f.suffix in _DATA]
         for file in (path, *sorted(data)):
             digest.update(f"{module}/{file.name}".encode() + file.read_bytes())
     return digest.hexdigest()[:16]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 
@@ -67,7 +67,7 @@ def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
 
 def _remake(claims: Claims, make: Callable[[], Reference]) -> Claims:
     late = len(make().com) - len(claims.raw)  # made references are not late
-    return replace(claims, reference=Reference(*(np.asarray(part)[late:] for part in make())))
+    return replace(claims, reference=take_rows(make(), slice(late, None)))
 
 
 def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:

@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, posterior_bound
+from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
+from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.run import case_of
@@ -27,7 +28,7 @@ from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map
+from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -271,12 +272,11 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
     log = read_log(path)
-    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    calibrator = FootCalibrator(log.layout, method, initial=starting_map(log), **known, **options)
+    calibrator = make_calibrator(log, method, initial=starting_map(log), **options)
     taken = []
     beliefs = beliefs_of(log, method)
     for k in range(min(TIMED, len(log))):
-        reference = type(beliefs)(*(part[k] for part in beliefs))
+        reference = take_rows(beliefs, k)
         began = time.perf_counter()
         calibrator.update(log.raw[k], reference)
         taken.append(time.perf_counter() - began)
