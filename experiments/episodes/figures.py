@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.episodes.comparisons import Difference
-from surefoot.experiments.episodes.scores import controllers_of, severities_of
+from surefoot.experiments.episodes.scores import Difference, controllers_of, severities_of
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import (
     by_way,

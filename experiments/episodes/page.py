@@ -11,10 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from surefoot.experiments.episodes import figures, tables
-from surefoot.experiments.episodes.comparisons import COMPARISONS, trainings
 from surefoot.experiments.episodes.episode import VERSIONS, Episode, episode_moments
 from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
-from surefoot.experiments.episodes.scores import controllers_of, same_seeds, seeds_text
+from surefoot.experiments.episodes.scores import (
+    COMPARISONS,
+    controllers_of,
+    same_seeds,
+    seeds_text,
+    trainings,
+)
 from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import labels, short_name
 from surefoot.experiments.policy.tasks import Task, find_task

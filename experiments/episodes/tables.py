@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from surefoot.experiments.episodes.comparisons import CALIBRATED, Difference, trainings
 from surefoot.experiments.episodes.scores import (
+    CALIBRATED,
+    Difference,
     Run,
     controllers_of,
     difference,
@@ -12,6 +13,7 @@ from surefoot.experiments.episodes.scores import (
     recovery_share,
     same_seeds,
     severities_of,
+    trainings,
 )
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.study.figures import by_way, short_label
@@ -252,7 +254,7 @@ def target_table(frame: Frame) -> Table | None:
 
     Untrained controllers have no target: of policies, the first that was trained on true feet has some.
     """
-    trained = dict(zip(frame["controller"], frame["trained"], strict=True)) if "trained" in frame else {}
+    trained = dict(zip(frame["controller"], frame["trained"], strict=True))
     learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
     if not learnt:
         return None

@@ -21,8 +21,7 @@ from surefoot.experiments.study.tables import (
     span,
     with_interval,
 )
-from surefoot.experiments.walks.options import TRUE_MAP
-from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, Scenario
+from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, TRUE_MAP, Scenario
 from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, consistent, seconds_text
 
 _CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on

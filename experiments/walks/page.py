@@ -20,10 +20,15 @@ from surefoot.experiments.study.page import (
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import PAPER_SCENARIOS, Scenario, log_paths
+from surefoot.experiments.walks.scenarios import (
+    PAPER_SCENARIOS,
+    TRUE_MAP,
+    Scenario,
+    WalkStudyOptions,
+    log_paths,
+)
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import run_weighing

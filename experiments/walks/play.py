@@ -14,9 +14,8 @@ from surefoot.calibration import Estimate, MomentumReference, Parameters, Refere
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map, steps_of
-from surefoot.experiments.walks.scenarios import Scenario, log_paths
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, WalkStudyOptions, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults

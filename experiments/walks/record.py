@@ -83,7 +83,7 @@ class FootInstruments:
             reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
             undone = part.true_map(self._states[i])
             found.append((reading, part.force(truth), undone.scale, undone.offset))
-        self._rows.append(tuple(map(self._all.join, zip(*found, strict=True))))
+        self._rows.append(tuple(self._all.join(list(part)) for part in zip(*found, strict=True)))
 
     @property
     def columns(self) -> tuple[Floats, ...]:

@@ -26,7 +26,6 @@ from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
@@ -38,7 +37,14 @@ from surefoot.experiments.walks.run_score import (
     trace_of,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import Scenario, find_scenarios, log_paths, record_missing
+from surefoot.experiments.walks.scenarios import (
+    TRUE_MAP,
+    Scenario,
+    WalkStudyOptions,
+    find_scenarios,
+    log_paths,
+    record_missing,
+)
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 

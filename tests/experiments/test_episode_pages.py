@@ -13,11 +13,17 @@ from typer.testing import CliRunner
 
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
-from surefoot.experiments.episodes.comparisons import COMPARISONS
 from surefoot.experiments.episodes.episode import VERSIONS, row_of_failure
 from surefoot.experiments.episodes.page import check_episodes, write_evaluation, write_sweep
 from surefoot.experiments.episodes.run import sort_episodes
-from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, recovery_share
+from surefoot.experiments.episodes.scores import (
+    COMPARISONS,
+    HalfFall,
+    Run,
+    difference,
+    half_fall,
+    recovery_share,
+)
 from surefoot.experiments.episodes.tables import (
     difference_table,
     outcome_table,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from surefoot.experiments.walks.options import TRUE_MAP
+from surefoot.experiments.walks.scenarios import TRUE_MAP
 
 FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere"))
 

@@ -16,12 +16,18 @@ from surefoot.calibration import METHODS
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walks import run, scenarios
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.page import write_walks_page
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import SCENARIOS, Walk, find_scenarios, log_paths
+from surefoot.experiments.walks.scenarios import (
+    SCENARIOS,
+    TRUE_MAP,
+    Walk,
+    WalkStudyOptions,
+    find_scenarios,
+    log_paths,
+)
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 
