@@ -23,13 +23,8 @@ from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
-from surefoot.experiments.walking.page import (
-    Facts,
-    nis_per_row,
-    parameter_table,
-    terminal_tables,
-    write_walking_page,
-)
+from surefoot.experiments.walking.page import write_walking_page
+from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, terminal_tables
 from surefoot.experiments.walks.replay import replay_log, starting_map, with_map
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name

@@ -1,199 +1,20 @@
-"""The page about one calibrated log: how far to trust it, its missing data, its tables and figures."""
+"""The page about one calibrated log: how far to trust it, its missing data, and its figures."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
+from surefoot.calibration import Flag
 from surefoot.calibration.cop import sole_wrenches
-from surefoot.experiments.arrays import Floats
-from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of, name_axes
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
-from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation
-from surefoot.experiments.walking.agreement import Ground, agreement, ground_of_forces, ground_of_motion
-from surefoot.experiments.walks.score import hold_last, score_forces
-
-_flag_words = Words("walking", "flags")
-
-
-class MapChange(NamedTuple):
-    """How F = a F_start + b is: (a - 1) in percent, b in N and their standard deviations, (N, K) each."""
-
-    scale: Floats
-    offset: Floats
-    std: tuple[Floats | None, Floats | None]
-
-
-@dataclass(frozen=True, eq=False)
-class Facts:
-    """The data of tables, figures and page."""
-
-    log: Log
-    start: str  # name of the starting map
-    initial: Parameters  # that map
-    estimate: Estimate
-    settle: float = 0.0  # samples before this time in s do not count in errors
-    method: str = ""
-    file: str = ""  # name of the log
-    notices: tuple[str, ...] = ()  # what the log lacks
-
-    @property
-    def feet_alone(self) -> bool:
-        """Whether the log has no references, and so no motion to agree with."""
-        return bool(self.log.about.get("feet_alone", False))
-
-    @cached_property
-    def before(self) -> Floats:
-        """Forces by the starting map in N, shape (N, K).
-
-        Where no reading arrived, or one that no foot can give, the last one is held, as calibrators do.
-        """
-        force: Floats = self.initial.force(self.log.raw)
-        seen = np.abs(force) <= OnlineSetup.plausible_weights * self.log.mass * GRAVITY
-        return np.nan_to_num(hold_last(force, seen))
-
-    def sides(self) -> tuple[tuple[str, Floats], ...]:
-        """Return forces after and before, with their names in tables."""
-        return ("calibrated", self.estimate.force), (f"by the {self.start} map", self.before)
-
-    def change(self) -> MapChange:
-        """Return how the map changes along the log."""
-        estimate, initial = self.estimate, self.initial
-        ratio = estimate.scale / initial.scale
-        std: tuple[Floats | None, Floats | None] = (None, None)
-        if estimate.covariance is not None:
-            variance, K = np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), ratio.shape[1]
-            both = np.sqrt(np.maximum(variance, 0.0))
-            std = (100 * both[:, :K], both[:, K:])
-        return MapChange(100 * (ratio - 1), estimate.offset - ratio * initial.offset, std)
-
-
-def terminal_tables(facts: Facts) -> tuple[Table, ...]:
-    """Return the tables besides the map that a terminal shows."""
-    score = () if facts.log.truth is None else (score_table(facts),)
-    moved = () if facts.feet_alone else (agreement_table(facts),)
-    return (*moved, *score, flag_table(facts))
-
-
-def log_table(facts: Facts) -> Table:
-    """Table of the log, its contacts and its starting map."""
-    log = facts.log
-
-    def shares(phase: NDArray[np.bool_]) -> str:
-        named = zip(log.layout.feet, np.asarray(phase).mean(axis=0), strict=True)
-        return ", ".join(f"{foot.name} {100 * share:.0f} %" for foot, share in named)
-
-    about = log.about
-    model = (("model", f"{about['model']}, {about['model_mass_kg']:.4g} kg"),) if "model" in about else ()
-    rows = (
-        ("samples", decimal(len(log), "d")),
-        ("duration", f"{log.time[-1] - log.time[0]:.2f} s at {1 / log.dt:.4g} Hz"),
-        ("mass", f"{log.mass:.4g} kg"),
-        ("channels", decimal(log.layout.channels, "d")),
-        ("motion is late by", f"{log.lag} samples"),
-        *model,
-        ("contacts", str(about.get("contacts", "as the log says"))),
-        ("surely in the air", shares(log.reference.swing)),
-        ("surely on the ground", shares(log.reference.stance)),
-        ("started from", f"the {facts.start} map"),
-        ("errors count from", f"{facts.settle:g} s on"),
-    )
-    return Table("log", "What was calibrated", ("what", "given"), rows)
-
-
-def parameter_table(facts: Facts) -> Table:
-    """Return the map at the end of a log."""
-    log, estimate, change = facts.log, facts.estimate, facts.change()
-    unit, factor = ("1e-6 N/count", 1e6) if np.abs(facts.initial.scale).max() < 1e-2 else ("N/count", 1.0)
-    scale_std, offset_std = change.std
-    rows = []
-    for i, name in enumerate(log.layout.channel_names):
-        scale, offset = decimal(change.scale[-1, i], "+.2f"), decimal(change.offset[-1, i], "+.3f")
-        if scale_std is not None and offset_std is not None:
-            scale = with_deviation(change.scale[-1, i], scale_std[-1, i])
-            offset = with_deviation(change.offset[-1, i], offset_std[-1, i])
-        now = decimal(factor * estimate.scale[-1, i], ".5f"), decimal(estimate.offset[-1, i], ".4f")
-        rows.append((name.replace("/", ", "), *now, scale, offset))
-    columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by (%)", "offset changed by (N)")
-    note = f"Changes against {facts.start}" + ("." if scale_std is None else ", ± one standard deviation.")
-    nis = nis_per_row(estimate)
-    if nis is not None:
-        note += (
-            f" Normalised innovations are {nis:.2f} per row; 1 is what the method expects of its own noise."
-        )
-    return Table("parameters", "The map at the end of the log", columns, tuple(rows), note)
-
-
-def nis_per_row(estimate: Estimate) -> float | None:
-    """Return normalised innovations squared per row, 1 where noise is as assumed; ``None`` without any."""
-    if estimate.nis is None:
-        return None
-    seen = np.isfinite(estimate.nis)
-    rows = float(np.sum(np.asarray(estimate.nis_rows)[seen]))
-    return float(np.sum(np.asarray(estimate.nis)[seen])) / rows if rows else None
-
-
-def agreement_table(facts: Facts) -> Table:
-    """Return how far the feet are from the motion's forces, after and before."""
-    log, asked = facts.log, ground_of_motion(facts.log)
-    rows = []
-    for name, force in facts.sides():
-        found = agreement(ground_of_forces(log, force), asked, facts.settle)
-        rows.append((name, number(found.vgrf), number(1e3 * found.cop), decimal(found.rows, "d")))
-    return Table(
-        "agreement",
-        "Distance from what the robot's own motion asks for (rms)",
-        ("feet", "vGRF (N)", "CoP (mm)", "rows"),
-        tuple(rows),
-        "Both sides behind a zero-phase filter of 10 Hz. The motion has errors of its own: it is not truth.",
-    )
-
-
-def score_table(facts: Facts) -> Table:
-    """Return errors against the truth of a simulated log; raise ValueError if there is nothing to score."""
-    log, truth = facts.log, facts.log.truth
-    assert truth is not None
-    rows = []
-    for name, force in facts.sides():
-        score = score_forces(
-            force,
-            truth.force,
-            layout=log.layout,
-            position_sole=truth.position_sole,
-            R_world_sole=truth.R_world_sole,
-            time=log.time,
-            settle=facts.settle,
-        )
-        rows.append((name, number(1e3 * score.cop), number(score.vgrf), number(score.cell)))
-    columns = ("rmse against the truth in the log", "CoP (mm)", "vGRF (N)", "single cell (N)")
-    return Table("score", f"Errors from {facts.settle:g} s on", columns, tuple(rows))
-
-
-def flag_table(facts: Facts) -> Table:
-    """Return which flags were raised, how long and on which channels."""
-    log, flags = facts.log, np.asarray(facts.estimate.flags)
-    rows = []
-    for flag in Flag:
-        raised = (flags & flag.value) != 0
-        if not raised.any():
-            continue
-        when = np.flatnonzero(raised.any(axis=1))
-        channels = np.flatnonzero(raised.any(axis=0))
-        names = [log.layout.channel_names[i].replace("/", ", ") for i in channels]
-        where = "all channels" if len(names) == raised.shape[1] else "; ".join(names)
-        between = span(log.time[when[0]], log.time[when[-1]], ".2f")
-        rows.append((_flag_words(str(flag.name)), percent(len(when) / len(flags), ".2f"), between, where))
-    if not rows:
-        rows.append(("nothing was flagged", percent(0.0), "–", "–"))
-    return Table("flags", "Flags", ("flag", "of the samples", "between (s)", "on"), tuple(rows))
-
+from surefoot.experiments.walking import tables
+from surefoot.experiments.walking.agreement import Ground, ground_of_forces, ground_of_motion
+from surefoot.experiments.walking.tables import Facts
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
 _ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
@@ -336,7 +157,7 @@ def _limit(axes: Axes, asked: Ground, axis: int) -> None:
 _say, _caption = Words("walking"), Words("walking", "captions")
 
 
-def write_walking_page(path: Path, facts: Facts) -> Path:
+def write_walking_page(path: Path, facts: tables.Facts) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""
     return write_log_page(
         path,
@@ -344,29 +165,29 @@ def write_walking_page(path: Path, facts: Facts) -> Path:
         f"by the method {facts.method!r}",
         "Raw readings and what the robot knows of its own motion went in; calibrated forces, centres of "
         "pressure and parameters came out, sample by sample, as the robot would have had them on its way.",
-        log_table(facts),
+        tables.log_table(facts),
         facts.notices,
         lambda folder: _sections(folder, facts),
     )
 
 
-def _sections(folder: Path, facts: Facts) -> Iterator[Section]:
+def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
     def figure(number: int, path: Path, more: str = "") -> ReportFigure:
         return ReportFigure(path, f"Figure {number}", _caption(f"{number}") + more)
 
     if not facts.feet_alone:
         cop = figure(1, cop_against_motion(folder / "cop.svg", facts))
-        table, title = agreement_table(facts), "Agreement with the robot's own motion"
+        table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
         yield Section("agreement", title, (_say("agreement"),), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
-        yield Section("truth", "Errors against the truth", tables=(score_table(facts),))
+        yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
     feet = figure(2, force_of_feet(folder / "feet.svg", facts))
     cells = figure(3, cells_over_time(folder / "cells.svg", facts))
     yield Section("forces", "Forces", figures=(feet, cells))
     known = facts.estimate.covariance is not None
     bands = ", with bands of ± one standard deviation." if known else "; the method claims no uncertainty."
     drawn = figure(4, parameters_over_time(folder / "parameters.svg", facts), bands)
-    yield Section("parameters", "Parameters", tables=(parameter_table(facts),), figures=(drawn,))
+    yield Section("parameters", "Parameters", tables=(tables.parameter_table(facts),), figures=(drawn,))
     flags = flags_over_time(folder / "flags.svg", facts)
     shown = () if flags is None else (figure(5, flags),)
-    yield Section("flags", "Flags", tables=(flag_table(facts),), figures=shown)
+    yield Section("flags", "Flags", tables=(tables.flag_table(facts),), figures=shown)

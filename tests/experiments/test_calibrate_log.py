@@ -20,7 +20,7 @@ from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
 from surefoot.experiments.walking.notices import check_weight, log_notices
-from surefoot.experiments.walking.page import Facts, terminal_tables
+from surefoot.experiments.walking.tables import Facts, terminal_tables
 
 RUNNER = CliRunner()
 
