@@ -268,7 +268,7 @@ def test_the_table_of_spoilt_and_sound_logs() -> None:
         sound += record_walk(speed, 100 + seed, 20.0).values()
     for robot in ("nao", "g1", "op3", "t1"):
         sound += [exercise(robot, kind, 100 + i) for i, kind in enumerate((None, "icub-force-torque") * 2)]
-    spoilt = [sound[1], sound[7], sound[10], exercise("op3", None, 107)]
+    spoilt = [sound[1], sound[3], sound[7], exercise("op3", None, 107)]
     sound += [
         _with_fault(log, fault) for log in sound[1:20:6] for fault in ("dies", "leaps", "missing", "dead")
     ]
