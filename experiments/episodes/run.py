@@ -213,7 +213,7 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
         frame = frame[frame["error"] == ""]
     if missing := [name for name in _COLUMNS if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    frame = frame.assign(**{name: _typed(path, frame[name]) for name in _COLUMNS})
+    frame = frame.assign(**{name: _check_column(path, frame[name]) for name in _COLUMNS})
     frame = frame.assign(controller=frame["controller"].replace("", _UNNAMED))
     held = controllers_of(frame)
     if controller and len(held) > 1:
@@ -239,7 +239,7 @@ def sort_episodes(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
     return frame.sort_values([*ranks, "severity", "seed"], key=rank, ignore_index=True)
 
 
-def _typed(path: Path, column: Column) -> Column:
+def _check_column(path: Path, column: Column) -> Column:
     """Return a column as the type that a fresh one has, or raise ValueError with the value that is wrong."""
     name, kind = str(column.name), _COLUMNS[str(column.name)]
 
