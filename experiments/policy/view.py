@@ -17,7 +17,7 @@ from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, find_task
-from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, on_feet
+from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, put_on_feet
 
 PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
 _LEGS = 12  # hinge joints of both legs, which come first
@@ -33,7 +33,7 @@ def make_task(
     options, chosen = FEEDS[check_feed(feed)], find_task(task)
     calibration = None if options is None else dict(options)
     bare = gym.make(chosen.env_id, disable_env_checker=True, **env_options)
-    return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
+    return put_on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 
 
 def _input_matrix(

@@ -182,7 +182,7 @@ def _timings(results: WalkStudyResults) -> list[Any]:
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
     options, severity = results.options, max(results.options.loops)
-    speed, seed = telling_walk(results.loop[results.loop["severity"] == severity])
+    speed, seed = choose_walk_to_film(results.loop[results.loop["severity"] == severity])
     results.filmed = (severity, speed, seed)
     filmed = partial(shoot, speed=speed, seed=seed, duration=options.film_duration, severity=severity)
     try:
@@ -191,7 +191,7 @@ def _film(run: Runner, results: WalkStudyResults) -> None:
         results.film = Film(None, None, str(error))
 
 
-def telling_walk(loop: Frame) -> tuple[float, int]:
+def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
     """Return speed and seed of the walk to film: raw it falls, best after some steps, calibrated not."""
     fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
     if {"none", "moment"} <= set(fell.columns):

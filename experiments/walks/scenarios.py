@@ -43,14 +43,14 @@ class Walk:
     clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
     conditions: tuple[Condition, ...] = (CHIPS,)
 
-    def lasting(self, duration: float) -> float:
+    def length(self, duration: float) -> float:
         """Return how long it takes in s, where the study's walks take ``duration``."""
         return duration if self.duration is None else self.duration
 
 
 def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
     """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
-    made_of = (walk, seed, walk.lasting(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
+    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
 
@@ -62,7 +62,7 @@ def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict
         logs = record_walk(
             walk.speed,
             seed,
-            walk.lasting(duration),
+            walk.length(duration),
             walk.conditions,
             sensors=walk.sensors,
             beliefs=walk.beliefs,

@@ -181,13 +181,13 @@ def test_a_fall_within_the_quiet_stand_is_one_after_no_time(monkeypatch, termina
             self.left -= 1
             return observation, reward, terminated and not self.left, not (self.left or terminated), info
 
-    on_feet = episodes.on_feet
+    put_on_feet = episodes.put_on_feet
 
     def make(*arguments):
-        env, tap = on_feet(*arguments)
+        env, tap = put_on_feet(*arguments)
         return Ends(env), tap
 
-    monkeypatch.setattr(episodes, "on_feet", make)
+    monkeypatch.setattr(episodes, "put_on_feet", make)
     row = run_episode(zero_action, "true", 3, **SHORT)
     assert (row["fell"], row["time"], row["return"]) == (terminated, 0.0, 0.0)
     assert np.isnan(row["tracking"])
