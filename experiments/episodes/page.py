@@ -46,8 +46,8 @@ _LISTED = 5  # how many of the worst episodes are listed at least
 
 def check_episodes(frame: Frame) -> tuple[Frame, Frame]:
     """Return the rows of one task that can be scored, in order, and of failures; ValueError for no page."""
-    absent = {name: "" for name in ("error", "controller_hash", "trained", *VERSIONS) if name not in frame}
-    frame = frame.assign(**absent)
+    said = ("error", "controller_hash", "trained", *VERSIONS)  # by files of today; others lack some
+    frame = frame.assign(**{name: frame[name].fillna("") if name in frame else "" for name in said})
     failed = frame["error"] != ""
     finished = frame[~failed]
     if not len(finished):
@@ -64,7 +64,7 @@ def check_episodes(frame: Frame) -> tuple[Frame, Frame]:
             f"Controller '{row['controller']}', feed '{row['feed']}', severity {row['severity']:g}, seed "
             f"{row['seed']} is there twice; {cure}"
         )
-    files = finished.groupby("controller")["controller_hash"].nunique()
+    files = finished[finished["controller_hash"] != ""].groupby("controller")["controller_hash"].nunique()
     if len(changed := files[files > 1]):
         raise ValueError(
             f"'{changed.index[0]}' is not the same file everywhere: it was changed between one evaluation "
