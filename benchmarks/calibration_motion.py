@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
+from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
-from surefoot.experiments.walks.score import cop_world
+from surefoot.experiments.walks.score import cop_world, rms
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.sensors import LoadCells, sized
@@ -101,11 +102,6 @@ def nees_of(calibration: SelfCalibration, sensors: FootSensors) -> float:
     return float(error @ np.linalg.solve(np.asarray(estimate.covariance), error) / error.size)
 
 
-def rms(values: Any) -> float:
-    """Root mean square of finite values."""
-    return float(np.sqrt(np.nanmean(np.square(values))))
-
-
 def study_runs(robot: str, seeds: range, budget: float, enough: float, limits: Limits) -> None:
     """Print a line a seed, with the motion and, for the NAO, without."""
     planned = plan_motion(robot, budget, limits=limits)
@@ -145,8 +141,7 @@ def record_walk(duration: float, **options: Any) -> FootMotion:
         if tick * env.dt >= 1.0:
             force.append(sensors.instruments.nominal.force(sensors.raw))
             beliefs.append(calibration.reference)
-    reference = type(beliefs[0])(*(np.array(part) for part in zip(*beliefs, strict=True)))
-    return FootMotion(np.array(force), reference)
+    return FootMotion(np.array(force), stack_rows(beliefs))
 
 
 def cop_std(covariance: Floats, layout: Any, walk: FootMotion) -> float:

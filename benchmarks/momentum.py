@@ -34,6 +34,7 @@ from scipy.stats import chi2
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
+from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -208,8 +209,8 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     raw, accelerations, momenta, true, sole, R = zip(*rows, strict=True)
     return Stream(
         layout=env.layout, mass=robot.model.mass, initial=robot.initial, dt=dt, lag=robot.late,
-        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=_stack(Reference, accelerations),
-        momenta=_stack(MomentumReference, momenta), true=_stack(Parameters, true),
+        age=robot.calibrator.setup.age, raw=np.stack(raw), accelerations=stack_rows(accelerations),
+        momenta=stack_rows(momenta), true=stack_rows(true),
         sole=np.stack(sole), R=np.stack(R), fell=fell,
     )  # fmt: skip
 
@@ -222,10 +223,6 @@ def _outside(scene: Scene, time: float, weight: float) -> Floats:
     if scene.pushed and time % 3.0 < 0.1:
         force[1] = scene.pushed * weight / 0.1 * (1.0 if int(time / 3.0) % 2 else -1.0)
     return force
-
-
-def _stack(kind: Any, rows: Sequence[Any]) -> Any:
-    return kind(*(np.stack(part) for part in zip(*rows, strict=True)))
 
 
 def stream(folder: Path, name: str, seed: int, start: str) -> Stream:
@@ -253,7 +250,7 @@ def play(one: Stream, method: str, **options: Any) -> Iterator[Any]:
         **options,
     )
     for k, raw in enumerate(one.raw):
-        yield calibrator.update(raw, type(beliefs)(*(part[k] for part in beliefs)))
+        yield calibrator.update(raw, take_rows(beliefs, k))
 
 
 def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
@@ -265,7 +262,7 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
         if k < first:
             continue
         # Both maps on the same readings: how old these are is no error of a calibration.
-        true_force = Parameters(*(part[k] for part in one.true)).force(one.raw[k])
+        true_force = take_rows(one.true, k).force(one.raw[k])
         force = Parameters(estimate.scale, estimate.offset).force(one.raw[k])
         if not np.isfinite(true_force).all():
             continue
@@ -290,7 +287,7 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
                     kept[f"in {share:.0%}"].append(100.0 * (2.0 * nees < chi2.ppf(share, 2)))
         if estimate.covariance is not None and k % every == 0:
             a, b = Parameters(estimate.scale, estimate.offset).relative_to(one.initial)
-            a_true, b_true = Parameters(*(part[k] for part in one.true)).relative_to(one.initial)
+            a_true, b_true = take_rows(one.true, k).relative_to(one.initial)
             error = np.r_[a - a_true, b - b_true]
             kept["nees"].append(float(error @ np.linalg.pinv(estimate.covariance) @ error) / error.size)
         if estimate.nis is not None and np.isfinite(estimate.nis) and estimate.nis_rows > 0:

@@ -1,7 +1,7 @@
 """Calibrators on real plates whose four corner cells were recorded one by one, with errors put in by hand.
 
-A board or a plate is one foot on four cells; an iCub that sways on both feet has two. Gains and offsets are
-put onto the recorded cells, and the calibrators are told
+A board or a plate is one foot on four cells. Gains and offsets are put onto the recorded cells, and the
+calibrators are told
 
 * the person's weight as a constant, or for the rocked pole the plate's own summed force as its motion,
 * the centre of pressure of the record before the errors were put in,
@@ -12,10 +12,9 @@ record knows better: a plate's own errors are in both.
 
     SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py --seeds 10
 
-``$SUREFOOT_DATA/foot`` has to hold ``wii_board_18min.npz``, ``caltester_FP1_600hz.npz``,
-``kistler2_600hz.npz`` and ``icub_com-sinusoid.npz``, made from public recordings of a balance board
-(corkine/BalanceBoardDataAnalysis), of two force plates (sample 15 of c3d.org, and pyomeca/ezc3d-testFiles)
-and of a robot; they are not part of this package.
+``$SUREFOOT_DATA/foot`` has to hold ``wii_board_18min.npz`` and ``caltester_FP1_600hz.npz``, made from public
+recordings of a balance board (corkine/BalanceBoardDataAnalysis) and of a force plate (sample 15 of c3d.org);
+they are not part of this package.
 """
 
 import argparse
@@ -23,7 +22,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,9 +32,9 @@ from rich.console import Console
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, with_interval
-from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
+from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import hold_last
 
 Floats = NDArray[np.float64]
@@ -78,7 +77,7 @@ class Recording(NamedTuple):
     @property
     def weight(self) -> float:
         """Mean vertical force while loaded in N."""
-        return float(self.vgrf[self.loaded].mean()) if self.loaded.any() else 100.0
+        return float(self.vgrf[self.loaded].mean())
 
     def reference(self) -> Reference:
         """Return the beliefs that calibrators are given of a robot whose feet stand at one place."""
@@ -153,26 +152,6 @@ def load_rocked_pole(folder: Path) -> Recording:
     )
 
 
-def drifting_zeros(folder: Path) -> Recording:
-    """Load the end of a force plate's record: nothing stands on it, and its zeros stand elsewhere."""
-    with np.load(folder / "foot" / "kistler2_600hz.npz") as file:
-        cells, rate = file["plate0_N"][4:, :-20].T.astype(np.float64), float(file["rate_hz"])
-        layout = _plate(float(file["a_m"]), float(file["b_m"]))
-    force = _resample(cells, rate)[round(28 * RATE) :]
-    nothing = np.zeros(len(force), dtype=np.bool_)
-    return Recording(
-        name="empty force plate",
-        layout=layout,
-        force=force,
-        vgrf=np.zeros(len(force)),
-        cop=np.zeros((len(force), 2)),
-        loaded=nothing,
-        empty=~nothing,
-        still=False,
-        judged=np.arange(len(force)) > 2 * RATE,
-    )
-
-
 def _one_foot(name: str, position: Floats) -> FeetLayout:
     return FeetLayout((FootLayout.load_cells(name, position, [f"cell-{i + 1}" for i in range(4)]),))
 
@@ -206,45 +185,10 @@ def _surely(condition: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
     return condition & ~broken
 
 
-_FOOT_LENGTH = {"foot_length": 0.17}
-# Eight seconds are too short to wait for a standing start that does not come.
-_IMPATIENT = {name: {"standing_patience": 3.0} for name in ("window", "quasi-static")}
+RECORDINGS: Mapping[str, Callable[[Path], Recording]] = {"board": wii_board, "pole": load_rocked_pole}
 
-
-def icub_feet(folder: Path) -> Recording:
-    """Load the iCub that sways over both feet: two channels, the vertical force on each foot.
-
-    Neither moments nor the soles' places were recorded, so that only the total is given, as a constant: both
-    feet are put at one place, where no centre of pressure can be wrong.
-    """
-    with np.load(folder / "foot" / "icub_com-sinusoid.npz") as file:
-        time, feet = file["t_s"], np.column_stack([file["left_fz_N"], file["right_fz_N"]])
-    even = np.arange(time[0], time[-1], 1.0 / RATE)
-    force = np.column_stack([np.interp(even, time, foot) for foot in feet.T])
-    up = np.zeros((6, 1))
-    up[2] = 1.0
-    layout = FeetLayout(tuple(FootLayout(name, up, ("fz",)) for name in ("left", "right")))
-    everywhere = np.ones(len(even), dtype=np.bool_)
-    return Recording(
-        name="iCub",
-        layout=layout,
-        force=force,
-        vgrf=np.full(len(even), force.sum(axis=1).mean()),
-        cop=np.zeros((len(even), 2)),
-        loaded=everywhere,
-        empty=~everywhere,
-        still=False,
-        judged=np.arange(len(even)) > 10 * RATE,
-    )
-
-
-RECORDINGS: Mapping[str, tuple[Callable[[Path], Recording], Mapping[str, Any], Mapping[str, Any]]] = {
-    "board": (wii_board, {}, {}),
-    "pole": (load_rocked_pole, {}, _IMPATIENT),
-    "empty-plate": (drifting_zeros, {}, {}),
-    "icub": (icub_feet, _FOOT_LENGTH, {}),
-}
-"""What loads each recording, options of all methods, and options of single methods."""
+# Eight seconds of the pole are too short to wait for a standing start that does not come.
+IMPATIENT = {"standing_patience": 3.0}
 
 
 def spoil(recording: Recording, seed: int) -> Stream:
@@ -257,7 +201,6 @@ def spoil(recording: Recording, seed: int) -> Stream:
     soles = np.zeros((samples, feet, 3))
     level = np.broadcast_to(np.eye(3), (samples, feet, 3, 3))
     time = np.arange(samples) / RATE
-    empty = not recording.loaded.any()
     log = Log(
         time=time,
         raw=recording.force * gain + offset,
@@ -270,7 +213,7 @@ def spoil(recording: Recording, seed: int) -> Stream:
         lag=0,
         seed=seed,
         truth=LogTruth(
-            force=np.zeros_like(recording.force) if empty else hold_last(recording.force),
+            force=hold_last(recording.force),
             position_sole=soles,
             R_world_sole=level,
             scale=np.broadcast_to(1.0 / gain, (samples, channels)),
@@ -279,22 +222,20 @@ def spoil(recording: Recording, seed: int) -> Stream:
         about={"recording": recording.name},
     )
     there = recording.judged & np.isfinite(recording.force).all(axis=1)
-    placed = all(foot.position_cell_sole is not None for foot in recording.layout.feet)
     return Stream(
         log=log,
         seed=seed,
         judged=there,
-        began=float(time[np.argmax(recording.loaded)]) if not empty else 0.0,
-        # Told and scored by one place; a layout without places has no centre of pressure to score.
-        cop=recording.cop if placed else np.full((samples, 2), np.nan),
+        began=float(time[np.argmax(recording.loaded)]),
+        cop=recording.cop,  # told and scored by one place
     )
 
 
 def score(folder: Path, name: str, method: str, seeds: range) -> Frame:
     """Score a method on a recording of :data:`RECORDINGS` with errors put in, a row a seed."""
-    load, options, by_method = RECORDINGS[name]
-    streams = [spoil(load(folder), seed) for seed in seeds]
-    played = play(streams, method, **{**options, **by_method.get(method, {})})
+    streams = [spoil(RECORDINGS[name](folder), seed) for seed in seeds]
+    options = IMPATIENT if name == "pole" and method in ("window", "quasi-static") else {}
+    played = play(streams, method, **options)
     return pd.DataFrame([score_run(*pair) for pair in zip(streams, played, strict=True)])
 
 

@@ -23,7 +23,7 @@ mass by :math:`\ell \delta` over the foot that carries it. The lean itself is re
 **The effect of an error of the sensors.** At rest :math:`\Delta = p - p^{ref}`, so that a bias :math:`b` of
 the measured centre of pressure makes the body lean by :math:`b / (k_1 - 1)`. A small :math:`k_1` is gentle on
 impacts and noise, and hard on a miscalibrated foot: with :math:`k_1 = 1.3`, a bias of 15 mm comes to 50 mm,
-as much as a sole has to its side. ``benchmarks/walking.py`` compares gains, pushes and biases.
+as much as a sole has to its side.
 """
 
 from collections.abc import Mapping

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.calibration import FeetLayout, Parameters, Reference
+from surefoot.calibration import FeetLayout, Parameters
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.exercise.moves import motions_offered
+from surefoot.envs.exercise.moves import list_motions
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
+from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, decimal
 from surefoot.robot.beliefs.errors import NO_ERRORS
@@ -91,12 +92,11 @@ class Rehearsal:
             if len(force) * env.dt > SETTLING:
                 torque = max(torque, self._torque())
                 margins.append(self._margin(env.truth))
-        reference = Reference(*(np.array(part) for part in zip(*beliefs, strict=True)))
         margin = np.array(margins)
         # A tenth of a second on the edge, as a foot lands, tips nobody.
         lasting = max(round(0.1 / env.dt), 1)
         held = np.lib.stride_tricks.sliding_window_view(margin, min(lasting, len(margin))).max(axis=1)
-        return Played(FootMotion(np.array(force), reference), bool(fell), torque, float(held.min()))
+        return Played(FootMotion(np.array(force), stack_rows(beliefs)), bool(fell), torque, float(held.min()))
 
     def _torque(self) -> float:
         motors = np.abs(self.env.data.actuator_force[self._motors]) / self._most_of_motors
@@ -125,7 +125,7 @@ def rehearse(
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
-    offered = motions_offered() if names is None else [[name] for name in names]
+    offered = list_motions() if names is None else [[name] for name in names]
     for alternatives in each("rehearsing motions", offered):
         for name in alternatives:
             try:

@@ -120,7 +120,7 @@ def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move
     return moves
 
 
-def motions_offered() -> list[list[str]]:
+def list_motions() -> list[list[str]]:
     """Return names of motions to choose among, of every kind, direction and tempo: farther ones first."""
     fixed = [
         "squat",

@@ -10,7 +10,7 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, episodes, instrument, train, view
+from surefoot.experiments.cli import calibrate, compare, controllers, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
@@ -55,9 +55,11 @@ app = typer.Typer(
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
-for look in (instrument.check, instrument.twin):
+for look in (calibrate.check, calibrate.twin):
     app.command(epilog=f"Kinds of logs: {page('check')}")(look)
-for command in (compare.demo, view.view, train.train, episodes.evaluate, episodes.sweep, episodes.replay):
+app.command()(compare.demo)
+app.command()(view.view)
+for command in (controllers.train, controllers.evaluate, controllers.sweep, controllers.replay):
     app.command()(command)
 
 

@@ -1,6 +1,7 @@
 """``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -100,26 +101,33 @@ def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: st
         close_server(server)
 
 
+@contextmanager
+def _refuse() -> Iterator[None]:
+    """End with one line if an environment, a log or a choice cannot be shown."""
+    import gymnasium as gym
+
+    try:
+        yield
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
+        fail(str(error))
+
+
 def _live_page(
     server: Any, env: str | None, feed: str, options: dict[str, Any], folder: Path, repeat: Path | None
 ) -> Any:
     """Return a robot on a page, or refuse it."""
-    import gymnasium as gym
-
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.view.page import Page
     from surefoot.experiments.view.session import WALK, Session, repeat_session
 
-    try:
+    with _refuse():
         if repeat is not None:
             session, changes = repeat_session(read_log(repeat).about)
         else:
-            options["start"] |= _chosen(feed)
+            options["start"] |= _choose(feed)
             session, changes = Session(env or WALK, **options), []
         with server.atomic():  # A browser that waits draws it once, and not part by part.
             return Page(server, session, folder=folder, changes=changes)
-    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
-        fail(str(error))
 
 
 def _log_page(server: Any, log: Path, feed: str) -> Any:
@@ -127,29 +135,25 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.view.player import LogFeet, LogPage
 
-    try:
-        return LogPage(server, LogFeet(read_log(log), _chosen(feed).get("method", "moment")))
-    except (ValueError, OSError) as error:
-        fail(str(error))
+    with _refuse():
+        return LogPage(server, LogFeet(read_log(log), _choose(feed).get("method", "moment")))
 
 
 def _stream_page(server: Any, description: Path, feed: str, at: tuple[str, int]) -> Any:
     """Return a robot's stream on a page, or refuse it."""
     from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
-    try:
-        feet = StreamFeet(description, _chosen(feed).get("method", "moment"))
+    with _refuse():
+        feet = StreamFeet(description, _choose(feed).get("method", "moment"))
         return StreamPage(server, feet, RowSocket(*at))
-    except (ValueError, OSError) as error:
-        fail(str(error))
 
 
-def _chosen(feed: str) -> dict[str, str]:
+def _choose(feed: str) -> dict[str, str]:
     """Return which feed and which calibrator a name stands for on the page; ValueError if it has none."""
-    from surefoot.experiments.walks.walkers import feed_named
+    from surefoot.experiments.walks.walkers import check_feed
     from surefoot.names import plain_name
 
-    if feed_named(feed) == "weights":
+    if check_feed(feed) == "weights":
         raise ValueError("'weights' is a feed of films; the page begins on the nominal map.")
     if feed in _PAGE_FEEDS:
         return {"feed": _PAGE_FEEDS[feed]}
@@ -167,15 +171,13 @@ def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
         fail(f"'{video}' must end in .mp4, .webp or .gif.")
     if video is None and len(feeds) > 1:
         fail("a window shows one feed; film several side by side with --video walk.mp4.")
-    try:
+    with _refuse():
         if video is None:
             watch_walk(feeds[0], **options)
         else:
             with working("filming"):
                 film = film_walks(video, feeds, **options)
             typer.echo(f"Film: {film}")
-    except (ValueError, OSError, ImportError) as error:
-        fail(str(error))
 
 
 def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> None:
@@ -183,17 +185,14 @@ def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> N
     from surefoot.experiments.walks.video import prepare_rendering
 
     prepare_rendering()
-    import gymnasium as gym
 
     from surefoot.envs import FeetDrawing
     from surefoot.experiments.study.progress import working
 
-    try:
+    with _refuse():
         with working("looking at the feet"):
             drawing = FeetDrawing(name, feet or None, soles=soles)
             drawing.draw(image)
         for line in drawing.words():
             typer.echo(line)
-    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
-        fail(str(error))
     typer.echo(f"Picture: {image}")

@@ -19,7 +19,7 @@ from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.score import rms
-from surefoot.experiments.walks.walkers import Moment, TruthTap, moments, on_feet
+from surefoot.experiments.walks.walkers import Moment, TruthTap, moments, put_on_feet
 from surefoot.files import parse_json
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
@@ -170,7 +170,7 @@ def _make(
     if episode.duration is not None:
         options["max_episode_steps"] = round(episode.duration / CONTROL_STEP)
     bare = gym.make(episode.environment, **options)
-    env, tap = on_feet(bare, episode.calibration, episode.cells, episode.sensors)
+    env, tap = put_on_feet(bare, episode.calibration, episode.cells, episode.sensors)
     if controller is None:
         return env, tap, load_controller(name, env, same_task=episode.of_task)
     check_fits(controller, env)

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.episodes.comparisons import Difference
-from surefoot.experiments.episodes.scores import controllers_of, severities_of
-from surefoot.experiments.policy.controllers import figure_names
+from surefoot.experiments.episodes.scores import Difference, controllers_of, severities_of
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import (
     by_way,
     draw_steps,
@@ -45,7 +44,7 @@ def outcome_figures(
 def survival_curves(path: Path, rows: Frame) -> Path:
     """Draw shares on their feet over time with 95 % bands: severities across, controllers down."""
     controllers = controllers_of(rows)
-    names = figure_names(controllers)
+    names = labels(controllers)
     severities = severities_of(rows) or [0.0]
     with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
         panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
@@ -60,7 +59,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
                     band = {"step": "post", "color": look_of(feed).colour, "alpha": 0.12, "linewidth": 0}
                     axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)
-                axes.set_title(f"{names[controller]}, severity {severity:g}")
+                axes.set_title(f"{names[controller]}, severity {severity:g}", parse_math=False)
         name_axes(panels, "time (s)", "share on its feet")
         legend_below(figure, panels.ravel())
     return path
@@ -69,7 +68,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
 def against_severity(path: Path, rows: Frame) -> Path:
     """Draw mean return and share of falls against severity with 95 % intervals; true feet across."""
     controllers = controllers_of(rows)
-    names = figure_names(controllers)
+    names = labels(controllers)
     severities = severities_of(rows)
     with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
         panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
@@ -82,7 +81,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
             line[1].set_ylabel("share that fell")
             line[1].set_ylim(-0.03, 1.03)
             for axes in line:
-                axes.set_title(names[controller])
+                axes.set_title(names[controller], parse_math=False)
         name_axes(panels, "severity", "return")
         for axes in panels[-1] if severities else ():
             show_values(axes, severities)
@@ -93,7 +92,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
 def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
     """Draw shares of falls, scenarios by title down and severities across, a map a controller and feed."""
     controllers, feeds = controllers_of(rows), in_order(rows["feed"])
-    names = figure_names(controllers)
+    names = labels(controllers)
     width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
     with figure_at(path, width, height) as figure:
         panels = grid_of(figure, len(controllers), len(feeds), sharey=True)
@@ -101,7 +100,7 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
             for axes, feed in zip(line, feeds, strict=True):
                 part = rows[(rows["controller"] == controller) & (rows["feed"] == feed)]
                 _heat(axes, part, titles)
-                axes.set_title(f"{names[controller]}: {short_label(feed)}")
+                axes.set_title(f"{names[controller]}: {short_label(feed)}", parse_math=False)
         name_axes(panels, "severity")
         image = panels[0, 0].images[0]
         figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
@@ -120,7 +119,7 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
     if any(one.severity is None for one in found):
         series = [("true feet", "#000000", None, 0.0), *series]
     rows = list(dict.fromkeys(one.what for one in found))
-    names = figure_names(controllers)
+    names = labels(controllers)
     columns = min(2, len(controllers))
     lines = -(-len(controllers) // columns)
     height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2
@@ -140,7 +139,7 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
             axes.set_yticks(range(len(rows)), rows)
             axes.set_ylim(len(rows) - 0.5, -0.5)
             axes.tick_params(labelbottom=True)
-            axes.set_title(names[controller])
+            axes.set_title(names[controller], parse_math=False)
             axes.set_xlabel("difference of returns")
         if severities:
             legend_below(figure, panels.ravel())

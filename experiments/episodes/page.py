@@ -1,7 +1,6 @@
 """Pages of episodes, one file each: of an evaluation, the comparison; of a sweep, who fell where."""
 
 import base64
-import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,22 +11,20 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from surefoot.experiments.episodes import figures, tables
-from surefoot.experiments.episodes.comparisons import COMPARISONS, trainings
-from surefoot.experiments.episodes.episode import Episode, episode_moments
-from surefoot.experiments.episodes.findings import controller_findings, target_table
-from surefoot.experiments.episodes.run import EpisodeResults, Origin, in_order, origins_of
+from surefoot.experiments.episodes.episode import VERSIONS, Episode, episode_moments
+from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
 from surefoot.experiments.episodes.scores import (
+    COMPARISONS,
     controllers_of,
     same_seeds,
-    seed_ranges,
     seeds_text,
-    severities_of,
+    trainings,
 )
 from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import labels, short_name
-from surefoot.experiments.policy.tasks import Task, task_named
+from surefoot.experiments.policy.tasks import Task, find_task
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, publish
+from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, command_line, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.video import HEIGHT, WIDTH, mark_cop, pictures, write_film, write_heading
 from surefoot.experiments.walks.walkers import Moment
@@ -49,34 +46,47 @@ _LISTED = 5  # how many of the worst episodes are listed at least
 
 def check_episodes(frame: Frame) -> tuple[Frame, Frame]:
     """Return the rows of one task that can be scored, in order, and of failures; ValueError for no page."""
-    failed = frame["error"] != "" if "error" in frame else frame["feed"] == ""
-    if failed.any() and failed.all():
-        raise ValueError(
-            f"There are no episodes to make a page of: all {len(frame)} failed, the first with "
-            f"'{frame['error'].iloc[0].splitlines()[-1]}'."
-        )
+    said = ("error", "controller_hash", "trained", *VERSIONS)  # by files of today; others lack some
+    frame = frame.assign(**{name: frame[name].fillna("") if name in frame else "" for name in said})
+    failed = frame["error"] != ""
     finished = frame[~failed]
     if not len(finished):
-        raise ValueError("There are no episodes to make a page of.")
+        errors = [error.splitlines()[-1] for error in frame["error"]]
+        why = f": all {len(errors)} failed, the first with '{errors[0]}'" if errors else ""
+        raise ValueError(f"There are no episodes to make a page of{why}.")
     if len(tasks := sorted(set(finished["scenario"]))) > 1:
         raise ValueError(f"Episodes of the tasks {', '.join(tasks)} cannot share a page; give those of one.")
+    cure = "give controllers of different files different names, NAME=FILE."
     twice = finished[finished.duplicated(["controller", "feed", "cop_input", "severity", "seed"])]
     if len(twice):
         row = twice.iloc[0]
         raise ValueError(
             f"Controller '{row['controller']}', feed '{row['feed']}', severity {row['severity']:g}, seed "
-            f"{row['seed']} is there twice; give controllers of different files different names, NAME=FILE."
+            f"{row['seed']} is there twice; {cure}"
         )
-    return in_order(finished), frame[failed]
+    files = finished[finished["controller_hash"] != ""].groupby("controller")["controller_hash"].nunique()
+    if len(changed := files[files > 1]):
+        raise ValueError(
+            f"'{changed.index[0]}' is not the same file everywhere: it was changed between one evaluation "
+            f"and the next; {cure}"
+        )
+    return sort_episodes(finished), frame[failed]
 
 
 def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
     """Draw the figures, save tables and scores as CSV, and write the page of checked episodes."""
-    task, origins = task_named(str(frame["scenario"].iloc[0])), origins_of(frame)
-    scores = _score_tables(frame, origins)
+    task, brief = find_task(str(frame["scenario"].iloc[0])), labels(controllers_of(frame))
+    own = {name: frame[frame["controller"] == name] for name in brief}
+    scores = {
+        name: tables.score_table(
+            runs,
+            f"scores_{number}",
+            brief[name] + _LEARNT_NOTHING.get(name, _KINDS.get(runs["trained"].iloc[0], "")),
+        )
+        for number, (name, runs) in enumerate(own.items())
+    }
     with atomic_path(folder / SCORES) as part:
-        of_each = (_name_scores(frame, name, scores[name], origins[name], task) for name in scores)
-        pd.concat(of_each).to_csv(part, index=False)
+        pd.concat(_name_scores(own[name], scores[name], task) for name in scores).to_csv(part, index=False)
     amount = _say(
         "amount",
         episodes=len(frame),
@@ -86,36 +96,29 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
     )
     introduction = _say("introduction", env_id=task.env_id), _say("feeds"), amount
     sections = [*_evaluation_sections(frame, scores, folder / "figures"), *_failures(failed)]
-    sections.append(_repeat_evaluation(frame, origins, task))
+    made = [f"{brief[name]}: {_versions_of(runs)}." for name, runs in own.items()]
+    repeat = "The episodes were made with these versions. " + " ".join([*made, _say("again")])
+    sections.append(Section("repeat", "Repeat it", (repeat,), commands=(command_line(),)))
     return publish(folder, f"surefoot evaluate: {task.name}", introduction, sections, name=PAGE)
 
 
-def _score_tables(frame: Frame, origins: dict[str, Origin]) -> dict[str, Table]:
-    """Return a table of scores for each controller."""
-    brief = labels(controllers_of(frame))
-    return {
-        name: tables.score_table(
-            frame[frame["controller"] == name],
-            f"scores_{number}",
-            brief[name] + _LEARNT_NOTHING.get(name, _KINDS.get(origins[name].trained, "")),
-        )
-        for number, name in enumerate(brief)
-    }
+def _versions_of(runs: Frame) -> str:
+    found = runs[list(VERSIONS)].drop_duplicates().to_dict("records")
+    return "; ".join(", ".join(f"{name} {one[name] or 'unknown'}" for name in VERSIONS) for one in found)
 
 
-def _name_scores(frame: Frame, controller: str, scores: Table, origin: Origin, task: Task) -> Frame:
+def _name_scores(own: Frame, scores: Table, task: Task) -> Frame:
     """Add to a table of scores whose they are, for the card of a policy."""
-    own = frame[frame["controller"] == controller]
     runs = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
-    said = (controller, origin.file, task.name, [seeds_text(of) for _, of in runs])
+    first, seeds = own.iloc[0], [seeds_text(of) for _, of in runs]
+    said = (first["controller"], first["controller_hash"], task.name, seeds)
     return pd.concat([pd.DataFrame(dict(zip(WHOSE, said, strict=True))), scores.to_frame()], axis=1)
 
 
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:
-    said = tuple(text for name in scores for text in controller_findings(frame, name))
-    pair, targets = trainings(frame), target_table(frame)
-    shown = () if targets is None or not targets.rows else (targets,)
-    yield Section("summary", "In short", findings=said, tables=shown)
+    pair, targets = trainings(frame), tables.target_table(frame)
+    if targets is not None and targets.rows:
+        yield Section("summary", "In short", tables=(targets,))
     given = frame[frame["cop_input"] == "given"]
     outcomes = figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
     yield Section("scores", "Scores", tables=tuple(scores.values()), figures=outcomes)
@@ -131,39 +134,6 @@ def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) ->
 def _failures(rows: Frame) -> tuple[Section, ...]:
     table = tables.failure_table(rows)
     return () if table is None else (Section("failed", "Episodes that failed", tables=(table,)),)
-
-
-def _repeat_evaluation(frame: Frame, origins: dict[str, Origin], task: Task) -> Section:
-    brief = labels(list(origins))
-    text = [*_say_versions({brief[name]: origin.versions for name, origin in origins.items()}), _say("again")]
-    if given := [brief[name] for name, origin in origins.items() if not origin.runs]:
-        text.append(f"No command runs {', '.join(given)}: the episodes were given as files.")
-    return Section("repeat", "Repeat it", (" ".join(text),), commands=tuple(commands_of(frame, task)))
-
-
-def _say_versions(versions: dict[str, str]) -> list[str]:
-    """Name the versions that made the episodes: once if all alike, else of each controller."""
-    if len(set(versions.values())) == 1:
-        return [f"The episodes were made with {each}." for each in set(versions.values()) if each]
-    return [
-        f"Those of {name} were made with {each or 'versions that nobody wrote down'}."
-        for name, each in versions.items()
-    ]
-
-
-def commands_of(frame: Frame, task: Task) -> list[str]:
-    """Return the commands that run episodes again, but for controllers given as files."""
-    alike: dict[str, list[str]] = {}
-    for name in (name for name, origin in origins_of(frame).items() if origin.runs):
-        own = frame[frame["controller"] == name]
-        options = [f"--task {task.name}"]
-        options += [f"--feed {feed}" for feed in dict.fromkeys(own["feed"])]
-        options += [f"--severity {severity:g}" for severity in severities_of(own) or [1.0]]
-        for first, last in seed_ranges(own["seed"]):
-            each = [*options, f"--seeds {last - first + 1} --first-seed {first}"]
-            each += ["--uses-cop"] * bool((own["cop_input"] != "given").any())
-            alike.setdefault(" ".join(each), []).append(shlex.quote(name))
-    return [f"surefoot evaluate {' '.join(names)} {options}" for options, names in alike.items()]
 
 
 def write_sweep(results: EpisodeResults, films: int = 0) -> Report:

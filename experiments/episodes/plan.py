@@ -17,10 +17,10 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
 from surefoot.experiments.policy.controllers import Controller, controller_hash, training_sensors
-from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task
 from surefoot.experiments.walks import scenarios
 from surefoot.experiments.walks.scenarios import CHIPS
-from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
+from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, check_feed
 from surefoot.files import read_toml
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
@@ -76,7 +76,7 @@ class LoopScenario:
 
 def scenario_of_task(name: str) -> LoopScenario:
     """Return the scenario in which policies for a task are evaluated."""
-    task = task_named(name)
+    task = find_task(name)
     return LoopScenario(task.name, task.name, task.env_id, of_task=True)
 
 
@@ -111,10 +111,10 @@ def _table() -> dict[str, LoopScenario]:
 
 
 SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
-"""All scenarios by name, in the order of the report; :func:`scenario_named` knows which can be run here."""
+"""All scenarios by name, in the order of the report; :func:`find_scenario` knows which can be run here."""
 
 
-def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
+def find_scenario(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
     """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists them."""
     known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
     if name not in known:
@@ -154,7 +154,7 @@ class EpisodePlan:
 
     def __post_init__(self) -> None:
         """Raise ValueError at an impossible plan, before anything runs."""
-        object.__setattr__(self, "feeds", tuple(map(feed_named, self.feeds)))
+        object.__setattr__(self, "feeds", tuple(map(check_feed, self.feeds)))
         for name in _AXES:
             _check_axis(name, getattr(self, name))
         for severity in self.severities:
@@ -170,7 +170,7 @@ class EpisodePlan:
                 f"{self.duration:g} s."
             )
         resolve(self.cells, LoadCells)
-        found = [scenario_named(name, self.own) for name in self.scenarios]
+        found = [find_scenario(name, self.own) for name in self.scenarios]
         faulty = [scenario.name for scenario in found if scenario.fault_of is not None]
         if faulty and self.duration is not None and self.duration <= FAULT_AFTER:
             raise ValueError(
@@ -201,12 +201,12 @@ class EpisodePlan:
 
     def title_of(self, scenario: str) -> str:
         """Title of a scenario."""
-        return scenario_named(scenario, self.own).title
+        return find_scenario(scenario, self.own).title
 
     def _episodes(self) -> Iterator[Episode]:
         numbers = count()
         for controller, feed, name in product(self.controllers, self.feeds, self.scenarios):
-            scenario, on_true = scenario_named(name, self.own), FEEDS[feed] is None
+            scenario, on_true = find_scenario(name, self.own), FEEDS[feed] is None
             hashed, trained = controller_hash(controller, scenario.environment), training_sensors(controller)
             severities = (0.0,) if on_true else self.severities
             inputs = self.cop_inputs if on_true else COP_INPUTS[:1]
@@ -267,9 +267,9 @@ def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
     if not isinstance(table, Mapping):
         raise ValueError(f"{path}: [scenario.{name}] must be a table.")
     _check_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
-    base = scenario_named(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
+    base = find_scenario(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
     for feed in table.get("methods", {}):
-        feed_named(feed)
+        check_feed(feed)
     parts = ("options", "sensors", "beliefs", "methods")
     changed: dict[str, Any] = {part: {**getattr(base, part), **table.get(part, {})} for part in parts}
     environment = table.get("environment", base.environment)
@@ -308,7 +308,7 @@ def evaluation_plan(
             raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
     return EpisodePlan(
         tuple(sorted(controllers)),
-        tuple(sorted(map(feed_named, feeds), key=[*FEEDS, *feeds].index)),
+        tuple(sorted(map(check_feed, feeds), key=[*FEEDS, *feeds].index)),
         (task,),
         tuple(sorted(severities, key=str)),
         tuple(range(first_seed, first_seed + seeds)),

@@ -68,7 +68,7 @@ def run_plan(
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 
-    Backend, jobs and address are those of :func:`~surefoot.experiments.study.backends.workers`. Raises
+    Backend, jobs and address are those of :func:`~surefoot.experiments.study.runner.workers`. Raises
     ValueError if something is refused before anything is run, StudyError if the folder cannot be used, the
     disk is full, or a worker runs other software.
     """
@@ -172,38 +172,17 @@ def _same(one: Any, other: Any) -> bool:
 
 EPISODES = f"{TABLE}.parquet"
 
-_UNNAMED = "policy"  # what a controller is called that nobody named
+_UNNAMED = "policy"  # name of a controller that nobody named
 
-_KNOWN: Mapping[str, Collection[str]] = {
-    "controller": (),
-    "feed": FEEDS,
-    "cop_input": COP_INPUTS,
-    "scenario": TASKS,
-}
-"""Columns that hold names, and the names that there are; none where any will do."""
+_COLUMNS: Mapping[str, type] = {
+    "controller": str, "feed": str, "cop_input": str, "scenario": str, "severity": float, "seed": int,
+    "return": float, "fell": bool, "time": float, "cop_error": float, "tracking": float,
+}  # fmt: skip
+"""Columns that a page needs, and their types."""
 
-_USUAL = "a finite number and not negative"
-
-_NUMBERS = {
-    "severity": _USUAL,
-    "seed": "a whole number from 0",
-    "return": "a finite number",
-    "fell": "true or false",
-    "time": _USUAL,
-    "cop_error": _USUAL,
-    "tracking": _USUAL,
-}
-"""Columns that hold numbers, and what these must be. Errors of a CoP that was never felt are none, though."""
-
-
-@dataclass(frozen=True)
-class Origin:
-    """The facts of a controller whose episodes are there; nothing where nobody wrote it down."""
-
-    file: str = ""  # hash of the file behind it when it was run
-    trained: str = ""  # on what
-    versions: str = ""  # with what it was run
-    runs: bool = True  # under its name: other names were made up for a file of episodes
+_MEANINGS = {str: "a name", float: "a finite number", int: "a whole number", bool: "true or false"}
+_KNOWN: Mapping[str, Collection[str]] = {"feed": FEEDS, "cop_input": COP_INPUTS, "scenario": TASKS}
+_MAY_LACK = ("cop_error", "tracking")  # NaN where no centre of pressure was ever felt
 
 
 def read_rows(path: Path) -> Frame:
@@ -232,23 +211,20 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
     frame = read_rows(path)
     if "error" in frame:
         frame = frame[frame["error"] == ""]
-    if missing := [name for name in (*_KNOWN, *_NUMBERS) if name not in frame]:
+    if missing := [name for name in _COLUMNS if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    frame = frame.assign(
-        **{name: _names(path, frame[name]) for name in _KNOWN},
-        **{name: _numbers(path, frame[name]) for name in _NUMBERS},
-    )
-    frame = _with_origin(frame.assign(controller=frame["controller"].replace("", _UNNAMED)))
+    frame = frame.assign(**{name: _check_column(path, frame[name]) for name in _COLUMNS})
+    frame = frame.assign(controller=frame["controller"].replace("", _UNNAMED))
     held = controllers_of(frame)
     if controller and len(held) > 1:
         raise ValueError(
             f"'{path}' holds episodes of {', '.join(held)}, which cannot all be called '{controller}'; give "
             "the file without a name."
         )
-    return in_order(frame.assign(controller=controller, runs=False) if controller else frame)
+    return sort_episodes(frame.assign(controller=controller) if controller else frame)
 
 
-def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
+def sort_episodes(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
     """Return episodes sorted: controllers as they come or are named, feeds from the true one on, ..."""
     ranks = {
         "controller": list(dict.fromkeys((*controllers, *frame["controller"]))),
@@ -263,63 +239,23 @@ def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
     return frame.sort_values([*ranks, "severity", "seed"], key=rank, ignore_index=True)
 
 
-def origins_of(frame: Frame) -> dict[str, Origin]:
-    """Origin of each controller; ValueError if one was another file in some episodes."""
-    frame = frame if "runs" in frame else _with_origin(frame)
-    return {name: _origin(name, frame[frame["controller"] == name]) for name in controllers_of(frame)}
+def _check_column(path: Path, column: Column) -> Column:
+    """Return a column as the type that a fresh one has, or raise ValueError with the value that is wrong."""
+    name, kind = str(column.name), _COLUMNS[str(column.name)]
 
+    def fits(value: Any) -> bool:
+        if kind is str:
+            return isinstance(value, str) and (":" in value or value in _KNOWN.get(name, (value,)))
+        number = isinstance(value, int | float | np.number | np.bool_)
+        whole = kind is float or (number and value == kind(value))
+        signed = name == "return" or (number and not value < 0)
+        return number and whole and signed and (np.isfinite(value) or (name in _MAY_LACK and value != value))
 
-def _origin(controller: str, own: Frame) -> Origin:
-    files, trained = set(own["controller_hash"]), set(own["trained"])
-    if len(files - {""}) > 1:
+    if wrong := [value for value in column if not fits(value)]:
+        sign = " that is not negative" if kind in (int, float) and name != "return" else ""
+        known = f". Known: {', '.join(_KNOWN[name])}" if name in _KNOWN else ""
         raise ValueError(
-            f"'{controller}' is not the same file everywhere: it was changed between one evaluation and the "
-            "next; give controllers of different files different names, NAME=FILE."
+            f"'{path}' holds {wrong[0]!r} in its column '{name}', which must be {_MEANINGS[kind]}{sign}"
+            f"{known}."
         )
-    return Origin(
-        files.pop() if len(files) == 1 else "",
-        trained.pop() if len(trained) == 1 else "",
-        "; ".join(dict.fromkeys(versions for versions in own["versions"] if versions)),
-        bool(own["runs"].all()),
-    )
-
-
-def _with_origin(frame: Frame) -> Frame:
-    """Return rows with the columns ``controller_hash``, ``trained``, ``versions`` and ``runs``."""
-    made = pd.Series("", index=frame.index)
-    if set(VERSIONS) <= set(frame):
-        made = frame[list(VERSIONS)].apply(lambda row: ", ".join(f"{k} {v}" for k, v in row.items()), axis=1)
-    absent = {name: "" for name in ("controller_hash", "trained") if name not in frame}
-    return frame.assign(**absent, versions=made, runs=frame["controller"] != _UNNAMED)
-
-
-def _names(path: Path, column: Column) -> Column:
-    """Return one column of names, or raise ValueError."""
-    if wrong := [value for value in column if not isinstance(value, str)]:
-        raise ValueError(
-            f"'{path}' is no table of episodes: its column '{column.name}' holds {wrong[0]!r} and not a name."
-        )
-    known = _KNOWN[column.name]
-    if known and (unknown := sorted(name for name in set(column) - set(known) if ":" not in name)):
-        raise ValueError(f"'{path}' holds the {column.name} '{unknown[0]}'. Known: {', '.join(known)}.")
-    return pd.Series(list(column), index=column.index)
-
-
-def _numbers(path: Path, column: Column) -> Column:
-    """Return one column of numbers as the type that a fresh one has, or raise ValueError."""
-    name = str(column.name)
-    if not pd.api.types.is_numeric_dtype(column):
-        raise ValueError(f"'{path}' is no table of episodes: its column '{name}' holds no numbers.")
-    values = column.to_numpy(dtype=np.float64, na_value=np.nan)
-    fine = np.isfinite(values) | (np.isnan(values) & (name in ("cop_error", "tracking")))
-    if name != "return":
-        fine &= ~(values < 0.0)
-    if name == "seed":
-        fine &= values == np.floor(values)
-    if name == "fell":
-        fine &= np.isin(values, (0.0, 1.0))
-    if not fine.all():
-        wrong = f"{values[~fine][0]:g} in its column '{name}', which must be {_NUMBERS[name]}"
-        raise ValueError(f"'{path}' holds {wrong}.")
-    kinds: Mapping[str, type[np.generic]] = {"seed": np.int64, "fell": np.bool_}
-    return pd.Series(values.astype(kinds.get(name, np.float64)), index=column.index)
+    return pd.Series(list(column), index=column.index, dtype=None if kind is str else kind)

@@ -167,7 +167,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
                     f"are {names}."
                 )
         wanted = [one for one in reader.connections if one.topic in topics.topics]
-        with whole(path):
+        with explain_damage(path):
             messages = list(reader.messages(wanted))
         origin = messages[0][1]
         series, notices = [], []
@@ -202,7 +202,7 @@ def _read_topics(path: Path, mapping: Path) -> Topics:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[None]:
+def explain_damage(path: Path) -> Iterator[None]:
     """Name the way out of a file that cannot be read."""
     try:
         yield
@@ -229,7 +229,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         ) from None
     if not path.exists():
         raise LogError(f"{path}: no such bag.")
-    with whole(path):
+    with explain_damage(path):
         # Bags of older releases hold no definitions; those of the common messages have not changed since.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
@@ -368,7 +368,7 @@ def guess_topics(path: Path, *, walk: bool) -> str:
     with open_bag(path) as reader:
         kinds = {name: str(info.msgtype) for name, info in sorted(reader.topics.items())}
         known = [one for one in reader.connections if _of_use(one.msgtype)]
-        with whole(path):
+        with explain_damage(path):
             for connection, _, data in reader.messages(known) if known else ():
                 if connection.topic not in firsts:
                     firsts[connection.topic] = message_of(path, reader, connection, data)

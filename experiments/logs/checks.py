@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ.findings import Finding, decide
+from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
@@ -86,6 +87,12 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
             f"{file}: column 'time_s' leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s); "
             "cut the log there and calibrate the parts one by one, or bridge it with --split-gaps."
         )
+
+
+def check_load_cells(layout: FeetLayout, what: str) -> None:
+    """Raise LogError unless a layout is of two feet on load cells, which the live page shows."""
+    if len(layout.feet) != 2 or any(foot.position_cell_sole is None for foot in layout.feet):
+        raise LogError(f"The page shows two feet on load cells, and this {what} has others.")
 
 
 def check_increasing(time: NDArray[np.float64], file: str, *, repeats: bool = False) -> None:

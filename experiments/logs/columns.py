@@ -1,6 +1,6 @@
 """The columns of a log: their names with units, and the arrays behind them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,17 +41,19 @@ def raw_names_of(layout: FeetLayout) -> list[str]:
     return [f"raw_{name}_count" for name in channel_slugs(layout)]
 
 
-def _vector_names(quantity: str) -> list[str]:
-    return [f"reference_{quantity}_{axis}_{_VECTORS[quantity]}" for axis in "xyz"]
-
-
-def _momentum_names(quantity: str) -> list[str]:
-    return [f"{MOMENTUM}_{quantity}_{axis}_{_MOMENTA[quantity]}" for axis in "xyz"]
+def _vector_names(quantity: str, stem: str = "reference") -> list[str]:
+    units = _VECTORS if stem == "reference" else _MOMENTA
+    return [f"{stem}_{quantity}_{axis}_{units[quantity]}" for axis in "xyz"]
 
 
 def phase_names(layout: FeetLayout, phase: str) -> list[str]:
     """Return the names of the columns of ``stance`` or ``swing``."""
     return [f"reference_{slug(foot.name)}_{phase}" for foot in layout.feet]
+
+
+def has_references(names: Iterable[str]) -> bool:
+    """Whether columns hold beliefs of a robot, besides contacts; without any, feet are alone."""
+    return any(name.startswith("reference_") and not name.endswith(PHASES) for name in names)
 
 
 def _truth_names(layout: FeetLayout, quantity: str) -> list[str]:
@@ -75,7 +77,9 @@ def names_of(layout: FeetLayout) -> list[str]:
 
 def momentum_names_of(layout: FeetLayout) -> list[str]:
     """Return the names of the columns that hold beliefs as momentum."""
-    return [name for part in _MOMENTA for name in _momentum_names(part)] + _pose_names(layout, MOMENTUM)
+    return [name for part in _MOMENTA for name in _vector_names(part, MOMENTUM)] + _pose_names(
+        layout, MOMENTUM
+    )
 
 
 def truth_names_of(layout: FeetLayout) -> list[str]:
@@ -101,7 +105,7 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
         add(phase_names(layout, phase), np.asarray(getattr(reference, phase)).astype(np.int8))
     if (momentum := log.momentum) is not None:
         for quantity in _MOMENTA:
-            add(_momentum_names(quantity), getattr(momentum, quantity))
+            add(_vector_names(quantity, MOMENTUM), getattr(momentum, quantity))
         add(_pose_names(layout, MOMENTUM), _flat_poses(momentum.position_sole, momentum.R_level_sole))
     if truth is not None:
         for quantity in _TRUTH:
@@ -140,7 +144,7 @@ def reference_of(values: dict[str, Floats], layout: FeetLayout) -> Reference:
 def momentum_of(values: dict[str, Floats], layout: FeetLayout, reference: Reference) -> MomentumReference:
     """Return the beliefs as momentum that columns hold, with the contacts of a reference."""
     position, R = _poses(values, MOMENTUM, layout)
-    vectors = {quantity: stack(values, _momentum_names(quantity)) for quantity in _MOMENTA}
+    vectors = {quantity: stack(values, _vector_names(quantity, MOMENTUM)) for quantity in _MOMENTA}
     contacts = {phase: getattr(reference, phase) for phase in PHASES}
     return MomentumReference(position_sole=position, R_level_sole=R, **vectors, **contacts)
 

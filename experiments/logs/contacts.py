@@ -3,6 +3,8 @@
 The log's own contacts come first, then the commands, then a guess from the soles' own motion.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
@@ -97,6 +99,22 @@ def feel_contacts(load: NDArray[np.float64], weight: float, dt: float) -> tuple[
     swing = flat & (np.abs(mean - low) < 2.0 * FLAT * weight) & steps & np.isfinite(load)
     stance = (load > low + LOADED * span) & steps
     return _erode(stance, dt, SURE_ALOFT), _erode(swing, dt, SURE_ALOFT)
+
+
+def refer_to_contacts(stance: Bools, swing: Bools, position_sole: Any) -> Reference:
+    """Make the reference of feet alone: contacts, (..., F), and level soles in m, (..., F, 3)."""
+    still = np.zeros((*stance.shape[:-1], 3))
+    return Reference(
+        com=still,
+        com_acceleration=still,
+        angular_momentum_rate=still,
+        position_sole=position_sole,
+        R_level_sole=np.tile(np.eye(3), (*stance.shape, 1, 1)),
+        stance=stance,
+        swing=swing,
+        accelerometer=still + np.array([0.0, 0.0, GRAVITY]),
+        gyroscope=still,
+    )
 
 
 def _erode(held: Bools, dt: float, margin: float = SURE) -> Bools:

@@ -23,13 +23,14 @@ from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     MOMENTUM,
     PHASES,
     columns_of,
+    has_references,
     momentum_names_of,
     momentum_of,
     names_of,
@@ -40,7 +41,7 @@ from surefoot.experiments.logs.columns import (
     truth_names_of,
     truth_of,
 )
-from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts
+from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description, describe
 from surefoot.experiments.logs.mapping import TableMapping, merge
 from surefoot.experiments.logs.motion import read_motion
@@ -99,17 +100,13 @@ class Log:
 
     def cut(self, rows: slice) -> "Log":
         """Return the log of some of its rows."""
-
-        def cut(parts: Any) -> Any:
-            return parts and type(parts)(*(np.asarray(part)[rows] for part in parts))
-
         truth = self.truth and LogTruth(**{name: part[rows] for name, part in vars(self.truth).items()})
         return replace(
             self,
             time=self.time[rows],
             raw=self.raw[rows],
-            reference=cut(self.reference),
-            momentum=cut(self.momentum),
+            reference=take_rows(self.reference, rows),
+            momentum=self.momentum and take_rows(self.momentum, rows),
             truth=truth,
             turned={},
         )
@@ -176,7 +173,7 @@ def read_log(
         any(name.startswith(f"{kind}_") for name in table.names) for kind in ("truth", MOMENTUM)
     )
     counts = ["time_s", *raw_names_of(layout)]
-    bare = description.motion is None and not _has_references(table)
+    bare = description.motion is None and not has_references(table.names)
     alone = feet_alone and bare
     names = [*counts] if alone or description.motion is not None else names_of(layout)
     has_momentum = has_momentum and not bare and description.motion is None
@@ -244,14 +241,6 @@ def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, 
 ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
 
 
-def _has_references(table: LogTable) -> bool:
-    """Whether a table holds beliefs of a robot, besides contacts."""
-    return any(name.startswith("reference_") and not name.endswith(_CONTACTS) for name in table.names)
-
-
-_CONTACTS = tuple(f"_{phase}" for phase in PHASES)
-
-
 def _reference_of_feet(
     table: LogTable, raw: Floats, facts: dict[str, Any]
 ) -> tuple[Reference, dict[str, Any]]:
@@ -259,7 +248,7 @@ def _reference_of_feet(
 
     Contacts that the log does not hold are guessed from the load.
     """
-    layout, n = facts["layout"], len(raw)
+    layout = facts["layout"]
     feet = len(layout.feet)
     names = [name for phase in PHASES for name in phase_names(layout, phase)]
     if any(name in table for name in names):
@@ -271,19 +260,7 @@ def _reference_of_feet(
         load = sole_wrenches(scale * raw + np.nan_to_num(offset), layout)[..., 2]
         stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
         facts, source = facts | {"lag": 0}, FELT
-    up = np.tile((0.0, 0.0, GRAVITY), (n, 1))
-    zero = np.zeros((n, 3))
-    reference = Reference(
-        com=zero,
-        com_acceleration=zero,
-        angular_momentum_rate=zero,
-        position_sole=np.zeros((n, feet, 3)),
-        R_level_sole=np.tile(np.eye(3), (n, feet, 1, 1)),
-        stance=stance,
-        swing=swing,
-        accelerometer=up,
-        gyroscope=zero,
-    )
+    reference = refer_to_contacts(stance, swing, np.zeros((len(raw), feet, 3)))
     return reference, facts | {"about": facts["about"] | {"feet_alone": True, "contacts": source}}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import FeetLayout, MomentumReference, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
@@ -209,10 +209,7 @@ def make_beliefs(
             rows.append((beliefs.reference(moment, nobody, nobody), beliefs.momentum(moment, nobody, nobody)))
         else:
             rows.append((nothing(2), unknown(2)))
-    reference, momentum = (
-        kind(*(np.stack(part) for part in zip(*found, strict=True)))
-        for kind, found in zip((Reference, MomentumReference), zip(*rows, strict=True), strict=True)
-    )
+    reference, momentum = map(stack_rows, zip(*rows, strict=True))
     scale = mass / model.mass
     return (
         reference._replace(angular_momentum_rate=scale * reference.angular_momentum_rate),

@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments.policy.controllers import controller_hash
-from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, Task, task_in, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, Task, find_task, task_in
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
 from surefoot.experiments.study.figures import figure_at
@@ -111,7 +111,7 @@ def write_card(out: Path) -> Path:
 
 def _task_of(network: PolicyNetwork) -> Task:
     name = network.notes.get("options", {}).get("task", "balance")
-    return task_in(network.notes.get("task")) or task_named(str(name))
+    return task_in(network.notes.get("task")) or find_task(str(name))
 
 
 def _options(values: Mapping[str, Any]) -> list[str]:

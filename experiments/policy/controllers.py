@@ -41,7 +41,6 @@ _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomi
 """Policies that come with the package, and what they were trained on."""
 
 _FILES = (".npz", ".zip")  # a zip of Stable-Baselines3 is refused, with what to do
-_LONGEST_DRAWN = 40  # characters of a name for which a figure has room
 
 
 def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:
@@ -132,23 +131,6 @@ def labels(controllers: Sequence[str]) -> dict[str, str]:
         for name, brief in zip(controllers, short, strict=True)
     }
     return found if len(set(found.values())) == len(found) else {name: name for name in controllers}
-
-
-def figure_names(controllers: Sequence[str]) -> dict[str, str]:
-    """Return a name for each controller that a figure can write, cut and numbered so that none are alike."""
-    found: dict[str, str] = {}
-    for name, brief in labels(controllers).items():
-        cut, number = _cut(brief, ""), 1
-        while cut in found.values():
-            number += 1
-            cut = _cut(brief, f" ({number})")
-        found[name] = cut
-    return {name: cut.replace("$", r"\$") for name, cut in found.items()}
-
-
-def _cut(text: str, ending: str) -> str:
-    room = _LONGEST_DRAWN - len(ending)
-    return (text if len(text) <= room else f"…{text[1 - room :]}") + ending
 
 
 def _id_of(env: gym.Env[Any, Any]) -> str:

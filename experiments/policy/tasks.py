@@ -77,7 +77,7 @@ TASKS: Mapping[str, Task] = MappingProxyType(
 """All tasks by name; the first is the default."""
 
 
-def task_named(name: str) -> Task:
+def find_task(name: str) -> Task:
     """Return the task of a name, or raise ValueError with their names."""
     if name not in TASKS:
         raise ValueError(f"There is no task '{name}'. Available: {', '.join(map(repr, TASKS))}.")
@@ -93,7 +93,7 @@ def policy_file(task: str, sensors: str) -> Traversable:
     """Return the file of a policy that comes with the package: for the task, or for the easier one."""
     folder = files("surefoot.experiments.policy").joinpath("files")
     own = folder.joinpath(f"{task}-{sensors}", "policy.npz")
-    easier = task_named(task).easier
+    easier = find_task(task).easier
     return own if own.is_file() or not easier else policy_file(easier, sensors)
 
 
@@ -108,7 +108,7 @@ def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwor
         raise ValueError(
             f"There is no shipped policy '{sensors}' for the task '{task}'. Available: {available}."
         )
-    with as_file(policy_file(task_named(task).name, sensors)) as path:
+    with as_file(policy_file(find_task(task).name, sensors)) as path:
         return PolicyNetwork.load(path)
 
 
@@ -141,7 +141,7 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         """Raise ValueError at a task that cannot be trained."""
-        task_named(self.task)
+        find_task(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
         check_count(self, "steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore")

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.tasks import REWARD_SCALE, TrainOptions, task_named
+from surefoot.experiments.policy.tasks import REWARD_SCALE, TrainOptions, find_task
 from surefoot.experiments.policy.view import PolicyView, make_task, network_of
 from surefoot.files import atomic_path, lock_folder, read_json, write_text
 
@@ -69,7 +69,7 @@ class Trainer:
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         torch.set_num_threads(1)
-        options, task = self.options, task_named(self.options.task)
+        options, task = self.options, find_task(self.options.task)
 
         def make(severity: float) -> gym.Env[Any, Any]:
             feed = "true" if options.sensors == "true" else "none"

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
-from surefoot.experiments.policy.tasks import Task, task_named
-from surefoot.experiments.walks.walkers import FEEDS, TruthTap, feed_named, on_feet
+from surefoot.experiments.policy.tasks import Task, find_task
+from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, put_on_feet
 
 PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
 _LEGS = 12  # hinge joints of both legs, which come first
@@ -30,10 +30,10 @@ def make_task(
     feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
-    options, chosen = FEEDS[feed_named(feed)], task_named(task)
+    options, chosen = FEEDS[check_feed(feed)], find_task(task)
     calibration = None if options is None else dict(options)
     bare = gym.make(chosen.env_id, disable_env_checker=True, **env_options)
-    return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
+    return put_on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 
 
 def _input_matrix(
@@ -69,7 +69,7 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], task: str = "balance", *, reward_scale: float = 1.0) -> None:
         super().__init__(env)
-        self.task = task_named(task)
+        self.task = find_task(task)
         self.hold = self.task.hold
         bare: Any = env.unwrapped
         standing = bare.model.key("stand").ctrl[motor_of_joint(bare.model)]

@@ -150,11 +150,16 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None
         *(f"surefoot.{part}" for part in ("calibration", "sensors", "envs", "robot", "wrappers"))
     )
     made = {
-        "command": shlex.join(["surefoot", *sys.argv[1:]]),
+        "command": command_line(),
         "software": f"surefoot {surefoot.__version__} (code {code})",
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
     }
     write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
+
+
+def command_line() -> str:
+    """Command that runs now."""
+    return shlex.join(["surefoot", *sys.argv[1:]])
 
 
 def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:

@@ -19,6 +19,7 @@ from surefoot.calibration import METHODS, online
 from surefoot.names import plain_name
 from surefoot.sensors import presets
 
+_DATA = (".xml", ".h", ".c")  # files beside modules that decide results as well
 _ROOT = Path(surefoot.__file__).parent
 _IMPORT = re.compile(r"^[ \t]*from (surefoot[\w.]*) import (?:\(([^)]*)\)|([^\n(]*))", re.MULTILINE)
 _WHOLE = re.compile(r"^[ \t]*import (surefoot\.[\w.]+)", re.MULTILINE)
@@ -29,12 +30,11 @@ _ENVIRONMENT = re.compile(r"[\"']surefoot/\w+-v\d+[\"']")
 @cache
 def source_hash(*entries: str) -> str:
     """Return 16 hex digits that change with the code behind some modules or packages."""
-    digest = sha256()
-    for module in sorted(source_modules(*entries)):
-        path = _file(module)
-        data = [] if path.name != "__init__.py" else [f for f in path.parent.iterdir() if f.suffix == ".xml"]
-        for file in (path, *sorted(data)):
-            digest.update(f"{module}/{file.name}".encode() + file.read_bytes())
+    modules, digest = source_modules(*entries), sha256()
+    folders = {_file(module).parent for module in modules if module.startswith("surefoot.")}
+    data = {file for folder in folders for file in folder.iterdir() if file.suffix in _DATA}
+    for file in sorted(data.union(map(_file, modules)), key=lambda file: (file.parent.name, file.name)):
+        digest.update(f"{file.parent.name}/{file.name}".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 

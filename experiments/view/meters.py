@@ -11,7 +11,7 @@ from viser import uplot
 
 from surefoot.calibration.estimate import Flag
 from surefoot.experiments.view.board import words
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND
+from surefoot.experiments.view.server import FRAMES_PER_SECOND
 from surefoot.experiments.view.shown import WAYS, Shown
 
 SPAN = 10.0  # time in s that the chart shows

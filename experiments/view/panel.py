@@ -6,7 +6,7 @@ from typing import Any
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS
-from surefoot.experiments.view.scene import when_changed
+from surefoot.experiments.view.server import when_changed
 from surefoot.experiments.view.session import Session
 
 Ask = Callable[[str, Any], None]

@@ -9,11 +9,12 @@ import viser
 from surefoot.calibration import GRAVITY, METHODS
 from surefoot.calibration.estimate import Estimate
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.view.server import when_changed
+from surefoot.experiments.view.session import check_method
 from surefoot.experiments.view.shown import Reading, Shown, move_cop
 from surefoot.experiments.walks.replay import replay_log, starting_map
 
@@ -28,8 +29,7 @@ class LogFeet:
     """
 
     def __init__(self, log: Log, method: str) -> None:
-        if len(log.layout.feet) != 2 or any(foot.position_cell_sole is None for foot in log.layout.feet):
-            raise LogError("The page shows two feet on load cells, and this log has others.")
+        check_load_cells(log.layout, "log")
         self.log = log
         if log.truth is None:
             # A reference is late; the last one that was known stands for those that were not.
@@ -49,7 +49,7 @@ class LogFeet:
 
     def choose(self, method: str) -> None:
         """Calibrate by another method; ValueError if there is none of that name."""
-        self.method = method_chosen(method)
+        self.method = check_method(method)
         self._estimate = self._raw if self.method == "none" else self._replay(self.method)
 
     def state_to_draw(self, i: int) -> Shown:

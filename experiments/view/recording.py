@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import Parameters, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 
 LONGEST_RECORDING = 600.0  # time in s after which a recording ends by itself
@@ -50,7 +50,7 @@ class Recording:
         return Log(
             time=np.array(time),
             raw=np.array(raw),
-            reference=Reference(*(np.array(parts) for parts in zip(*reference, strict=True))),
+            reference=stack_rows(reference),
             truth=LogTruth(*(np.array(part) for part in (force, position, R, scale, offset))),
             dt=self._dt,
             calibrated=None,

@@ -9,7 +9,7 @@ import viser
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.view.board import FeetBoard, colours
 from surefoot.experiments.view.meters import Meters
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND, set_scene
+from surefoot.experiments.view.server import FRAMES_PER_SECOND, set_scene
 
 _REFUSALS = (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError)
 

@@ -1,13 +1,16 @@
-"""An empty page: light to import, so that a browser can load it while a robot gets ready."""
+"""An empty page and its scene: light to import, so that a browser can load it while a robot gets ready."""
 
 import errno
 import socket
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
+from typing import Any
 
 import numpy as np
 import viser
 
+FRAMES_PER_SECOND = 30  # how often everything is drawn
 PLACE = np.array([0.0, -0.95, 0.0])  # of the middle of the soles, beside the robot, in its leg lengths
 
 
@@ -71,3 +74,40 @@ def view_of(size: float, aside: float, narrow: bool = False) -> tuple[tuple[floa
         y *= 1.3 - 0.4 * aside
         position, look_at = (x - 1.05, y, z + 1.2), (x + 0.1, y, z + 0.1)
     return tuple(size * part for part in position), tuple(size * part for part in look_at)
+
+
+def when_changed(handle: Any, tell: Callable[[Any], None]) -> None:
+    """Tell a control's value when a browser, and not this program, has changed it."""
+
+    def on_change(event: Any) -> None:
+        if event.client_id is not None:
+            tell(handle.value)
+
+    handle.on_update(on_change)
+
+
+def set_scene(server: viser.ViserServer, size: float, aside: float = 1.0) -> Any:
+    """Set the ground and the camera, behind the robot, as :func:`view_of`; return the ground."""
+    show_from(server, size, aside)
+
+    def aim(client: viser.ClientHandle) -> None:
+        camera = client.camera
+        narrow = camera.image_width < camera.image_height
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = view_of(size, aside, narrow)
+
+    # Of clients that came before there was anything to see, too.
+    server.on_client_connect(aim)
+    return server.scene.add_grid(
+        "/ground",
+        # A little lower than soles on it, of which it would cover half.
+        position=(0.0, 0.0, -0.004 * size),
+        infinite_grid=True,
+        cell_size=0.25 * size,
+        section_size=size,
+        cell_color=(222, 222, 222),
+        section_color=(190, 190, 190),
+        fade_distance=12.0 * size,
+        plane_color=(246, 248, 250),
+        plane_opacity=1.0,
+    )

@@ -389,7 +389,7 @@ class Session:
         self._feed()
 
     def _choose(self, method: Any) -> None:
-        method = method_chosen(method)
+        method = check_method(method)
         if method not in self._lines:
             line = self._lines[method] = _Line(self._env, self._sensors, method)
             self._update(line)
@@ -416,7 +416,7 @@ def repeat_session(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
     return session, changes
 
 
-def method_chosen(name: Any) -> str:
+def check_method(name: Any) -> str:
     """Return a calibrator's name of today; ValueError if there is none: a page's word imports no module."""
     method = method_name(str(name))
     if method not in METHODS:

@@ -12,14 +12,23 @@ import numpy as np
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
-from surefoot.experiments.logs.columns import PHASES, names_of, phase_names, raw_names_of, reference_of
-from surefoot.experiments.logs.contacts import SURE, feel_contacts
+from surefoot.experiments.arrays import take_rows
+from surefoot.experiments.logs.checks import check_load_cells
+from surefoot.experiments.logs.columns import (
+    PHASES,
+    has_references,
+    names_of,
+    phase_names,
+    raw_names_of,
+    reference_of,
+)
+from surefoot.experiments.logs.contacts import SURE, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.player import SIZE
-from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import method_chosen
+from surefoot.experiments.view.server import when_changed
+from surefoot.experiments.view.session import check_method
 from surefoot.experiments.view.shown import Reading, Shown, move_cop
 from surefoot.files import parse_json, read_text
 
@@ -75,8 +84,7 @@ class StreamFeet:
         told = parse_json(read_text(description, LogError), description.name, LogError)
         self.facts = facts = Description.read(told, f"{description.name}: the description")
         self.layout = facts.layout
-        if len(self.layout.feet) != 2 or any(foot.position_cell_sole is None for foot in self.layout.feet):
-            raise LogError("The page shows two feet on load cells, and this description has others.")
+        check_load_cells(self.layout, "description")
         if np.isnan(facts.dt_s):
             raise LogError(f"{description.name}: a stream needs 'dt_s', the time between its rows in s.")
         if np.isnan(facts.nominal.offset).any():
@@ -90,7 +98,7 @@ class StreamFeet:
 
     def choose(self, method: str) -> None:
         """Calibrate by another method from now on; ValueError if there is none of that name."""
-        self.method = method_chosen(method)
+        self.method = check_method(method)
         self._begin()
 
     def take(self, line: bytes) -> None:
@@ -98,7 +106,7 @@ class StreamFeet:
         row = parse_json(line.decode(errors="replace"), "The row", LogError)
         if not isinstance(row, Mapping):
             raise LogError(f"The row must be a JSON object of columns, got {type(row).__name__}.")
-        alone = not any(key.startswith("reference_") and not key.endswith(PHASES) for key in row)
+        alone = not has_references(row)
         if alone and self.method not in NEED_NO_ROBOT:
             raise LogError(
                 f"Method '{self.method}' needs a robot's motion, and these rows are of feet alone: choose "
@@ -146,7 +154,8 @@ class StreamFeet:
 
     def _believe(self, row: Mapping[str, Any]) -> Reference:
         values = {name: np.array([_number(row, name)]) for name in self._names}
-        return Reference(*(part[0] for part in reference_of(values, self.layout)))
+        reference: Reference = take_rows(reference_of(values, self.layout), 0)
+        return reference
 
     def _feel(self, row: Mapping[str, Any], raw: Any) -> Reference:
         """Make a reference of feet that stand side by side; contacts are told, or felt."""
@@ -159,18 +168,8 @@ class StreamFeet:
             load = np.array(self._load)
             felt = feel_contacts(load, self.facts.mass_kg * GRAVITY, self.facts.dt_s)
             stance, swing = (part[max(len(load) - 1 - self._late, 0)] for part in felt)
-        still = np.zeros(3)
-        return Reference(
-            com=still,
-            com_acceleration=still,
-            angular_momentum_rate=still,
-            position_sole=np.array([(0.0, 0.5 * APART, 0.0), (0.0, -0.5 * APART, 0.0)]),
-            R_level_sole=np.tile(np.eye(3), (2, 1, 1)),
-            stance=stance,
-            swing=swing,
-            accelerometer=np.array((0.0, 0.0, GRAVITY)),
-            gyroscope=still,
-        )
+        apart = np.array([(0.0, 0.5 * APART, 0.0), (0.0, -0.5 * APART, 0.0)])
+        return refer_to_contacts(stance, swing, apart)
 
 
 def _number(row: Mapping[str, Any], name: str) -> float:

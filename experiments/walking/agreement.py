@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Reference, ground_reference, zero_phase
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
+from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.walks.score import rms
 
@@ -35,7 +36,7 @@ class Agreement(NamedTuple):
     rows: int
 
 
-def required_ground(log: Log) -> Ground:
+def ground_of_motion(log: Log) -> Ground:
     """Ground force and CoP that the robot's motion requires."""
     reference = _late_references(log)
     height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)
@@ -62,7 +63,7 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
 
 def _late_references(log: Log) -> Reference:
     """Return the references from the first that describes a row, without those that cannot be."""
-    late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
+    late = take_rows(log.reference, slice(log.lag, None))
     sound = np.ones(len(log) - log.lag, dtype=bool)
     for part in late:
         sound &= np.all(np.abs(part.reshape(len(part), -1)) <= LARGEST, axis=1)

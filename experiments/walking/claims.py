@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import digamma
 
 from surefoot.calibration import GRAVITY, OnlineSetup, Parameters, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 
 BLOCK = 0.1  # time in s that a row is the mean of: shorter than a step, longer than a ripple of servos
@@ -86,7 +86,7 @@ def claims_of(log: Log, initial: Parameters, length: float) -> Claims:
     weight, count = log.mass * GRAVITY, len(log) - log.lag
     plausible = np.abs(initial.force(log.raw)) <= OnlineSetup.plausible_weights * weight
     read = _fill(np.where(plausible, log.raw, np.nan)[:count], round(HELD / log.dt))
-    late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
+    late = take_rows(log.reference, slice(log.lag, None))
     wrench_map = log.layout.wrench_map
     air = AIR * weight * np.where(_torques(wrench_map), length, 1.0)
     return Claims(read, initial, late, wrench_map, weight, length, log.dt, air)
@@ -181,8 +181,7 @@ def _windows(claims: Claims) -> list[Claims]:
 
 
 def _cut(claims: Claims, where: slice) -> Claims:
-    reference = Reference(*(np.asarray(part)[where] for part in claims.reference))
-    return replace(claims, raw=claims.raw[where], reference=reference)
+    return replace(claims, raw=claims.raw[where], reference=take_rows(claims.reference, where))
 
 
 def _condense(claims: Claims) -> Claims:

@@ -5,15 +5,15 @@ a log is for :func:`~surefoot.experiments.walking.claims.fit_claims` to say.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 
@@ -27,31 +27,21 @@ POUND = 0.45359237  # in kg
 ANYWHERE = 0.1  # std in m of a centre of mass of which nothing is known but the robot
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """One mistake.
+class Hypothesis(NamedTuple):
+    """One mistake."""
 
-    Attributes:
-        kind: Its kind, for tables and tests.
-        cause: The mistake, as a clause.
-        cure: The cure, as a clause.
-        undo: Changes claims to those without the mistake.
-    """
-
-    kind: str
-    cause: str
-    cure: str
-    undo: Callable[[Claims], Claims]
+    kind: str  # for tables and tests
+    cause: str  # the mistake, as a clause
+    cure: str  # as a clause
+    undo: Callable[[Claims], Claims]  # changes claims to those without the mistake
 
 
 def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
     """Yield every mistake that is tried on a log with this layout."""
-    yield from _wiring(layout)
-    yield from _signs(layout)
-    yield from _sizes(layout)
-    yield from _times()
-    yield from _accelerations()
-    yield from _places()
+    for of_layout in (_wiring, _orders, _signs, _sizes):
+        yield from of_layout(layout)
+    for of_motion in (_times, _accelerations, _places):
+        yield from of_motion()
 
 
 def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
@@ -67,7 +57,7 @@ def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
 
 def _remake(claims: Claims, make: Callable[[], Reference]) -> Claims:
     late = len(make().com) - len(claims.raw)  # made references are not late
-    return replace(claims, reference=Reference(*(np.asarray(part)[late:] for part in make())))
+    return replace(claims, reference=take_rows(make(), slice(late, None)))
 
 
 def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
@@ -99,7 +89,6 @@ def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
         "exchange the columns '..._stance' and '..._swing'",
         partial(_believe, change=lambda r: r._replace(stance=r.swing, swing=r.stance)),
     )
-    yield from _orders(layout)
 
 
 def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
@@ -139,78 +128,58 @@ def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
 
 
 def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
-    K = layout.channels
-    groups: list[tuple[str, Sequence[int]]] = [
-        (f"the channel '{name.replace('/', ' ')}'", [i]) for i, name in enumerate(layout.channel_names)
-    ]
+    names = layout.channel_names
+    groups: dict[str, Sequence[int]] = {
+        f"the channel '{name.replace('/', ' ')}' has": [i] for i, name in enumerate(names)
+    }
     for foot, where in zip(layout.feet, layout.slices, strict=True):
-        groups.append((f"all channels of the {foot.name} foot", range(where.start, where.stop)))
-    torque = [i for i, name in enumerate(layout.channel_names) if name.endswith(("/tx", "/ty", "/tz"))]
-    if torque:
-        groups.append(("the torques of all sensors", torque))
-    for what, channels in groups:
-        factor = np.ones(K)
+        groups[f"all channels of the {foot.name} foot have"] = range(where.start, where.stop)
+    if torques := [i for i, name in enumerate(names) if name.endswith(("/tx", "/ty", "/tz"))]:
+        groups["the torques of all sensors have"] = torques
+    cure = "turn the signs of scale_N_per_count and offset_N round"
+    for whose, channels in groups.items():
+        factor = np.ones(layout.channels)
         factor[list(channels)] = -1.0
-        yield Hypothesis(
-            "sign of channels",
-            f"{what} has the other sign" if len(channels) == 1 else f"{what} have the other sign",
-            "turn the signs of scale_N_per_count and offset_N round",
-            partial(_multiply, factor=factor),
-        )
+        cause = f"{whose} the other sign"
+        yield Hypothesis("sign of channels", cause, cure, partial(_multiply, factor=factor))
 
 
 def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
+    large = "times as large as they should be"
     for factor, text in (
         (2.0, "64 in place of 128"),
         (4.0, "32 in place of 128"),
         (0.5, "128 in place of 64"),
     ):
-        yield Hypothesis(
-            "gain",
-            f"all forces are {1 / factor:g} times as large as they should be: the amplifiers' gain is {text}",
-            f"multiply scale_N_per_count by {factor:g} and give the offsets that belong to it",
-            partial(_multiply, factor=np.full(layout.channels, factor)),
-        )
-    for factor, text, cure in (
+        cause = f"all forces are {1 / factor:g} {large}: the amplifiers' gain is {text}"
+        cure = f"multiply scale_N_per_count by {factor:g} and give the offsets that belong to it"
+        yield Hypothesis("gain", cause, cure, partial(_multiply, factor=np.full(layout.channels, factor)))
+    for factor, cause, cure in (
         (POUND, "mass_kg is in pounds", f"multiply it by {POUND:.4g}"),
         (1.0 / POUND, "mass_kg is too small by the factor of pounds in a kilogram, 2.205", "weigh the robot"),
     ):
-        yield Hypothesis("mass", text, cure, partial(_weigh, factor=factor))
+        yield Hypothesis("mass", cause, cure, partial(_weigh, factor=factor))
     for foot, where in zip(layout.feet, layout.slices, strict=True) if len(layout.feet) == 2 else ():
         for factor in (2.0, 0.5):
             each = np.ones(layout.channels)
             each[where] = factor
-            yield Hypothesis(
-                "gain of one foot",
-                f"the forces of the {foot.name} foot are {1 / factor:g} times as large as they should be",
-                f"multiply its scale_N_per_count by {factor:g} and give the offsets that belong to it",
-                partial(_multiply, factor=each),
-            )
-    lengths = {0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches"}
-    for factor, unit in lengths.items():
-        yield Hypothesis(
-            "layout in other units",
-            f"position_cell_sole_m is in {unit}",
-            f"multiply it by {factor:g}",
-            partial(_place, factor=factor),
-        )
-    yield Hypothesis(
-        "layout in other units", "position_cell_sole_m is half as large as the foot",
-        "measure the cells' places", partial(_place, factor=2.0),
-    )  # fmt: skip
-    yield Hypothesis(
-        "layout in other units", "position_cell_sole_m is twice as large as the foot",
-        "measure the cells' places", partial(_place, factor=0.5),
-    )  # fmt: skip
+            cause = f"the forces of the {foot.name} foot are {1 / factor:g} {large}"
+            cure = f"multiply its scale_N_per_count by {factor:g} and give the offsets that belong to it"
+            yield Hypothesis("gain of one foot", cause, cure, partial(_multiply, factor=each))
+    measure = "measure the cells' places"
+    for factor, text, cure in (
+        (0.001, "in millimetres", "multiply it by 0.001"),
+        (0.01, "in centimetres", "multiply it by 0.01"),
+        (0.0254, "in inches", "multiply it by 0.0254"),
+        (2.0, "half as large as the foot", measure),
+        (0.5, "twice as large as the foot", measure),
+    ):
+        cause = f"position_cell_sole_m is {text}"
+        yield Hypothesis("layout in other units", cause, cure, partial(_place, factor=factor))
     for axis, text in ((0, "x points back"), (1, "y points to the right")):
-        sign = np.ones(2)
-        sign[axis] = -1.0
-        yield Hypothesis(
-            "layout mirrored",
-            f"the layout is mirrored: {text} in position_cell_sole_m",
-            "give places in the sole frame (x ahead, y to the left)",
-            partial(_reflect, axis=axis),
-        )
+        cause = f"the layout is mirrored: {text} in position_cell_sole_m"
+        cure = "give places in the sole frame (x ahead, y to the left)"
+        yield Hypothesis("layout mirrored", cause, cure, partial(_reflect, axis=axis))
 
 
 def _times() -> Iterator[Hypothesis]:
@@ -260,40 +229,30 @@ def _accelerations() -> Iterator[Hypothesis]:
 
 def _places() -> Iterator[Hypothesis]:
     """Yield mistakes of the centre of mass, alone or together with its acceleration."""
+    com = "the centre of mass"
     for angle, R in ((90, _QUARTER), (-90, _QUARTER.T), (180, np.diag([-1.0, -1.0, 1.0]))):
-        yield Hypothesis(
-            "references turned",
-            f"centre of mass and acceleration are turned by {angle} degrees against the soles",
-            "give all references in one level frame",
-            partial(_believe, change=partial(_turn, R=R)),
-        )
-    exchanged, axes = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), "exchange the columns of x and y"
-    yield Hypothesis(
-        "axes exchanged", "x and y of centre of mass and acceleration are exchanged", axes,
-        partial(_believe, change=partial(_turn, R=exchanged, spin=False)),
+        cause = f"centre of mass and acceleration are turned by {angle} degrees against the soles"
+        cure, turn = "give all references in one level frame", partial(_turn, R=R)
+        yield Hypothesis("references turned", cause, cure, partial(_believe, change=turn))
+    exchanged, no = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(3)
+    columns, axes, sign = "exchange the columns of x and y", "axes exchanged", f"{com} has the other sign"
+    mirrored, units = "centre of mass mirrored", "centre of mass in other units"
+    named = "columns 'reference_com_...' are in"
+    places: tuple[tuple[str, str, str, Callable[[Reference], Reference]], ...] = (
+        (axes, "x and y of centre of mass and acceleration are exchanged", columns,
+         partial(_turn, R=exchanged, spin=False)),
+        (axes, "x and y of the acceleration are exchanged", columns,
+         partial(_accelerate, A=exchanged, before=no, after=no)),
+        (axes, f"x and y of {com} are exchanged", columns, partial(_place_com, A=exchanged)),
+        (mirrored, f"x of {sign}", "turn it round", partial(_place_com, A=np.diag([-1.0, 1, 1]))),
+        (mirrored, f"y of {sign}", "turn it round", partial(_place_com, A=np.diag([1.0, -1, 1]))),
+        (units, f"{named} millimetres", "divide them by 1000", partial(_place_com, A=np.eye(3) / 1000)),
+        (units, f"{named} centimetres", "divide them by 100", partial(_place_com, A=np.eye(3) / 100)),
     )  # fmt: skip
-    change = partial(_accelerate, A=exchanged, before=np.zeros(3), after=np.zeros(3))
-    yield Hypothesis("axes exchanged", "x and y of the acceleration are exchanged", axes,
-                     partial(_believe, change=change))  # fmt: skip
-    places = (
-        ("axes exchanged", "x and y of the centre of mass are exchanged", axes, exchanged),
-        ("centre of mass mirrored", "x of the centre of mass has the other sign", "turn it round",
-         np.diag([-1.0, 1, 1])),
-        ("centre of mass mirrored", "y of the centre of mass has the other sign", "turn it round",
-         np.diag([1.0, -1, 1])),
-        ("centre of mass in other units", "columns 'reference_com_...' are in millimetres",
-         "divide them by 1000", np.eye(3) / 1000),
-        ("centre of mass in other units", "columns 'reference_com_...' are in centimetres",
-         "divide them by 100", np.eye(3) / 100),
-    )  # fmt: skip
-    for kind, cause, cure, A in places:
-        yield Hypothesis(kind, cause, cure, partial(_believe, change=partial(_place_com, A=A)))
-    yield Hypothesis(
-        "centre of mass off",
-        "the centre of mass is not where the references say",
-        "see in which frame it is, and from which origin",
-        partial(replace, com_std=ANYWHERE),
-    )
+    for kind, cause, cure, change in places:
+        yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
+    cause, cure = f"{com} is not where the references say", "see in which frame it is, and from which origin"
+    yield Hypothesis("centre of mass off", cause, cure, partial(replace, com_std=ANYWHERE))
 
 
 _QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])

@@ -7,7 +7,7 @@ from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.walking.agreement import required_ground
+from surefoot.experiments.walking.agreement import ground_of_motion
 
 MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
 STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
@@ -151,6 +151,6 @@ def result_notices(
 
 def _spread(log: Log) -> float:
     """Standard deviation of the centre of pressure that the motion asks for, seen from the soles."""
-    cop = required_ground(log).cop
+    cop = ground_of_motion(log).cop
     there = cop[np.isfinite(cop).all(axis=-1)]
     return float(there.std(axis=0).max()) if len(there) else np.inf

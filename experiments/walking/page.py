@@ -13,7 +13,7 @@ from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of, name_axes
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 from surefoot.experiments.walking import tables
-from surefoot.experiments.walking.agreement import Ground, ground_of_forces, required_ground
+from surefoot.experiments.walking.agreement import Ground, ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.tables import Facts
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
@@ -25,7 +25,7 @@ _CLOSE_UP = 0.6, 20.0  # room around what the motion asks for, in shares of its 
 
 def force_of_feet(path: Path, facts: Facts) -> Path:
     """Draw the vertical force of both feet and of each, by the starting map and calibrated."""
-    log, asked = facts.log, required_ground(facts.log)
+    log, asked = facts.log, ground_of_motion(facts.log)
     feet = [foot.name for foot in log.layout.feet]
     with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(feet))) as figure:
         grid = grid_of(figure, 1 + len(feet), 1, sharex=True)
@@ -63,7 +63,7 @@ def cells_over_time(path: Path, facts: Facts) -> Path:
 
 def cop_against_motion(path: Path, facts: Facts) -> Path:
     """Draw the centre of pressure beside the one that the motion asks for, and their distance."""
-    log, asked = facts.log, required_ground(facts.log)
+    log, asked = facts.log, ground_of_motion(facts.log)
     sides = [(ground_of_forces(log, force), look) for force, look in _sides(facts)[:2]]
     with figure_at(path, 10.0, 6.6) as figure:
         panels = grid_of(figure, 3, 1, sharex=True)[:, 0]

@@ -12,7 +12,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation
-from surefoot.experiments.walking.agreement import agreement, ground_of_forces, required_ground
+from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walks.score import hold_last, score_forces
 
 _flag_words = Words("walking", "flags")
@@ -137,7 +137,7 @@ def nis_per_row(estimate: Estimate) -> float | None:
 
 def agreement_table(facts: Facts) -> Table:
     """Return how far the feet are from the motion's forces, after and before."""
-    log, asked = facts.log, required_ground(facts.log)
+    log, asked = facts.log, ground_of_motion(facts.log)
     rows = []
     for name, force in facts.sides():
         found = agreement(ground_of_forces(log, force), asked, facts.settle)

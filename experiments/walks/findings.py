@@ -1,12 +1,11 @@
-"""Findings of a study of walks: in sentences that are made of them, and against its claims."""
+"""Findings of a study of walks: what no table says, in sentences, and the numbers against its claims."""
 
 from collections.abc import Iterator
 
-import numpy as np
 from scipy import stats
 
-from surefoot.experiments.study.figures import by_way, in_order, short_label
-from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import (
     Claim,
     Column,
@@ -22,30 +21,22 @@ from surefoot.experiments.study.tables import (
     span,
     with_interval,
 )
-from surefoot.experiments.walks.options import TRUE_MAP
-from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, Scenario
+from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, TRUE_MAP, Scenario
 from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, consistent, seconds_text
 
-START = "none"  # the method that leaves the readings as the starting map gives them
 _CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on
 
 
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:
-    """Sentences about a scenario, from one row a run of all of them, and from how many were left out."""
+    """Say who is nearest to the truth, and how many walks ended in a fall: of one row a run."""
     part = scores[scores["scenario"] == scenario.name]
     if not len(part):
         return (f"No walk lasted long enough to be scored: {left_out} of {left_out} ended in a fall.",)
     errors = part.pivot(index="seed", columns="method", values="cop")
-    methods = {name: runs for name, runs in by_way(part).items() if name not in (TRUE_MAP, START)}
-    said = [_ranking(errors), *(_method(runs, errors, name) for name, runs in methods.items())]
-    if scenario.faults:
-        said += [_fault(runs, name) for name, runs in methods.items()]
-    elif scenario.name != PLAIN and (scores["scenario"] == PLAIN).any():
-        plain = scores[scores["scenario"] == PLAIN].groupby("method")["cop"].mean()
-        ratios = {name: runs["cop"].mean() / plain.get(name, np.nan) for name, runs in methods.items()}
-        pieces = [f"{short_label(name)} {number(float(r))}" for name, r in ratios.items() if np.isfinite(r)]
-        said.append(f"CoP error over that of plain walking at 0.04 m/s: {', '.join(pieces)}.")
-    falls = int(part.drop_duplicates("seed")["fell"].sum())
+    said, falls = [_rank(errors)], int(part.drop_duplicates("seed")["fell"].sum())
+    if not part["finite"].all():
+        broken = part[~part["finite"].astype(bool)].groupby("method").size()
+        said.append(f"Runs in which a force was not finite: {broken.to_dict()}.")
     if falls or left_out:
         said.append(
             f"{falls + left_out} of {len(errors) + left_out} walks ended in a fall "
@@ -55,81 +46,31 @@ def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> t
 
 
 def summary_findings(scores: Frame) -> tuple[str, ...]:
-    """Return for every method in how many scenarios it leads, and whether it ever did harm."""
+    """Say of every method in how many scenarios it leads, and how often it ended worse than it started."""
     healthy = scores[(scores["after"].isna()) & (scores["method"] != TRUE_MAP)]
     means = healthy.groupby(["scenario", "method"])["cop"].mean().unstack().dropna(how="all")
-    best = means.idxmin(axis=1)
-    said = []
-    for method in in_order(means.columns):
-        harm = "" if method == START else f"; {_harm(scores[scores['method'] == method])}"
-        said.append(
-            f"{short_label(method)}: the smallest mean CoP error in {int((best == method).sum())} of "
-            f"{len(means)} scenarios{harm}."
-        )
-    return tuple(said)
+    best, runs = means.idxmin(axis=1), scores.groupby("method")["worse"]
+    worse, count = runs.sum(), runs.size()
+    return tuple(
+        f"{short_label(method)}: the smallest mean CoP error in {int((best == method).sum())} of "
+        f"{len(means)} scenarios; {int(worse[method])} of {count[method]} runs end with a worse CoP than "
+        "they started with."
+        for method in in_order(means.columns)
+    )
 
 
-def _ranking(errors: Frame) -> str:
-    """Return who is nearest to the truth, and whether that is clear of the next."""
+def _rank(errors: Frame) -> str:
+    """Say who is nearest to the truth, and whether that is clear of the next."""
     ranked = sorted((m for m in errors.columns if m != TRUE_MAP), key=lambda m: float(errors[m].mean()))
     if not ranked:
         return "Only the true map was run."
-    best = ranked[0]
-    error = with_interval(errors[best], 1e3)
-    text = f"Nearest to the truth is {short_label(best)} with {error} mm of CoP error"
-    if TRUE_MAP in errors:
-        text += f" (true map {with_interval(errors[TRUE_MAP], 1e3)} mm)"
+    text = f"Nearest to the truth is {short_label(ranked[0])} with {_mm(errors[ranked[0]])} of CoP error"
     if len(ranked) > 1:
-        gap = errors[ranked[1]] - errors[best]
-        text += f"; {short_label(ranked[1])} is {with_interval(gap, 1e3)} mm further off"
-        if not mean_interval(gap).mean > mean_interval(gap).half:
+        gap = errors[ranked[1]] - errors[ranked[0]]
+        text += f"; {short_label(ranked[1])} is {_mm(gap)} further off"
+        if not mean_interval(gap).apart:
             text += ", which is no clear difference"
     return text + "."
-
-
-def _method(runs: Frame, errors: Frame, method: str) -> str:
-    text = f"{short_label(method)}: CoP {with_interval(errors[method], 1e3)} mm"
-    if START in errors:
-        text += f", {_change(errors, method)}"
-    text += f"; a foot's CoP {with_interval(runs['cop_foot'], 1e3)} mm; vGRF {with_interval(runs['vgrf'])} N"
-    text += f"; cells {with_interval(runs['cell'])} N; {_harm(runs)}"
-    limits = runs["bound_cop"]
-    if limits.notna().any():
-        text += f"; {number(float((runs['cop'] / limits).mean()))} times the bound"
-    if not runs["finite"].all():
-        text += f"; in {plural(int((~runs['finite'].astype(bool)).sum()), 'run')} a force was not finite"
-    return text + "."
-
-
-def _change(errors: Frame, method: str) -> str:
-    """Compare with the readings as they are, run by run."""
-    change = mean_interval(errors[START] - errors[method])
-    ratio = float(errors[START].mean() / errors[method].mean())
-    if not abs(change.mean) > change.half:
-        return "no clear difference to the readings as they are"
-    if change.mean > 0:
-        return f"{number(ratio)} times smaller than by the starting map"
-    return f"{number(1.0 / ratio)} times LARGER than by the starting map"
-
-
-def _harm(runs: Frame) -> str:
-    worse, feet, cells = (int(runs[name].sum()) for name in ("worse", "worse_foot", "worse_cell"))
-    if worse == 0:
-        text = f"none of {len(runs)} runs ends with a worse CoP than it started with"
-    else:
-        verb = "ends" if worse == 1 else "end"
-        text = f"{worse} of {len(runs)} runs {verb} with a worse CoP than the starting map's"
-    return text + (f" ({feet} with worse feet, {cells} with worse cells)" if feet or cells else "")
-
-
-def _fault(runs: Frame, method: str) -> str:
-    found = runs["found"][np.isfinite(runs["found"])]
-    within = int((runs["found"] <= 1.0).sum())
-    text = f"{short_label(method)}: the fault is found within 1 s in {within} of {len(runs)} runs"
-    if len(found):
-        text += f" (median {number(float(found.median()))} s where it is found)"
-        text += f", the right cell alone is accused in {int(runs['isolated'].sum())}"
-    return f"{text}; CoP afterwards {with_interval(runs['after'], 1e3)} mm."
 
 
 def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
@@ -186,79 +127,19 @@ def errors_of(scores: Frame, condition: str, against: str, speed: float, metric:
     return scores[chosen].pivot(index="seed", columns="method", values=metric)
 
 
-def baseline_findings(scores: Frame, condition: str) -> Iterator[str]:
-    """Say how the window and the quasi-static method compare in the paper's conditions and scoring."""
-    for speed in sorted(scores["speed"].unique()):
-        cop, vgrf = (errors_of(scores, condition, "baseline", speed, metric) for metric in ("cop", "vgrf"))
-        if not {"window", "quasi-static"} <= set(cop.columns):
-            continue
-        against_paper = ""
-        if speed in WALKING_TABLES:
-            printed = WALKING_TABLES[speed]["window"].cop
-            word = "under" if float(cop["window"].mean()) <= printed else "over"
-            against_paper = f" ({word} the paper's {number(1e3 * printed)} mm)"
-        yield (
-            f"{speed:g} m/s, the paper's conditions and scoring: the window is {_mm(cop['window'])} from the "
-            f"baseline from weights{against_paper}; the quasi-static method lies "
-            f"{_difference(cop['quasi-static'] - cop['window'], 1e3, 'mm')} in CoP and "
-            f"{_difference(vgrf['quasi-static'] - vgrf['window'], 1.0, 'N')} in vGRF."
-        )
-
-
-def reference_findings(scores: Frame) -> Iterator[str]:
-    """Say how far the reference that window and quasi-static follow is from the truth."""
-    for (condition, speed), part in scores[scores["against"] == "truth"].groupby(["condition", "speed"]):
-        errors = {method: part[part["method"] == method]["cop"] for method in ("reference", "none")}
-        if all(map(len, errors.values())) and errors["reference"].mean() > errors["none"].mean():
-            yield (
-                f"{speed:g} m/s, condition '{condition}': the reference that window and quasi-static follow "
-                f"is itself {_mm(errors['reference'])} off, further than the readings: following it leads "
-                "away from the truth."
-            )
-
-
-def loop_findings(runs: Frame, horizon: float) -> Iterator[str]:
-    """Say who fell within a time in s, paired by seed."""
+def loop_findings(runs: Frame) -> Iterator[str]:
+    """Compare each feed with drifting readings, walk by walk: who is saved from a fall, and who is not."""
     for severity, walks in runs.groupby("severity", sort=False):
-        for feed, part in by_way(walks, "feed").items():
-            text = (
-                f"Severity {severity:g}, {feed_name(feed)} CoP: {int(part['fell'].sum())} of {len(part)} "
-                f"walks end in a fall within {horizon:g} s"
-            )
-            if feed not in ("true", "none") and "none" in set(walks["feed"]):
-                text += _compare_falls(walks, feed)
-            yield text + "."
-        # How wrong the raw CoP was for those who fell and for those who did not.
-        raw = walks[walks["feed"] == "none"]
-        fell, stood = raw[raw["fell"]]["cop_error"], raw[~raw["fell"]]["cop_error"]
-        if len(fell) and len(stood):
+        fell = walks.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
+        for feed in in_order(fell.columns) if "none" in fell else ():
+            if feed in ("true", "none"):
+                continue
+            saved = int((fell["none"] & ~fell[feed]).sum())
+            lost = int((~fell["none"] & fell[feed]).sum())
+            p = stats.binomtest(min(saved, lost), saved + lost).pvalue if saved + lost else 1.0
             yield (
-                f"Severity {severity:g}: the drifting raw CoP of walkers that fell was {_mm(fell)} off up to "
-                f"the fall, that of walkers that did not {_mm(stood)}."
-            )
-
-
-def _compare_falls(walks: Frame, feed: str) -> str:
-    """Compare a feed with raw readings, walk by walk."""
-    paired = walks.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
-    saved = int((paired["none"] & ~paired[feed]).sum())
-    lost = int((~paired["none"] & paired[feed]).sum())
-    p = stats.binomtest(min(saved, lost), saved + lost).pvalue if saved + lost else 1.0
-    return (
-        f"; of those that fall on drifting raw CoP it saves {saved}, of those that do not it loses {lost} "
-        f"(sign test p = {p:.2g})"
-    )
-
-
-def sensitivity_findings(runs: Frame) -> Iterator[str]:
-    """Say how far each weight moves the window's CoP error."""
-    for weight, part in runs.groupby("weight", sort=False):
-        means = part.groupby(["speed", "factor"])["cop"].mean().unstack()
-        if 1.0 in means:
-            ratio = means.div(means[1.0], axis=0).to_numpy()
-            yield (
-                f"{weight} from × {means.columns.min():g} to × {means.columns.max():g} moves the CoP error "
-                f"by {100 * (ratio.min() - 1):+.0f} to {100 * (ratio.max() - 1):+.0f} % over all speeds."
+                f"Severity {severity:g}, {feed_name(feed)} CoP: of those that fall on drifting raw CoP it "
+                f"saves {saved}, of those that do not it loses {lost} (sign test p = {p:.2g})."
             )
 
 
@@ -282,13 +163,6 @@ def feed_name(feed: str) -> str:
 
 def _mm(errors: Column) -> str:
     return f"{with_interval(errors, 1e3)} mm"
-
-
-def _difference(gaps: Column, factor: float, unit: str) -> str:
-    gap = mean_interval(gaps)
-    word = "further off" if gap.mean > 0 else "nearer"
-    sure = "" if gap.apart else ", which is no clear difference"
-    return f"{interval_text(Interval(abs(gap.mean), gap.half, gap.n), factor)} {unit} {word}{sure}"
 
 
 def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:

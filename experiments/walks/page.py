@@ -20,10 +20,15 @@ from surefoot.experiments.study.page import (
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import PAPER_SCENARIOS, Scenario, log_paths
+from surefoot.experiments.walks.scenarios import (
+    PAPER_SCENARIOS,
+    TRUE_MAP,
+    Scenario,
+    WalkStudyOptions,
+    log_paths,
+)
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import run_weighing
@@ -183,10 +188,13 @@ def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tu
 
 def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
     scores, conditions = results.yardsticks, [(PAPER.name, "the paper's"), (BAD.name, BAD.title)]
-    said = [*findings.baseline_findings(scores, PAPER.name), *findings.reference_findings(scores)]
-    for scenario in results.scenarios:
-        own = findings.scenario_findings(results.scores, scenario, results.left_out.get(scenario.name, 0))
-        said += [f"{sentence(scenario.title)}: {text}" for text in own]
+    said = tuple(
+        f"{sentence(scenario.title)}: {text}"
+        for scenario in results.scenarios
+        for text in findings.scenario_findings(
+            results.scores, scenario, results.left_out.get(scenario.name, 0)
+        )
+    )
     shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
     rows = {
         f"{title}, {speed:g} m/s": part[part["speed"] == speed]
@@ -205,8 +213,7 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         _say_paper("definitions"),
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
-    title = "Calibrating while walking"
-    return Section("walking", title, texts, tuple(said), laid_out, figures=tuple(drawn))
+    return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=tuple(drawn))
 
 
 def _by_yardstick(scores: Frame, chosen: Sequence[tuple[Condition, str, str]]) -> dict[str, Frame]:
@@ -238,7 +245,7 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
             folder / f"closed_loop_{_tag(speed)}.svg", runs.assign(controller="stabiliser")
         )
         drawn += _figure(path, f"Who falls when, {speed:g} m/s", "closed_loop")
-    said = tuple(findings.loop_findings(results.loop, horizon))
+    said = tuple(findings.loop_findings(results.loop))
     shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": drawn}
     return Section("closed-loop", "Closing the loop", (_say_paper("loop", stand=STAND_TIME),), said, **shown)
 
@@ -250,12 +257,7 @@ def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
         "sensitivity",
         "How much hangs on the window's weights",
         (_say_paper("sensitivity"),),
-        tuple(
-            f"{title.capitalize()}: {said}"
-            for title, part in parts.items()
-            for said in findings.sensitivity_findings(part)
-        ),
-        tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
+        tables=tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
         figures=_figure(curves, "Sensitivity", "weights"),
     )
 

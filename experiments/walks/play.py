@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference
+from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
-from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of
-from surefoot.experiments.walks.scenarios import Scenario, log_paths
+from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map, steps_of
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, WalkStudyOptions, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
@@ -148,15 +147,14 @@ def _undo_errors(stream: Stream) -> Floats:
 
 def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
     log, K = stream.log, stream.log.layout.channels
-    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    calibrator = FootCalibrator(log.layout, method, mass=log.mass, **known, **options)
+    calibrator = make_calibrator(log, method, **options)
     force, scale, offset = np.empty((3, len(log), K))
     flags = np.empty((len(log), K), dtype=np.int64)
     watch = _Watch(stream)
     # Readings are handed over as forces by the starting map, which scale and offset are then relative to.
     reading, beliefs = starting_map(log).force(log.raw), beliefs_of(log, method)
     for k, step in enumerate(steps_of(log).tolist()):
-        now = type(beliefs)(*(part[k] for part in beliefs))
+        now = take_rows(beliefs, k)
         estimate = calibrator.update(reading[k], now, step)
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags

@@ -15,7 +15,7 @@ import surefoot
 from surefoot.calibration import MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
 from surefoot.experiments.weights.weighing import run_weighing
@@ -73,37 +73,22 @@ class FootInstruments:
             self._states.append(state)
         if ankle is not None:
             self._note_ankles()
-        self._raw: list[Floats] = []
-        self._force: list[Floats] = []
-        self._maps: list[tuple[Floats, Floats]] = []
+        self._rows: list[tuple[Floats, ...]] = []
 
     def read(self, truth: Any, dt: float) -> None:
         """Take the readings after a control step."""
-        readings, forces, maps = [], [], []
+        found = []
         part: Any
         for i, part in enumerate(self._all.parts):
             reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
-            readings.append(reading)
-            forces.append(part.force(truth))
-            maps.append(part.true_map(self._states[i]))
-        self._raw.append(self._all.join(readings))
-        self._force.append(self._all.join(forces))
-        self._maps.append((self._all.join([m.scale for m in maps]), self._all.join([m.offset for m in maps])))
+            undone = part.true_map(self._states[i])
+            found.append((reading, part.force(truth), undone.scale, undone.offset))
+        self._rows.append(tuple(self._all.join(list(part)) for part in zip(*found, strict=True)))
 
     @property
-    def raw(self) -> Floats:
-        """All readings in counts, shape (N, K)."""
-        return np.array(self._raw)
-
-    @property
-    def force(self) -> Floats:
-        """The right readings of the calibrated channels in N and N m, shape (N, K)."""
-        return np.array(self._force)
-
-    @property
-    def maps(self) -> Floats:
-        """The maps that would have undone each channel's own errors, (scale, offset), shape (N, 2, K)."""
-        return np.array(self._maps)
+    def columns(self) -> tuple[Floats, ...]:
+        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
+        return tuple(map(np.array, zip(*self._rows, strict=True)))
 
     def _note_ankles(self) -> None:
         blocks, preload = [], []
@@ -222,22 +207,19 @@ def _make_log(
 ) -> Log:
     """Make the log of one condition; its first rows are cut off."""
     kept = slice(_SETTLING, None)
-    scale, offset = feet.maps[kept].swapaxes(0, 1)
+    raw, force, scale, offset = (column[kept] for column in feet.columns)
     # The truth is the mean over a step, which is half a step old itself.
     age = max(condition.age - 0.5 * common["dt"], 0.0)
     of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
-    reference, momentum = (
-        kind(*(np.array(parts)[kept] for parts in zip(*rows, strict=True)))
-        for kind, rows in zip((Reference, MomentumReference), zip(*believed, strict=True), strict=True)
-    )
+    reference, momentum = (stack_rows(rows[kept]) for rows in zip(*believed, strict=True))
     return Log(
-        raw=feet.raw[kept],
+        raw=raw,
         reference=reference,
         momentum=momentum,
         layout=feet.layout,
         nominal=feet.nominal,
         calibrated=feet.calibrated,
-        truth=LogTruth(feet.force[kept], poses[0][kept], poses[1][kept], scale, offset),
+        truth=LogTruth(force, poses[0][kept], poses[1][kept], scale, offset),
         about={**about, **feet.about, **of_condition},
         **common,
     )

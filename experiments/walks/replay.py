@@ -8,7 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
+from surefoot.calibration import (
+    Estimate,
+    FootCalibrator,
+    MomentumReference,
+    Parameters,
+    Reference,
+    replay,
+)
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.columns import channel_slugs, slug
 from surefoot.experiments.logs.format import Log
@@ -22,6 +29,12 @@ def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Es
     # Accelerations are what can be filtered forwards and backwards.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
     return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
+
+
+def make_calibrator(log: Log, method: str, **options: Any) -> FootCalibrator:
+    """Make a calibrator of a log's robot; options as of :class:`FootCalibrator`."""
+    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    return FootCalibrator(log.layout, method, **known, **options)
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:

@@ -6,7 +6,7 @@ the vertical force of both feet. Where an estimate has no centre of pressure the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -185,52 +185,42 @@ _say = Words("walks", "robots")
 _KEYS = ["robot", "name"]
 
 
-@dataclass(frozen=True)
-class RobotOptions:
-    """How much the study does."""
+def compare_robots(
+    out: Path, seeds: int = 5, jobs: int = 2, duration: float = 20.0, motions: Sequence[Motion] = MOTIONS
+) -> Report:
+    """Run so many seeds of each motion and kind of sensors for a duration in s, and write the page.
 
-    out: Path = Path("out/compare-robots")
-    seeds: int = 5  # of each robot, motion and kind of sensor
-    jobs: int = 2
-    duration: float = 20.0  # of a run in s
-    motions: tuple[Motion, ...] = MOTIONS
-
-    def quickly(self) -> "RobotOptions":
-        """Return the same with two seeds and short runs, to see whether all works."""
-        return replace(self, seeds=min(self.seeds, 2), duration=3.0)
-
-
-def compare_robots(options: RobotOptions) -> Report:
-    """Run the study and write its page; without the package of robots it has the others, and says so."""
-    motions, without = options.motions, ""
+    Without the package of robots it has the others, and says so.
+    """
+    without = ""
     try:
         load_robot_spec("g1")
     except ModuleNotFoundError as error:
-        motions, without = tuple(motion for motion in motions if not motion.packaged), str(error)
-    chosen = product(motions, SENSORS, range(options.seeds))
+        motions, without = [motion for motion in motions if not motion.packaged], str(error)
     cases = [
-        Case(f"{m.robot}, {m.name}, {on}, seed {seed}", run_robot, (m, on, seed, options.duration))
-        for m, on, seed in chosen
+        Case(f"{m.robot}, {m.name}, {on}, seed {seed}", run_robot, (m, on, seed, duration))
+        for m, on, seed in product(motions, SENSORS, range(seeds))
     ]
     seconds: dict[str, float] = {}
-    store = Store(options.out / "results")
-    with store.open_for(), runner(options.jobs, seconds) as run:
+    store = Store(out / "results")
+    with store.open_for(), runner(jobs, seconds) as run:
         run.run("robots", cases, store)
     scores, failures = store.rows("scores", cases), store.failures(cases)
-    claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None
-    tables = tuple(robot_table(scores, sensors) for sensors in SENSORS if len(scores))
-    summary = (*tables, *(() if claims is None else (claims,)))
+    tables: tuple[Table, ...] = ()
+    if len(scores):
+        claims = claim_table(claims_of(scores), note=_say("claim"))
+        tables = (*(robot_table(scores, sensors) for sensors in SENSORS), claims)
     left_out = (f"Robots of the package are left out: {without}",) if without else ()
-    amount = f"{plural(options.seeds, 'seed')} of each, runs of {options.duration:g} s."
-    command = f"surefoot compare robots --seeds {options.seeds} --out {options.out}"
+    amount = f"{plural(seeds, 'seed')} of each, runs of {duration:g} s."
+    command = f"surefoot compare robots --seeds {seeds} --out {out}"
     sections = (
-        Section("robots", "Robots, motions and sensors", findings=left_out, tables=summary),
+        Section("robots", "Robots, motions and sensors", findings=left_out, tables=tables),
         *failure_section(failures),
         repeat_section(_say("repeat"), (command,), seconds),
     )
-    save_frames(options.out / "tables", {"scores": scores}, (".csv",))
+    save_frames(out / "tables", {"scores": scores}, (".csv",))
     title = "Calibrators on robots that others made"
-    return publish(options.out, title, (_say("introduction"), amount, *left_out), sections)
+    return publish(out, title, (_say("introduction"), amount, *left_out), sections)
 
 
 def claims_of(scores: Frame) -> list[Claim]:

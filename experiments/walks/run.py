@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, posterior_bound
+from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
+from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.run import case_of
@@ -25,9 +26,8 @@ from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
-from surefoot.experiments.walks.options import TRUE_MAP, WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map
+from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -37,7 +37,14 @@ from surefoot.experiments.walks.run_score import (
     trace_of,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import Scenario, log_paths, record_missing, scenarios_named
+from surefoot.experiments.walks.scenarios import (
+    TRUE_MAP,
+    Scenario,
+    WalkStudyOptions,
+    find_scenarios,
+    log_paths,
+    record_missing,
+)
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -83,7 +90,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     used.
     """
     prepare_rendering()
-    chosen = scenarios_named(options.scenarios, quick=options.quick)
+    chosen = find_scenarios(options.scenarios, quick=options.quick)
     results = WalkStudyResults(options, chosen)
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
@@ -175,7 +182,7 @@ def _timings(results: WalkStudyResults) -> list[Any]:
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
     options, severity = results.options, max(results.options.loops)
-    speed, seed = telling_walk(results.loop[results.loop["severity"] == severity])
+    speed, seed = choose_walk_to_film(results.loop[results.loop["severity"] == severity])
     results.filmed = (severity, speed, seed)
     filmed = partial(shoot, speed=speed, seed=seed, duration=options.film_duration, severity=severity)
     try:
@@ -184,7 +191,7 @@ def _film(run: Runner, results: WalkStudyResults) -> None:
         results.film = Film(None, None, str(error))
 
 
-def telling_walk(loop: Frame) -> tuple[float, int]:
+def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
     """Return speed and seed of the walk to film: raw it falls, best after some steps, calibrated not."""
     fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
     if {"none", "moment"} <= set(fell.columns):
@@ -271,12 +278,11 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
     log = read_log(path)
-    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    calibrator = FootCalibrator(log.layout, method, initial=starting_map(log), **known, **options)
+    calibrator = make_calibrator(log, method, initial=starting_map(log), **options)
     taken = []
     beliefs = beliefs_of(log, method)
     for k in range(min(TIMED, len(log))):
-        reference = type(beliefs)(*(part[k] for part in beliefs))
+        reference = take_rows(beliefs, k)
         began = time.perf_counter()
         calibrator.update(log.raw[k], reference)
         taken.append(time.perf_counter() - began)

@@ -30,9 +30,9 @@ from surefoot.calibration import Flag, ground_reference
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.walks.options import TRUE_MAP
 from surefoot.experiments.walks.play import Played, Stream
 from surefoot.experiments.walks.replay import age_of, starting_map
+from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import cop_world, foot_errors, rms, score_forces, vertical_forces
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)

@@ -1,4 +1,4 @@
-"""Scenarios of the study of walks: the walk, the errors, and the question that they answer.
+"""Scenarios of the study of walks: the walk, the errors, and the question; and how much a study does.
 
 The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
 square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.calibration.online import METHODS, method_entry
 from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
-from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
@@ -42,14 +43,14 @@ class Walk:
     clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
     conditions: tuple[Condition, ...] = (CHIPS,)
 
-    def lasting(self, duration: float) -> float:
+    def length(self, duration: float) -> float:
         """Return how long it takes in s, where the study's walks take ``duration``."""
         return duration if self.duration is None else self.duration
 
 
 def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
     """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
-    made_of = (walk, seed, walk.lasting(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
+    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
 
@@ -61,7 +62,7 @@ def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict
         logs = record_walk(
             walk.speed,
             seed,
-            walk.lasting(duration),
+            walk.length(duration),
             walk.conditions,
             sensors=walk.sensors,
             beliefs=walk.beliefs,
@@ -306,7 +307,7 @@ SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
 """The scenarios of the comparison by name, in the order of the page."""
 
 
-def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
+def find_scenarios(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
     """Return scenarios by names, or raise ValueError with their names; all for none, quick without long."""
     known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
     unknown = [name for name in names if name not in known]
@@ -315,3 +316,103 @@ def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, .
     if names:
         return tuple(known[name] for name in dict.fromkeys(names))
     return tuple(scenario for scenario in SCENARIOS.values() if not (quick and scenario.long))
+
+
+TRUE_MAP = "floor"
+"""Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
+
+
+# Without weights there is no calibration from them.
+LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
+PAPER_CONDITIONS = ("paper", "bad-start")  # names of the conditions of the CoP paper's study
+
+
+@dataclass(frozen=True)
+class WalkStudyOptions:
+    """How much a study of walks does; raise ValueError at a number out of range or an unknown method."""
+
+    out: Path = Path("out/compare-walking")
+    seeds: int = 20  # walks of a scenario and of each closed loop: 0, 1, ...
+    scenarios: tuple[str, ...] = ()  # none for all but those of the CoP paper
+    methods: tuple[str, ...] = ()  # none for all; the true map comes on top
+    jobs: int = 2
+    duration: float = STAND_TIME + 30.0  # of a walk in s, with the standing before it
+    settle: float = STAND_TIME + 10.0  # errors count from this time in s on
+    quick: bool = False  # without long scenarios
+    loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
+    loop_duration: float = STAND_TIME + 20.0  # in s, standing included
+    factors: tuple[float, ...] = ()  # of the window's weights
+    sensitivity_seeds: int = 5  # walks on which each weight is scaled
+    film_duration: float = 0.0  # in s; 0 for no film
+
+    def __post_init__(self) -> None:
+        """Check the numbers and the names."""
+        for name in ("seeds", "jobs", "sensitivity_seeds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
+        if not STAND_TIME < self.settle < self.duration:
+            raise ValueError(
+                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
+                f"{self.duration:g} s, got {self.settle:g} s."
+            )
+        for name in self.methods:
+            if name != TRUE_MAP:
+                method_entry(name)
+
+    @property
+    def logs(self) -> Path:
+        """The folder that recorded walks are kept in."""
+        return self.out / "logs"
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """The scored methods, in order: the true map and the methods, by default all."""
+        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
+
+    def quickly(self) -> "WalkStudyOptions":
+        """Return the same with two seeds, short walks and one speed, to see whether all works."""
+        few = replace(self, seeds=min(self.seeds, 2), quick=True)
+        if not self.loops:
+            return replace(few, duration=STAND_TIME + 14.0, settle=STAND_TIME + 6.0)
+        return replace(
+            few,
+            scenarios=paper_names(0.04),
+            duration=STAND_TIME + 8.0,
+            settle=STAND_TIME + 4.0,
+            loops={3.0: LOOPED},
+            loop_duration=STAND_TIME + 4.0,
+            factors=(0.2, 1.0, 5.0) if self.factors else (),
+            sensitivity_seeds=1,
+            film_duration=min(self.film_duration, STAND_TIME + 2.0),
+        )
+
+
+def paper_names(*speeds: float) -> tuple[str, ...]:
+    """Return the names of the CoP paper's scenarios at speeds in m/s."""
+    return tuple(f"{condition}-{speed:g}" for speed in speeds for condition in PAPER_CONDITIONS)
+
+
+def full_options(
+    out: Path = Path("out/compare-walking-full"), seeds: int = 10, jobs: int = 2
+) -> WalkStudyOptions:
+    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film."""
+    return WalkStudyOptions(
+        out=out,
+        seeds=seeds,
+        jobs=jobs,
+        scenarios=paper_names(0.02, 0.04, 0.1),
+        loops={3.0: LOOPED, 1.0: ("none", "window")},
+        factors=(0.2, 0.5, 1.0, 2.0, 5.0),
+        film_duration=STAND_TIME + 12.0,
+    )
+
+
+def demo_options(out: Path = Path("out/demo"), seeds: int = 4, jobs: int = 2) -> WalkStudyOptions:
+    """Return the same at one speed, with fewer walks: less than two minutes on two cores."""
+    return replace(
+        full_options(out, seeds, jobs),
+        scenarios=paper_names(0.04),
+        loops={3.0: LOOPED},
+        factors=(),
+        film_duration=STAND_TIME + 10.0,
+    )

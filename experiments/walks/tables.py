@@ -24,8 +24,7 @@ from surefoot.experiments.study.tables import (
     table_of,
     with_interval,
 )
-from surefoot.experiments.walks.options import TRUE_MAP
-from surefoot.experiments.walks.scenarios import Scenario
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario
 from surefoot.experiments.weights.paper import MethodErrors
 
 METRICS = (

@@ -53,7 +53,7 @@ that users register among them, also as ``"module:name"``."""
 STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, the filters a while
 
 
-def feed_named(name: str) -> str:
+def check_feed(name: str) -> str:
     """Return the name of a feed, or raise ValueError with their names."""
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
@@ -91,7 +91,7 @@ class TrueCop(gym.ObservationWrapper[Any, Any, Any]):
         return observation | {key: self._tap.seen[key] for key in self._keys}
 
 
-def on_feet(
+def put_on_feet(
     bare: gym.Env[Any, Any],
     calibration: Mapping[str, Any] | None,
     cells: str | LoadCells = HX711_LOAD_CELLS,
@@ -123,8 +123,8 @@ def make_walker(
     render_mode: str | None = None,
     **env_options: Any,
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return a walker on a feed's feet, as :func:`on_feet`, for a duration in s with standing, at m/s."""
-    calibration = FEEDS[feed_named(feed)]
+    """Return a walker on a feed's feet, as :func:`put_on_feet`, for a duration in s with standing, at m/s."""
+    calibration = FEEDS[check_feed(feed)]
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
     bare = gym.make(
         "surefoot/NaoWalk-v0",
@@ -136,7 +136,7 @@ def make_walker(
         render_mode=render_mode,
         **env_options,
     )
-    return on_feet(bare, calibration, sensors=None if calibration is None else {"severity": severity})
+    return put_on_feet(bare, calibration, sensors=None if calibration is None else {"severity": severity})
 
 
 class Moment(NamedTuple):

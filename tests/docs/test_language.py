@@ -32,7 +32,6 @@ EXCEPTIONS = {
     "added_mass",  # a value: the mass that is added
     "combined",  # FootLayout.combined(...) makes a foot, as dict.fromkeys makes a dict
     "installed",  # the library that is installed
-    "required_ground",  # a value: the ground force that the motion requires
     "scaled",  # sensors.scaled(...) and sized(...) give a copy, as sorted(...) does
     "shipped_policy",
     "sized",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.envs import ExerciseEnv, NaoStandEnv, NaoWalkEnv, Prelude
-from surefoot.envs.exercise.moves import motions_of, motions_offered
+from surefoot.envs.exercise.moves import list_motions, motions_of
 from surefoot.envs.prelude import BLEND_TIME, Player
 
 
@@ -53,7 +53,7 @@ def test_what_is_written_is_read(short, tmp_path):
 
 def test_every_motion_starts_and_ends_in_the_middle(stage):
     first = stage.motion.qpos
-    for names in motions_offered():
+    for names in list_motions():
         moves = motions_of(names[-1])
         assert [move.ends for move in moves] == [*[False] * (len(moves) - 1), True]
         plan = stage.motion.prelude([names[-1]], stage.dt)

@@ -17,7 +17,7 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.cli.calibrate import walk
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
-from surefoot.experiments.walking.agreement import agreement, ground_of_forces, required_ground
+from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.tables import Facts, terminal_tables
@@ -136,32 +136,32 @@ class TestUncertainty:
 def test_agreement_is_distance_from_the_motion(log: Log) -> None:
     log = balanced(log)
     force = log.nominal.force(log.raw)
-    fine = agreement(ground_of_forces(log, force), required_ground(log))
+    fine = agreement(ground_of_forces(log, force), ground_of_motion(log))
     assert fine.vgrf < 1e-2
     assert fine.cop < 1e-4
     assert fine.rows == len(log) - log.lag
-    heavier = agreement(ground_of_forces(log, 1.1 * force), required_ground(log))
+    heavier = agreement(ground_of_forces(log, 1.1 * force), ground_of_motion(log))
     assert heavier.vgrf == pytest.approx(0.1 * log.mass * GRAVITY, rel=1e-2)
     assert heavier.cop < 1e-4
     ahead = log.reference._replace(com=log.reference.com + np.array([0.007, 0.0, 0.0]))
     moved = agreement(
-        ground_of_forces(log, force), required_ground(dataclasses.replace(log, reference=ahead))
+        ground_of_forces(log, force), ground_of_motion(dataclasses.replace(log, reference=ahead))
     )
     assert moved.cop == pytest.approx(0.007, rel=1e-2)
-    assert agreement(ground_of_forces(log, force), required_ground(log), settle=99.0).rows == 0
+    assert agreement(ground_of_forces(log, force), ground_of_motion(log), settle=99.0).rows == 0
 
 
 def test_agreement_does_not_see_where_the_level_frame_lies(log: Log) -> None:
     """A frame whose origin leaps from row to row is allowed, and no filter may smear the leaps."""
     log = balanced(log)
     force = 1.1 * log.nominal.force(log.raw)
-    still = agreement(ground_of_forces(log, force), required_ground(log))
+    still = agreement(ground_of_forces(log, force), ground_of_motion(log))
     leap = 10.0 * np.random.default_rng(2).standard_normal((len(log), 3)) * (1.0, 1.0, 0.0)
     reference = log.reference._replace(
         com=log.reference.com + leap, position_sole=log.reference.position_sole + leap[:, None]
     )
     leaping = dataclasses.replace(log, reference=reference)
-    again = agreement(ground_of_forces(leaping, force), required_ground(leaping))
+    again = agreement(ground_of_forces(leaping, force), ground_of_motion(leaping))
     np.testing.assert_allclose(again[:2], still[:2], rtol=1e-6, atol=1e-12)
 
 

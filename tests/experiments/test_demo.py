@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
-from surefoot.experiments.walks.options import WalkStudyOptions, demo_options, full_options
 from surefoot.experiments.walks.page import write_walks_page
-from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study, telling_walk
+from surefoot.experiments.walks.run import WalkStudyResults, choose_walk_to_film, run_walk_study
+from surefoot.experiments.walks.scenarios import WalkStudyOptions, demo_options, full_options
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 pytestmark = pytest.mark.slow
@@ -163,8 +163,8 @@ def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
         for feed, times in ends.items()
         for seed, time in enumerate(times)
     )
-    assert telling_walk(loop) == (0.1, 1)
-    assert telling_walk(loop[loop["feed"] == "none"]) == (0.1, 0)
+    assert choose_walk_to_film(loop) == (0.1, 1)
+    assert choose_walk_to_film(loop[loop["feed"] == "none"]) == (0.1, 0)
 
 
 def test_the_number_of_processes_changes_nothing(results: WalkStudyResults, tmp_path: Path) -> None:

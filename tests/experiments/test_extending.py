@@ -31,8 +31,8 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
-from surefoot.experiments.view.session import method_chosen
-from surefoot.experiments.walks.options import WalkStudyOptions
+from surefoot.experiments.view.session import check_method
+from surefoot.experiments.walks.scenarios import WalkStudyOptions
 from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration
@@ -165,9 +165,9 @@ def test_a_users_calibrator_takes_part_in_studies(own):
     assert case.arguments[0].calibration == {"method": name}
     own.write_text(own.read_text() + "# changed\n")
     assert case_of(plan.episodes[-1]).key != case.key, "results of the old code would be taken for its own"
-    assert method_chosen("slow-tare") == "slow-tare"
+    assert check_method("slow-tare") == "slow-tare"
     with pytest.raises(ValueError, match=r"Method 'json:tool' does not exist"):
-        method_chosen("json:tool")
+        check_method("json:tool")
     with pytest.raises(ValueError, match=r"There is no feed 'mine'. Available: .*'moment', 'slow-tare'"):
         evaluation_plan(("zero",), ("mine",))
 

@@ -29,7 +29,7 @@ def test_a_robot_is_offered_what_it_can_do(stage):
 
 def test_a_plan_is_played_and_written(monkeypatch, tmp_path):
     offered = [["squat @ 1.4"], ["sway forward 1.4 @ 1.4", "sway forward 1 @ 1.4"], ["step @ 1.4"]]
-    monkeypatch.setattr(module, "motions_offered", lambda: offered)
+    monkeypatch.setattr(module, "list_motions", lambda: offered)
     planned = plan_motion("nao", 12.0)
     names = [name for names in offered for name in names]
     assert set(planned.plan.motions) <= set(names) - {"sway forward 1.4 @ 1.4"}

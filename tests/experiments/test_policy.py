@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from surefoot.controllers import PolicyFileError, PolicyNetwork
 from surefoot.experiments.episodes import run_episode
 from surefoot.experiments.policy.card import write_card
-from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, TrainOptions, shipped_policy, task_named
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, TrainOptions, find_task, shipped_policy
 from surefoot.experiments.policy.train import Trainer, TrainingError, remove_training
 from surefoot.experiments.policy.view import PARTS, PolicyView, export_zip, input_names, make_task, network_of
 from surefoot.experiments.walks.walkers import FEEDS
@@ -87,7 +87,7 @@ def test_tensorboard_is_given_the_curve_and_ppos_own_figures(trained, tmp_path):
 def test_weights_and_biases_follows_a_training_by_its_own_callback(tmp_path, monkeypatch, capsys):
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from surefoot.experiments.cli import train
+    from surefoot.experiments.cli import controllers
 
     class WandbCallback(BaseCallback):
         def _on_step(self):
@@ -104,7 +104,7 @@ def test_weights_and_biases_follows_a_training_by_its_own_callback(tmp_path, mon
     for name, module in stand_ins.items():
         monkeypatch.setitem(sys.modules, name, module)
     options = dataclasses.replace(SMALL, steps=16)
-    callback = train._wandb("feet", tmp_path, options)
+    callback = controllers._wandb("feet", tmp_path, options)
     assert (begun["project"], begun["config"]["steps"], begun["sync_tensorboard"]) == ("feet", 16, True)
     trainer = Trainer(tmp_path, options)
     trainer.run(callbacks=[callback])
@@ -113,7 +113,7 @@ def test_weights_and_biases_follows_a_training_by_its_own_callback(tmp_path, mon
 
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(typer.Exit):
-        train._wandb("feet", tmp_path, options)
+        controllers._wandb("feet", tmp_path, options)
     assert "--wandb needs wandb, which is missing: pip install wandb tensorboard." in capsys.readouterr().err
 
 
@@ -281,11 +281,11 @@ def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same()
 
 
 def test_the_commands(trained, tmp_path):
-    from surefoot.experiments.cli import episodes, train
+    from surefoot.experiments.cli import controllers
 
     app = typer.Typer()
-    app.command()(train.train)
-    app.command()(episodes.evaluate)
+    app.command()(controllers.train)
+    app.command()(controllers.evaluate)
     call = CliRunner().invoke
     answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
     assert answer.exit_code == 2
@@ -355,7 +355,7 @@ def test_a_training_says_which_task_it_is_for(tmp_path):
 
 def test_a_task_that_does_not_exist_is_refused():
     for refused in (
-        lambda: task_named("run"),
+        lambda: find_task("run"),
         lambda: TrainOptions(task="run"),
         lambda: run_episode("zero", "true", 0, task="run"),
         lambda: shipped_policy("true", "run"),

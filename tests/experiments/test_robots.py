@@ -10,7 +10,6 @@ from surefoot.experiments.walks.robots import (
     METHODS,
     SENSORS,
     Motion,
-    RobotOptions,
     claims_of,
     compare_robots,
     run_robot,
@@ -86,8 +85,7 @@ def test_without_the_package_the_others_are_compared_and_the_page_says_so(tmp_pa
 
     monkeypatch.setattr(study, "load_robot_spec", missing)
     motions = (FALLS, Motion("g1", "standing"))
-    options = RobotOptions(tmp_path, seeds=2, jobs=1, duration=1.2, motions=motions)
-    report = compare_robots(options)
+    report = compare_robots(tmp_path, seeds=2, jobs=1, duration=1.2, motions=motions)
     cells, ankles, claims = report.tables
     assert [row[0] for row in (*cells.rows, *ankles.rows)] == ["Walker2d-v5"] * 2
     assert len(claims.rows) == 2 * len(METHODS[1:])

@@ -253,6 +253,13 @@ def test_a_name_is_followed_to_the_module_that_defines_it():
     assert "surefoot.calibration.in_situ.calibrate" not in modules
 
 
+def test_the_filter_in_c_counts(monkeypatch):
+    read, header = Path.read_bytes, "surefoot_moment.h"
+    before = source_hash.__wrapped__("surefoot.calibration.foot_calibrator")
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"\n" * (path.name == header))
+    assert source_hash.__wrapped__("surefoot.calibration.foot_calibrator") != before
+
+
 def test_other_code_is_another_hash():
     assert source_hash("surefoot.calibration.online") != source_hash("surefoot.sensors.severity")
     with pytest.raises(ModuleNotFoundError, match="no module"):

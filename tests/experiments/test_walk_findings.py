@@ -40,22 +40,6 @@ def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.Dat
     )
 
 
-@pytest.mark.parametrize(("off", "said"), [(0.02, 1), (0.004, 0)])
-def test_a_reference_worse_than_the_readings_is_named_as_the_reason(off: float, said: int) -> None:
-    table = scores(15.0)
-    reference = table[table["method"] == "none"].assign(method="reference", cop=off)
-    found = tuple(findings.reference_findings(pd.concat([table, reference])))
-    assert len(found) == said
-    assert all("itself 20.0 ± 0.0 mm off, further than the readings" in text for text in found)
-
-
-def test_the_papers_figures_are_compared_with() -> None:
-    (said,) = findings.baseline_findings(scores(5.0, "baseline"), "paper")
-    assert "the window is 5.20 ± 0.20 mm from the baseline from weights" in said
-    assert "(under the paper's 10.8 mm)" in said
-    assert "the quasi-static method lies 7.00 ± 0.00 mm further off in CoP" in said
-
-
 def test_targets_are_reached_or_not() -> None:
     loop = pd.DataFrame(
         {"severity": 2.0, "speed": 0.04, "seed": seed, "feed": feed, "fell": feed == "none", "time": 9.0}
@@ -106,11 +90,9 @@ def test_falls_are_paired_by_seed() -> None:
         for feed, values in fell.items()
         for seed in range(4)
     )
-    said = tuple(findings.loop_findings(runs, 20.0))
-    assert said[0] == "Severity 2, drifting raw CoP: 3 of 4 walks end in a fall within 20 s."
-    assert "of those that fall on drifting raw CoP it saves 3, of those that do not it loses 1" in said[1]
-    assert "sign test p = 0.62" in said[1]
-    assert "fell was 30.0 ± 0.0 mm off up to the fall, that of walkers that did not 10.0 mm" in said[2]
+    (said,) = findings.loop_findings(runs)
+    assert "of those that fall on drifting raw CoP it saves 3, of those that do not it loses 1" in said
+    assert "sign test p = 0.62" in said
 
 
 def test_the_baseline_scores_nothing_by_construction() -> None:
@@ -190,35 +172,27 @@ def test_the_best_is_named_and_the_lead_measured() -> None:
     said = scenario_findings(scores, PLAIN)
     assert said[0].startswith("Nearest to the truth is window with 5.00 ± 2.48 mm of CoP error; tare is 3.10")
     assert "no clear difference" not in said[0]
-    assert any("window: CoP 5.00 ± 2.48 mm, 2.20 times smaller than by the starting map" in s for s in said)
-    assert "none of 3 runs ends with a worse CoP" in said[1]
 
 
 def test_a_lead_within_its_interval_is_not_called_one() -> None:
     scores = scores_of(PLAIN.name, {"none": [5, 9, 7], "window": [4, 9, 7.5]})
     said = scenario_findings(scores, PLAIN)
     assert "which is no clear difference" in said[0]
-    assert "no clear difference to the readings as they are" in said[1]
 
 
-def test_harm_is_said() -> None:
+def test_harm_is_counted() -> None:
     scores = scores_of(PLAIN.name, {"none": [5, 5.1, 5.2], "window": [20, 21, 22]})
     scores.loc[scores["method"] == "window", "worse"] = [True, True, False]
-    said = scenario_findings(scores, PLAIN)
-    assert "LARGER than by the starting map" in said[1]
-    assert "2 of 3 runs end with a worse CoP" in said[1]
-    scores.loc[2, "worse_foot"] = scores.loc[3, "worse_foot"] = True
-    assert "(1 with worse feet, 0 with worse cells)" in scenario_findings(scores, PLAIN)[1]
-    assert "2 of 3 runs end with a worse CoP" in summary_findings(scores)[1]
+    assert summary_findings(scores)[1].endswith("2 of 3 runs end with a worse CoP than they started with.")
 
 
-def test_a_scenario_is_held_against_plain_walking_and_falls_are_counted() -> None:
-    plain = scores_of(PLAIN.name, {"none": [10, 10], "window": [4, 4]})
+def test_falls_and_forces_that_are_not_finite_are_counted() -> None:
     soft = scores_of(SOFT.name, {"none": [10, 10], "window": [6, 6]}, fell=[True, False] * 2)
-    said = scenario_findings(pd.concat([plain, soft]), SOFT, left_out=3)
-    assert "CoP error over that of plain walking at 0.04 m/s: window 1.50." in said
+    soft.loc[2, "finite"] = False
+    said = scenario_findings(soft, SOFT, left_out=3)
+    assert said[1] == "Runs in which a force was not finite: {'window': 1}."
     assert said[-1] == "4 of 5 walks ended in a fall (scored up to 1 s before it: 1; left out: 3)."
-    assert "3 of 3 ended in a fall" in scenario_findings(plain, SOFT, left_out=3)[0]
+    assert "3 of 3 ended in a fall" in scenario_findings(soft, PLAIN, left_out=3)[0]
 
 
 @pytest.mark.parametrize(("nees", "inside"), [(1.0, True), (1.8, False), (0.4, False)])
