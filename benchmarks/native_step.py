@@ -84,7 +84,7 @@ static void step(robot_state *r, const input *all) {
                           .dt = STEP, .first = FIRST, .more = MORE};
     int count, begins = r->at++ == 0;
     sf_belief belief;
-    sf_real soles[8];
+    sf_real soles[4 * SF_FEET];
     if (timed) mark = clock_now();
     if (begins) sf_feet_begin(&feet, in->load, ROWS, NULL, r->counts);
     else sf_feet_step(&feet, in->load, ROWS, NULL, r->counts);
@@ -97,7 +97,7 @@ static void step(robot_state *r, const input *all) {
                                      r->stream + 1, arrived);
     passed(TELEMETRY);
     for (const sf_real *row = arrived; count > 0; count--, row += SF_PACKET)
-        sf_momentum_packet(&model, &timing, &legs, &r->beliefs, (sf_whole)row[0], (double)row[1], row + 2,
+        sf_momentum_packet(&model, &timing, &r->beliefs, (sf_whole)row[0], (double)row[1], row + 2,
                            row + 2 * J + 7, row + 2 * J + 4);
     sf_momentum_sample(&timing, &r->beliefs, in->about, in->planned, 0, &belief);
     passed(BELIEFS);

@@ -20,10 +20,10 @@ class Reference(NamedTuple):
         com: Centre of mass in the level frame in m, shape (3,).
         com_acceleration: Its acceleration without gravity in m/s^2, shape (3,).
         angular_momentum_rate: Rate of the centroidal angular momentum in N m, shape (3,).
-        position_sole: Origins of the sole frames in the level frame in m, shape (2, 3).
-        R_level_sole: Rotations from the sole frames to the level frame, shape (2, 3, 3).
-        stance: Feet that the robot is sure to have on the ground (bool), shape (2,).
-        swing: Feet that the robot is sure to have in the air (bool), shape (2,). A foot in a
+        position_sole: Origins of the sole frames in the level frame in m, shape (F, 3).
+        R_level_sole: Rotations from the sole frames to the level frame, shape (F, 3, 3).
+        stance: Feet that the robot is sure to have on the ground (bool), shape (F,).
+        swing: Feet that the robot is sure to have in the air (bool), shape (F,). A foot in a
             transition is neither.
         accelerometer: Specific force at the IMU in its own axes in m/s^2, shape (3,).
         gyroscope: Angular velocity of the IMU in its own axes in rad/s, shape (3,).
@@ -51,10 +51,10 @@ class MomentumReference(NamedTuple):
         com: Centre of mass in m, shape (3,).
         com_velocity: Its velocity in m/s, shape (3,).
         angular_momentum: Angular momentum about the centre of mass in kg m^2/s, shape (3,).
-        position_sole: Origins of the sole frames in m, shape (2, 3).
-        R_level_sole: Rotations from the sole frames to that frame, shape (2, 3, 3).
-        stance: As of :class:`Reference`, shape (2,).
-        swing: As of :class:`Reference`, shape (2,).
+        position_sole: Origins of the sole frames in m, shape (F, 3).
+        R_level_sole: Rotations from the sole frames to that frame, shape (F, 3, 3).
+        stance: As of :class:`Reference`, shape (F,).
+        swing: As of :class:`Reference`, shape (F,).
     """
 
     com: Array
@@ -64,3 +64,14 @@ class MomentumReference(NamedTuple):
     R_level_sole: Array
     stance: Array
     swing: Array
+
+
+def reference_shapes(feet: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the fields of both kinds of reference, of a robot on so many feet."""
+    vectors = "com", "com_acceleration", "angular_momentum_rate", "com_velocity", "angular_momentum"
+    return dict.fromkeys((*vectors, "accelerometer", "gyroscope"), (3,)) | {
+        "position_sole": (feet, 3),
+        "R_level_sole": (feet, 3, 3),
+        "stance": (feet,),
+        "swing": (feet,),
+    }

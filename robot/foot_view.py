@@ -26,6 +26,9 @@ DETERMINED: Final = ("contact_probability", "undetermined")
 RAW: Final = "foot_raw"
 """Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
 
+ALL, STD, EACH = slice(0, 2), slice(2, 4), slice(4, None)
+"""Where :attr:`FootView.held` has its parts."""
+
 PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, *DETERMINED, "foot_flags")
 """All that can be shown."""
 
@@ -100,7 +103,8 @@ class FootView:
         spaces: The space of each part that is calibrated.
         every: The space of each part.
         flawed: Whether the feet have no centres of pressure of their own.
-        held: The last ones that were defined, of each foot and of all, and its deviation in m, (2 F + 4,).
+        held: The last ones that were defined in m, of all feet and its deviation, and of each, (4 + 2 F,).
+        rolls: Whether feet are round.
         force_bound: Largest force that is shown in N.
         weight: The robot's believed weight in N: the unit of ``"foot_load"``.
 
@@ -121,9 +125,8 @@ class FootView:
         flaw = flaw_of(layout, flaw)
         check_places(parts, flaw)
         self.parts = tuple(part for part in parts if part != RAW)
-        self.flawed, self._rolls = bool(flaw), rolls
+        self.flawed, self.rolls = bool(flaw), rolls
         channels, feet = layout.channels, len(layout.feet)
-        self._common = 2 * feet
         force = max(FORCE_BOUND, 5.0 * mass * gravity)
         self.force_bound, self.weight = force, mass * gravity
         box = spaces.Box
@@ -142,13 +145,14 @@ class FootView:
             "undetermined": box(0.0, 1.0, (channels,), np.float32),
         }
         self.spaces = {part: self.every[part] for part in self.parts}
-        # In one array, for the library.
-        self.held: Floats = np.zeros(2 * feet + 4)
+        # In one array, for the library: `sf_held`.
+        self.held: Floats = np.zeros(4 + 2 * feet)
         self.begin_episode()
 
     def begin_episode(self) -> None:
         """Start with centres of pressure at the origin."""
-        self.held[:-2], self.held[-2:] = 0.0, COP_BOUND
+        self.held[:] = 0.0
+        self.held[STD] = COP_BOUND
 
     def show(self, estimate: Estimate, soles: Floats) -> dict[str, NDArray[Any]]:
         """Show one sample.
@@ -167,35 +171,31 @@ class FootView:
 
     def _hold(self, estimate: Estimate, soles: Floats, valid: NDArray[np.bool_]) -> None:
         """Take in the centres of pressure that are valid."""
-        held, at, (fz, tx, ty) = self.held, self._common, np.moveaxis(estimate.wrench[..., 2:5], -1, 0)
-        if self._rolls:
+        held, (fz, tx, ty) = self.held, np.moveaxis(estimate.wrench[..., 2:5], -1, 0)
+        if self.rolls:
             fz, tx, ty = estimate.vgrf, np.zeros_like(tx), np.zeros_like(ty)
         x, y, u, v = np.moveaxis(soles, -1, 0)
         load = np.where(valid[..., 0], fz.sum(axis=-1), 1.0)
         moments = (x * fz - u * ty - v * tx).sum(axis=-1), (y * fz - v * ty + u * tx).sum(axis=-1)
-        found = np.concatenate(
-            [estimate.cop_foot.reshape(*held.shape[:-1], at), np.stack(moments, axis=-1) / load[..., None]],
-            axis=-1,
-        )
-        # Of the feet, and then of all.
-        defined = np.roll(np.repeat(valid, 2, axis=-1), -2, axis=-1)
-        held[..., :-2] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[..., :-2])
+        ways = (ALL, np.stack(moments, axis=-1) / load[..., None]), (EACH, np.ravel(estimate.cop_foot))
+        for (part, found), defined in zip(ways, (valid[:1], np.repeat(valid[1:], 2)), strict=True):
+            held[part] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[part])
         if "cop_std" in self.parts and estimate.cop_covariance is not None:
             variance = np.diagonal(estimate.cop_covariance, axis1=-2, axis2=-1)
             std = np.minimum(np.sqrt(np.maximum(variance, 0.0)), COP_BOUND)
-            held[..., -2:] = np.where(valid[..., :1], std, held[..., -2:])
+            held[STD] = np.where(valid[:1], std, held[STD])
 
     def _part(self, part: str, estimate: Estimate, valid: NDArray[np.bool_]) -> NDArray[Any]:
-        held, at = self.held, self._common
+        held = self.held
         match part:
             case "cop_foot":
-                return held[..., :at].astype(np.float32).reshape(*held.shape[:-1], -1, 2)
+                return held[EACH].astype(np.float32).reshape(-1, 2)
             case "cop":
-                return held[..., at : at + 2].astype(np.float32)
+                return held[ALL].astype(np.float32)
             case "cop_valid":
                 return valid.astype(np.float32)
             case "cop_std":
-                return held[..., -2:].astype(np.float32)
+                return held[STD].astype(np.float32)
             case "foot_flags":
                 return np.array(estimate.flags, dtype=np.int32)
             case "contact_probability" | "undetermined":

@@ -194,6 +194,7 @@ def view_record(library: Library, view: FootView) -> NDArray[Any]:
             "cop_bound": COP_BOUND,
             "weight": view.weight,
             "flawed": view.flawed,
+            "rolls": view.rolls,
         },
     )
     assert config is not None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.checks import check_shape
 from surefoot.calibration.cop import level_rows
-from surefoot.calibration.reference import MomentumReference, Reference
+from surefoot.calibration.reference import MomentumReference, Reference, reference_shapes
 from surefoot.calibration.setup import OnlineSetup
 
 LARGEST_REFERENCE = 1e6
@@ -89,19 +89,7 @@ class Motions:
         self._gravity = setup.gravity
         self._reach = LARGEST_REACH * setup.length
         self.columns = MotionColumns.of(self._feet)
-        self.shapes: dict[str, tuple[int, ...]] = {
-            "com": (3,),
-            "com_acceleration": (3,),
-            "angular_momentum_rate": (3,),
-            "com_velocity": (3,),
-            "angular_momentum": (3,),
-            "position_sole": (self._feet, 3),
-            "R_level_sole": (self._feet, 3, 3),
-            "stance": (self._feet,),
-            "swing": (self._feet,),
-            "accelerometer": (3,),
-            "gyroscope": (3,),
-        }
+        self.shapes = reference_shapes(self._feet)
         level = np.tile(np.eye(3).ravel(), self._feet)
         self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
 

@@ -169,7 +169,11 @@ class NativeFilter:
         ):
             return False
         if isinstance(reference, ReferenceRecord):
-            return self._feet == 2 and reference.real == self._real and reference.kind in self._given
+            return (
+                reference.feet == self._feet
+                and reference.real == self._real
+                and reference.kind in self._given
+            )
         given = self._given.get(type(reference))
         return (
             given is not None

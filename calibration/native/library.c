@@ -44,9 +44,23 @@
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
 #define M_REAL(field) PLACE(model, field, "real")
-#define B_REAL(field) PLACE(beliefs, field, "real")
-#define B_WHOLE(field) PLACE(beliefs, field, "whole")
-#define IN_BELIEFS(field, kind) PART(momentum_beliefs, field, beliefs.field, kind)
+/* What a record holds of beliefs, which are `at` in it. */
+#define STRAPDOWN(record, name, at)                                                                          \
+    PART(record, name##_R, at.R, "real"), PART(record, name##_velocity, at.velocity, "real"),                \
+        PART(record, name##_place, at.place, "real"), PART(record, name##_spin_bias, at.spin_bias, "real"),  \
+        PART(record, name##_vertical_bias, at.vertical_bias, "real"), PART(record, name##_count, at.count, "whole")
+#define BELIEFS_OF(record, at)                                                                               \
+    PART(record, ring, at ring, "real"), PART(record, angle, at angle, "real"),                              \
+        PART(record, accelerometer, at accelerometer, "real"), PART(record, gyroscope, at gyroscope, "real"), \
+        PART(record, forward, at odometry.forward, "real"), PART(record, up, at odometry.up, "real"),        \
+        PART(record, spin, at odometry.spin, "real"), PART(record, spin_bias, at odometry.spin_bias, "real"), \
+        PART(record, force_bias, at odometry.force_bias, "real"), PART(record, count, at odometry.count, "whole"), \
+        STRAPDOWN(record, rolling, at odometry.rolling), PART(record, lean, at lean, "real"),                \
+        PART(record, highest, at highest, "real"), PART(record, clock, at clock, "double"),                  \
+        PART(record, sum, at sum, "real"), PART(record, parts, at parts, "whole"),                           \
+        PART(record, number, at number, "whole"), PART(record, seen, at seen, "whole"),                      \
+        PART(record, run, at run, "whole"), PART(record, planned, at planned, "whole"),                      \
+        PART(record, found, at found, "whole"), PART(record, upright, at upright, "whole")
 #define SHOWN(field) PLACE(shown, field, "single")
 #define R_AT(field) PLACE(sample_records, field, "word")
 #define IN_REFERENCE(field, kind)                                                                            \
@@ -74,8 +88,7 @@ typedef struct {
 typedef struct {
     const sf_model *model;
     const sf_timing *timing;
-    const void *legs;
-    sf_beliefs *beliefs;
+    sf_beliefs *beliefs; /* the first of sf_momentum_beliefs, or not */
     sf_belief *belief;
     const unsigned char *planned;
     const sf_filter *filter;
@@ -86,6 +99,7 @@ typedef struct {
     sf_held *held;
     sf_told *told;
     double dt;
+    sf_whole momentum;
 } sf_sample_records;
 
 /* clang-format off */
@@ -177,32 +191,14 @@ static const place places[] = {
     M_REAL(position_site), M_REAL(R_body_site),
 
     PLACE(timing, averaged, "int"), PLACE(timing, joined, "int"), PLACE(timing, needed, "int"),
-    PLACE(timing, window, "int"), PLACE(timing, dt, "real"), PLACE(timing, gravity, "real"),
+    PLACE(timing, window, "int"), PLACE(timing, feet, "int"), PLACE(timing, points, "int"), PLACE(timing, rolls, "int"),
+    PLACE(timing, dt, "real"), PLACE(timing, gravity, "real"), PLACE(timing, leg_time, "real"),
+    PLACE(timing, tilt_rate, "real"), PLACE(timing, zero_offset, "real"), PLACE(timing, bias_time, "real"),
+    PLACE(timing, touch, "real"), PLACE(timing, corners, "real"), PLACE(timing, radius, "real"),
     PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
 
-    B_REAL(ring), B_REAL(angle), B_REAL(accelerometer), B_REAL(gyroscope), B_REAL(forward), B_REAL(up),
-    B_REAL(spin), B_REAL(spin_bias), B_REAL(force_bias), B_REAL(lean), B_REAL(highest),
-    PLACE(beliefs, clock, "double"), B_REAL(sum), B_WHOLE(parts), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
-    B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
-
-    WHOLE_OF(strapdown_config), WHOLE_OF(momentum_beliefs),
-
-    PLACE(strapdown_config, points, "int"), PLACE(strapdown_config, leg_time, "real"),
-    PLACE(strapdown_config, tilt_rate, "real"), PLACE(strapdown_config, zero_offset, "real"),
-    PLACE(strapdown_config, bias_time, "real"),
-    PLACE(strapdown_config, touch, "real"), PLACE(strapdown_config, free_fall, "real"),
-    PLACE(strapdown_config, corners, "real"),
-
-    IN_BELIEFS(ring, "real"), IN_BELIEFS(angle, "real"), IN_BELIEFS(accelerometer, "real"),
-    IN_BELIEFS(gyroscope, "real"), IN_BELIEFS(forward, "real"), IN_BELIEFS(up, "real"), IN_BELIEFS(spin, "real"),
-    IN_BELIEFS(spin_bias, "real"), IN_BELIEFS(force_bias, "real"), IN_BELIEFS(lean, "real"),
-    IN_BELIEFS(highest, "real"), IN_BELIEFS(clock, "double"), IN_BELIEFS(sum, "real"), IN_BELIEFS(parts, "whole"),
-    IN_BELIEFS(number, "whole"), IN_BELIEFS(seen, "whole"), IN_BELIEFS(run, "whole"), IN_BELIEFS(count, "whole"),
-    IN_BELIEFS(planned, "whole"), IN_BELIEFS(found, "whole"), IN_BELIEFS(upright, "whole"),
-    PLACE(momentum_beliefs, moved, "real"), PLACE(momentum_beliefs, R, "real"),
-    PLACE(momentum_beliefs, velocity, "real"), PLACE(momentum_beliefs, place, "real"),
-    PLACE(momentum_beliefs, velocity_spin_bias, "real"), PLACE(momentum_beliefs, vertical_bias, "real"),
-    PLACE(momentum_beliefs, velocities, "whole"),
+    BELIEFS_OF(beliefs, ), WHOLE_OF(momentum_beliefs), BELIEFS_OF(momentum_beliefs, beliefs.),
+    STRAPDOWN(momentum_beliefs, strapdown, strapdown), PLACE(momentum_beliefs, moved, "real"),
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
     IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),
@@ -224,7 +220,7 @@ static const place places[] = {
     WHOLE_OF(view), WHOLE_OF(shown),
 
     PLACE(view, force_bound, "real"), PLACE(view, cop_bound, "real"), PLACE(view, weight, "real"),
-    PLACE(view, flawed, "int"),
+    PLACE(view, flawed, "int"), PLACE(view, rolls, "int"),
 
     SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
     SHOWN(foot_force_std), SHOWN(cop_std), SHOWN(cop_valid), SHOWN(contact_probability), SHOWN(undetermined), PLACE(shown, foot_flags, "int"),
@@ -233,9 +229,9 @@ static const place places[] = {
     {"told", "estimate", "", offsetof(sf_told, estimate), sizeof(sf_estimate)},
     {"told", "shown", "", offsetof(sf_told, shown), sizeof(sf_shown)}, PLACE(told, covariance, "real"),
 
-    WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(legs), R_AT(beliefs), R_AT(belief), R_AT(planned),
+    WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(beliefs), R_AT(belief), R_AT(planned),
     R_AT(filter), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
-    PLACE(sample_records, dt, "double"),
+    PLACE(sample_records, dt, "double"), PLACE(sample_records, momentum, "whole"),
 };
 /* clang-format on */
 
@@ -283,36 +279,36 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
     return 1;
 }
 
-EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
-    return sf_beliefs_fit(model, timing);
+/* momentum: whether beliefs hold it, which are an sf_momentum_beliefs then. */
+EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing, int momentum) {
+    return momentum ? sf_momentum_fits(model, timing) : sf_beliefs_fit(model, timing);
 }
-/* legs: constants of beliefs that hold momentum, which are an sf_momentum_beliefs then; NULL for others. */
-EXPORTED void surefoot_beliefs_init(const sf_strapdown_config *legs, void *beliefs) {
-    if (legs) sf_momentum_beliefs_init(beliefs);
+EXPORTED void surefoot_beliefs_init(int momentum, void *beliefs) {
+    if (momentum) sf_momentum_beliefs_init(beliefs);
     else sf_beliefs_init(beliefs);
 }
-EXPORTED int surefoot_legs_fit(const sf_strapdown_config *legs) { return sf_strapdown_fits(legs); }
 /* rows: of each packet its number, its arrival and its values as surefoot.robot.TelemetryLayout has them.
  */
-EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, const sf_strapdown_config *legs,
-                                       void *beliefs, const double *rows, int count) {
+EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, int momentum, void *beliefs,
+                                       const double *rows, int count) {
     int hinges = model->hinges, size = 2 * hinges + 8;
     for (const double *row = rows; count > 0; count--, row += 2 + size) {
         sf_real values[2 * SF_HINGES + 8], *gyroscope = values + 2 * hinges + 2;
         for (int i = 0; i < size; i++) values[i] = (sf_real)row[2 + i];
         if (!sf_measured(values, size)) continue;
-        if (legs)
-            sf_momentum_packet(model, timing, legs, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3, gyroscope);
+        if (momentum)
+            sf_momentum_packet(model, timing, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3, gyroscope);
         else sf_beliefs_packet(model, timing, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3, gyroscope);
     }
 }
 /* Returns 1 for a robot that fell, plus 2 if the reference is known, plus 4 if a foot stands by it. */
-EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, const sf_strapdown_config *legs, void *beliefs,
-                                     double time, const unsigned char *planned, int hold, sf_belief *belief) {
-    if (legs) sf_momentum_sample(timing, beliefs, time, planned, hold, belief);
+EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, int momentum, void *beliefs, double time,
+                                     const unsigned char *planned, int hold, sf_belief *belief) {
+    int standing = 0;
+    if (momentum) sf_momentum_sample(timing, beliefs, time, planned, hold, belief);
     else sf_beliefs_sample(timing, beliefs, time, planned, hold, belief);
-    return belief->fell + 2 * belief->known +
-           4 * (belief->reference.stance[0] || belief->reference.stance[1]);
+    for (int foot = 0; foot < timing->feet; foot++) standing = standing || belief->reference.stance[foot];
+    return belief->fell + 2 * belief->known + 4 * standing;
 }
 EXPORTED void surefoot_beliefs_reference(const sf_timing *timing, sf_beliefs *beliefs, double time,
                                          sf_belief *belief) {
@@ -338,10 +334,10 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
                              int how) {
     const sf_config *config = at->filter->config;
     sf_told *told = at->told;
-    sf_real soles[8];
-    if (count) surefoot_beliefs_packets(at->model, at->timing, at->legs, at->beliefs, rows, count);
-    int found = surefoot_beliefs_sample(at->timing, at->legs, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
-                                        at->belief);
+    sf_real soles[4 * SF_FEET];
+    if (count) surefoot_beliefs_packets(at->model, at->timing, (int)at->momentum, at->beliefs, rows, count);
+    int found = surefoot_beliefs_sample(at->timing, (int)at->momentum, at->beliefs, time,
+                                        how & 1 ? at->planned : NULL, how & 2, at->belief);
     if (found & 1) surefoot_retract(at->filter, at->state);
     int fresh = surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
     sf_beliefs_soles(at->timing, at->beliefs, now, soles);

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration.reference import MomentumReference, Reference
+from surefoot.calibration.reference import MomentumReference, Reference, reference_shapes
 from surefoot.native import Library, Record
 
 _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
@@ -13,13 +13,6 @@ _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
     MomentumReference: ("momentum_belief", ("momentum",)),
 }
 """Names of the records of both kinds, and fields that they have besides."""
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "com": (3,), "com_acceleration": (3,), "angular_momentum_rate": (3,), "com_velocity": (3,),
-    "angular_momentum": (3,), "position_sole": (2, 3), "R_level_sole": (2, 3, 3), "stance": (2,),
-    "swing": (2,), "accelerometer": (3,), "gyroscope": (3,),
-}  # fmt: skip
-
 
 def reference_dtype(
     library: Library, kind: type[Any], shapes: Mapping[str, tuple[int, ...]]
@@ -35,24 +28,39 @@ def reference_dtype(
     return library.record(name, {field: shapes[field] for field in kind._fields} | dict.fromkeys(besides, ()))
 
 
+def feet_beyond(library: Library, feet: int) -> str:
+    """Say that a library has no room for so many feet, and the way out."""
+    most = library.places["reference"]["stance"][2]
+    return (
+        f"The library was compiled for at most {most} feet, and the robot has {feet}; compile it with "
+        f"-DSF_FEET={feet}, or let Python do the work."
+    )
+
+
 class ReferenceRecord:
-    """One moment of a robot on two feet, overwritten by the next.
+    """One moment of a robot, overwritten by the next.
 
     Args:
         library: The library.
         kind: :class:`Reference`, or :class:`MomentumReference` for one that holds momentum.
+        feet: Number of its feet.
 
     Attributes:
         kind: The same.
+        feet: The same.
         address: Where the library finds it.
         dtype: Its layout.
         real: The dtype of its numbers.
+
+    Raises:
+        ValueError: If the library has no room for so many feet.
     """
 
-    def __init__(self, library: Library, kind: type[Reference] | type[MomentumReference] = Reference) -> None:
-        dtype = reference_dtype(library, kind, _SHAPES)
-        assert dtype is not None
-        self.kind, self.dtype, self.real = kind, dtype, library.real
+    def __init__(self, library: Library, kind: type[Reference] | type[MomentumReference], feet: int) -> None:
+        dtype = reference_dtype(library, kind, reference_shapes(feet))
+        if dtype is None:
+            raise ValueError(feet_beyond(library, feet))
+        self.kind, self.feet, self.dtype, self.real = kind, feet, dtype, library.real
         self._record = Record(dtype)
         self._nothing = Record(dtype)
         self.address = self._record.address

@@ -23,7 +23,7 @@
 #define SF_COMPONENTS 6
 #endif
 #ifndef SF_TALKS
-#define SF_TALKS 10 /* five for each six-axis sensor, 0 for cells alone */
+#define SF_TALKS 20 /* five for each six-axis sensor, 0 for cells alone */
 #endif
 #ifndef SF_BLOCK
 #define SF_BLOCK 48

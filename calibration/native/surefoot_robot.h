@@ -40,10 +40,10 @@ typedef long long sf_whole;
 #define SF_API static inline
 #endif
 #ifndef SF_CHANNELS
-#define SF_CHANNELS 20 /* both instruments in both feet */
+#define SF_CHANNELS 24 /* six axes in four feet, three in eight */
 #endif
 #ifndef SF_FEET
-#define SF_FEET 2
+#define SF_FEET 8
 #endif
 #ifndef SF_LAG
 #define SF_LAG 8

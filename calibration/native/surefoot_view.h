@@ -11,21 +11,23 @@
 
 #include "surefoot_beliefs.h"
 
-/* Bounds in N and in m, the robot's weight in N, and whether its feet have no centres of pressure of their own. */
+/* Bounds in N and in m, the robot's weight in N, whether its feet have no centres of pressure of their own, and whether
+   they are round: forces act at their lowest points then. */
 typedef struct {
     sf_real force_bound, cop_bound, weight;
-    int flawed;
+    int flawed, rolls;
 } sf_view;
 
-/* The last centres of pressure that were defined: of the left and the right foot, of both, and its deviation. */
+/* The last centres of pressure that were defined: of all feet, its deviation, and of each foot. */
 typedef struct {
-    sf_real cop_foot[4], cop[2], cop_std[2];
+    sf_real cop[2], cop_std[2], cop_foot[2 * SF_FEET];
 } sf_held;
 
 /* The parts of an observation, by their names there. */
 typedef struct {
-    float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[4], cop[2], wrench[12], vgrf[2];
-    float foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[3], contact_probability[2], undetermined[SF_CHANNELS];
+    float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[2 * SF_FEET], cop[2], wrench[6 * SF_FEET];
+    float vgrf[SF_FEET], foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[1 + SF_FEET];
+    float contact_probability[SF_FEET], undetermined[SF_CHANNELS];
     int foot_flags[SF_CHANNELS];
 } sf_shown;
 
@@ -33,12 +35,13 @@ SF_API sf_real sf_bounded(sf_real value, sf_real bound) { return sf_clip(value, 
 
 /* FootView.show. soles: of sf_beliefs_soles. */
 SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const sf_estimate *e,
-                         const sf_real soles[8], sf_shown *out) {
+                         const sf_real *soles, sf_shown *out) {
     sf_real load = 0, x = 0, y = 0;
     out->cop_valid[0] = e->cop_valid;
-    for (int foot = 0; foot < 2; foot++) {
+    for (int foot = 0; foot < c->feet; foot++) {
         const sf_real *sole = soles + 4 * foot, *wrench = e->wrench + 6 * foot;
-        sf_real fz = wrench[SF_FZ], tx = wrench[SF_MX], ty = wrench[SF_MY];
+        sf_real fz = v->rolls ? e->vgrf[foot] : wrench[SF_FZ], tx = v->rolls ? 0 : wrench[SF_MX];
+        sf_real ty = v->rolls ? 0 : wrench[SF_MY];
         out->cop_valid[1 + foot] = e->cop_foot_valid[foot] && !v->flawed;
         for (int k = 2 * foot; out->cop_valid[1 + foot] && k < 2 * foot + 2; k++)
             h->cop_foot[k] = sf_bounded(e->cop_foot[k], v->cop_bound);
@@ -56,7 +59,7 @@ SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const
         for (int k = 0; k < 2; k++)
             h->cop_std[k] = sf_min(sf_sqrt(sf_max(e->cop_covariance[3 * k], 0)), v->cop_bound);
     }
-    for (int k = 0; k < 4; k++) out->cop_foot[k] = (float)h->cop_foot[k];
+    for (int k = 0; k < 2 * c->feet; k++) out->cop_foot[k] = (float)h->cop_foot[k];
     for (int k = 0; k < 2; k++) {
         out->cop[k] = (float)h->cop[k];
         out->cop_std[k] = (float)h->cop_std[k];

@@ -117,7 +117,7 @@ private:
     void turn(const Imu &message) {
         const auto &a = message.linear_acceleration, &w = message.angular_velocity;
         const sf_real force[3] = {a.x, a.y, a.z}, spin[3] = {w.x, w.y, w.z};
-        sf_momentum_packet(&model, &timing, &legs, &beliefs_, packets_++, seconds(now()), angle_.data(), force, spin);
+        sf_momentum_packet(&model, &timing, &beliefs_, packets_++, seconds(now()), angle_.data(), force, spin);
     }
 
     static double seconds(const rclcpp::Time &time) { return 1e-9 * double(time.nanoseconds()); }

@@ -63,11 +63,14 @@ class Plan:
     Args:
         lag: How many samples ago.
         feet: Number of the feet, F.
+
+    Attributes:
+        runs: For how many samples each foot was planned to stand and to swing, (2 F), of each sample kept.
     """
 
     def __init__(self, lag: int, feet: int = 2) -> None:
         self._needed, kept = plan_window(lag)
-        self._runs = deque([[0] * (2 * feet)], maxlen=kept)
+        self.runs = deque([[0] * (2 * feet)], maxlen=kept)
 
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
@@ -82,8 +85,8 @@ class Plan:
             Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (F,) each.
         """
         planned = [*stance.tolist(), *swing.tolist()]
-        self._runs.append([run + 1 if held else 0 for run, held in zip(self._runs[-1], planned, strict=True)])
-        return _halves([run >= self._needed for run in self._runs[0]])
+        self.runs.append([run + 1 if held else 0 for run, held in zip(self.runs[-1], planned, strict=True)])
+        return _halves([run >= self._needed for run in self.runs[0]])
 
 
 class Kinematics:
@@ -94,6 +97,9 @@ class Kinematics:
         feet: Number of the feet, F.
         touching: Of round feet, the parts that may touch: centres in the sole frames and radii in m, shape
             (F, n, 4).
+
+    Attributes:
+        runs: For how many samples each foot has stood, and has swung, (2 F).
     """
 
     def __init__(
@@ -102,7 +108,7 @@ class Kinematics:
         self._free_fall, self._touching = FREE_FALL * gravity, touching
         # A soft round foot that bears load is pressed flat by no more than its radius.
         self._lifted = LIFTED if touching is None else np.maximum(LIFTED, touching[..., 3].max(axis=1))
-        self._runs = [0] * (2 * feet)
+        self.runs = [0] * (2 * feet)
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
@@ -125,8 +131,8 @@ class Kinematics:
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         above = height - height.min()
         seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > self._lifted)).tolist()]
-        self._runs = [run + 1 if now else 0 for run, now in zip(self._runs, seen, strict=True)]
-        return _halves([run > CONTACT_MARGIN for run in self._runs])
+        self.runs = [run + 1 if now else 0 for run, now in zip(self.runs, seen, strict=True)]
+        return _halves([run > CONTACT_MARGIN for run in self.runs])
 
 
 def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -148,14 +154,17 @@ class Upright:
 
     Attributes:
         fell: Whether it was upright until the last moment, and no longer at it.
+        upright: Whether it was upright then.
+        lean: Its mean acceleration in m/s^2.
+        highest: Greatest height of the centre of mass above the lower sole in this episode in m.
     """
 
     def __init__(self, dt: float, gravity: float = GRAVITY) -> None:
         self._leaning = LEANING * gravity
         self._share = dt / (dt + LEAN_TIME)
-        self._mean = (0.0, 0.0, 0.0)
-        self._highest = 0.0
-        self._upright = self.fell = False
+        self.lean = (0.0, 0.0, 0.0)
+        self.highest = 0.0
+        self.upright = self.fell = False
 
     def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
@@ -168,15 +177,15 @@ class Upright:
         self.fell = False
         if x != x:
             return True
-        share, (mx, my, mz) = self._share, self._mean
-        self._mean = mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
+        share, (mx, my, mz) = self._share, self.lean
+        self.lean = mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
         bx, by, bz = force_bias.tolist()
         height = float(reference.com[2]) - min(reference.position_sole[:, 2].tolist())
-        self._highest = max(self._highest, height)
+        self.highest = max(self.highest, height)
         upright = bool(
             mx * mx + my * my + mz * mz < self._leaning**2
             and bx * bx + by * by + bz * bz < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS
-            and height > LOWEST * self._highest
+            and height > LOWEST * self.highest
         )
-        self.fell, self._upright = self._upright and not upright, upright
+        self.fell, self.upright = self.upright and not upright, upright
         return upright

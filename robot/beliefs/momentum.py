@@ -88,7 +88,8 @@ class MomentumBeliefs(Believed):
     @property
     def constants(self) -> StrapdownConstants:
         """Constants, by their names in C."""
-        return StrapdownConstants(self.corners.shape[1], self.corners)
+        radius = np.broadcast_to(self._radius, self.corners.shape[:2])
+        return StrapdownConstants(self.corners.shape[1], self.corners, radius)
 
     @property
     def model(self) -> NominalModel:

@@ -12,29 +12,20 @@ from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
+from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.beliefs.strapdown import Strapdown
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
-
-FEET = 2
-"""Feet of the robots that the library believes something of; others' beliefs are in Python."""
 
 AT_ONCE = 8
 """Packets that are handed over together."""
 
-_OWN = {"clock": "_clock", "seen": "_seen", "run": "_run", "parts": "_parts", "sum": "_sum"}
-_ODOMETRY = {
-    "forward": "_forward", "up": "up", "spin": "_spin", "spin_bias": "_spin_bias",
-    "force_bias": "force_bias", "count": "_count",
-}  # fmt: skip
-_UPRIGHT = {"lean": "_mean", "highest": "_highest", "upright": "_upright"}
-"""Attributes of the Python by the names of ``sf_beliefs``."""
-
-_STRAPDOWN = {
-    "R": "R", "velocity": "velocity", "place": "place", "velocity_spin_bias": "spin_bias",
-    "vertical_bias": "vertical_bias", "velocities": "count",
-}  # fmt: skip
-"""The same of a :class:`Strapdown`, by the names of ``sf_momentum_beliefs``."""
+_OWN = "clock", "seen", "run", "parts", "sum"
+_ODOMETRY = "forward", "up", "spin", "spin_bias", "force_bias", "count"
+_STRAPDOWN = "R", "velocity", "place", "spin_bias", "vertical_bias", "count"
+_UPRIGHT = "lean", "highest", "upright"
+"""Attributes of parts of beliefs, by whose names the library has them."""
 
 
 class NativeBeliefs:
@@ -57,60 +48,51 @@ class NativeBeliefs:
         self.library, self._functions, self._spec = library, library.functions, believed
         self.model = believed.model
         momentum = believed if isinstance(believed, MomentumBeliefs) else None
-        beliefs = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed
-        self._layout = beliefs.layout
-        needed, window = plan_window(beliefs._lag)
+        beliefs, F = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed, self.model.feet
+        self._layout, self.feet, self._momentum = beliefs.layout, F, momentum is not None
+        needed, window = plan_window(beliefs.lag)
         timing = {
-            "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs.dt,
-            "period": beliefs.period, "delay": beliefs._delay, "joined": beliefs._join,
-            "gravity": self.model.gravity,
+            "averaged": beliefs.averaged, "needed": needed, "window": window, "dt": beliefs.dt,
+            "period": beliefs.period, "delay": beliefs.delay, "joined": beliefs.joined,
+            "gravity": self.model.gravity, "feet": F, "rolls": beliefs.rolls,
+            **believed.constants._asdict(),
         }  # fmt: skip
         joints = beliefs.layout.joint_position.stop
-        shapes = {
-            "ring": (HISTORY, beliefs.rows.width, 3),
-            "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
-            "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
-            "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
-            "parts": (), "sum": (6,),
-            "planned": (window, 4), "found": (4,), "upright": (),
+        vectors = "accelerometer", "gyroscope", "forward", "up", "spin", "spin_bias", "force_bias", "lean"
+        numbers = "highest", "clock", "number", "seen", "run", "count", "parts", "upright"
+        shapes = dict.fromkeys(vectors, (3,)) | dict.fromkeys(numbers, ()) | {
+            "ring": (HISTORY, beliefs.rows.width, 3), "angle": (joints,), "sum": (6,),
+            "planned": (window, 2 * F), "found": (2 * F,), **_strapdown_shapes("rolling"),
         }  # fmt: skip
-        legs, record = None, "beliefs"
+        record = "beliefs"
         if momentum is not None:
-            legs, record = (
-                library.record_of("strapdown_config", momentum.constants._asdict()),
-                "momentum_beliefs",
-            )
-            shapes |= {
-                "moved": (HISTORY, momentum.rows.width, 3), "R": (3, 3), "velocity": (3,), "place": (3,),
-                "velocity_spin_bias": (3,), "vertical_bias": (), "velocities": (),
-            }  # fmt: skip
+            record = "momentum_beliefs"
+            shapes |= {"moved": (HISTORY, momentum.rows.width, 3), **_strapdown_shapes("strapdown")}
         found, state = library.record_of("timing", timing), library.record(record, shapes)
-        if found is None or state is None or (legs is None and momentum is not None):
+        kinds = (MomentumReference if self._momentum else Reference), Reference, MomentumReference
+        self.believed, self._other, self._moved = (ReferenceRecord(library, kind, F) for kind in kinds)
+        if found is None or state is None:
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
-        self._timing, self._state, self._legs = found, np.zeros((), state), legs
+        self._timing, self._state = found, np.zeros((), state)
         self._rows = np.zeros((AT_ONCE, 2 + beliefs.layout.size))
         self._slots = [(row[:2], row[2:]) for row in self._rows]
-        self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
-        self._stance, self._swing = self._planned[:2], self._planned[2:]
-        self.believed = ReferenceRecord(library, Reference if momentum is None else MomentumReference)
-        self._other, self._moved = ReferenceRecord(library), ReferenceRecord(library, MomentumReference)
+        self._planned, self._soles = np.zeros(2 * F, np.bool_), np.zeros((F, 4), library.real)
+        self._stance, self._swing = self._planned[:F], self._planned[F:]
         self._force_bias = self._state["force_bias"]
         self._adopt()
         self._pack(beliefs)
         if momentum is not None:
             self._state["moved"] = momentum.ring
-            for name, attribute in _STRAPDOWN.items():
-                self._state[name] = getattr(momentum.strapdown, attribute)
+            self._put(momentum.strapdown, _STRAPDOWN, "strapdown_")
         self.believed.fill(believed.believed)
         self.known, self.standing = believed.known, believed.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
-        self._legs_at = None if legs is None else legs.ctypes.data
 
     def begin_episode(self) -> "NativeBeliefs":
         """Go on at an episode's start; as :meth:`Beliefs.begin_episode`, but in place."""
-        self._functions.surefoot_beliefs_init(self._legs_at, self._addresses[1])
-        self.believed.fill(nothing(FEET) if self._legs is None else unknown(FEET))
+        self._functions.surefoot_beliefs_init(self._momentum, self._addresses[1])
+        self.believed.fill(unknown(self.feet) if self._momentum else nothing(self.feet))
         self.known = self.standing = False
         return self
 
@@ -127,8 +109,9 @@ class NativeBeliefs:
         if (
             model is None
             or model["hinges"] != self._state["angle"].size
-            or not library.functions.surefoot_beliefs_fit(model.ctypes.data, self._timing.ctypes.data)
-            or not (self._legs is None or library.functions.surefoot_legs_fit(self._legs.ctypes.data))
+            or not library.functions.surefoot_beliefs_fit(
+                model.ctypes.data, self._timing.ctypes.data, self._momentum
+            )
         ):
             raise ValueError(
                 "The robot is no tree of bodies that the library has room for, or packets have other joints."
@@ -151,21 +134,21 @@ class NativeBeliefs:
                 head[0], head[1] = number, arrival
                 content[...] = values
             self._functions.surefoot_beliefs_packets(
-                self._tree, timing, self._legs_at, state, rows, len(some)
+                self._tree, timing, self._momentum, state, rows, len(some)
             )
 
     def update_rows(self, address: int, count: int) -> None:
         """Take in packets of telemetry where the library has written them, so many."""
         self._keep_up()
         timing, state, _, _, _ = self._addresses
-        self._functions.surefoot_beliefs_packets(self._tree, timing, self._legs_at, state, address, count)
+        self._functions.surefoot_beliefs_packets(self._tree, timing, self._momentum, state, address, count)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses
         plan = planned if self.plan(command) else None
         found = self._functions.surefoot_beliefs_sample(
-            timing, self._legs_at, state, time, plan, hold, self.believed.address
+            timing, self._momentum, state, time, plan, hold, self.believed.address
         )
         self.tell(found)
         return bool(found & 1)
@@ -177,7 +160,7 @@ class NativeBeliefs:
         return {
             "model": self._tree,
             "timing": timing,
-            "legs": self._legs_at or 0,
+            "momentum": int(self._momentum),
             "beliefs": state,
             "belief": self.believed.address,
             "planned": planned,
@@ -229,42 +212,58 @@ class NativeBeliefs:
         # What it believes of accelerations is made anew at each sample.
         started.believed, started.ring[...] = believed, state["moved"]
         started.run, started.number = int(state["run"]), int(state["number"])
-        for name, attribute in _STRAPDOWN.items():
-            part = state[name].copy()
-            setattr(started.strapdown, attribute, part if part.ndim else part.item())
+        self._get(started.strapdown, _STRAPDOWN, "strapdown_")
         return started
 
     def _unpack(self, found: Beliefs) -> None:
-        state = self._state
-        for owner, names in _owners(found):
-            for name, attribute in names.items():
-                part = state[name].tolist()
-                setattr(owner, attribute, tuple(part) if isinstance(part, list) else part)
-        found._odometry.force_bias = self.force_bias
-        found._upright._upright = bool(state["upright"])
-        found._ring[...] = state["ring"]
-        found._plan._runs.extend(state["planned"].tolist())
-        found._kinematics._runs = state["found"].tolist()
-        if found._seen:
+        state, odometry = self._state, found.odometry
+        self._get(found, _OWN)
+        self._get(found.upright, _UPRIGHT)
+        if isinstance(odometry, Odometry):
+            self._get(odometry, _ODOMETRY)
+        else:
+            self._get(odometry.strapdown, _STRAPDOWN, "rolling_")
+            odometry.count = int(state["count"])
+        found.ring[...] = state["ring"]
+        found.plan.runs.extend(state["planned"].tolist())
+        found.kinematics.runs = state["found"].tolist()
+        if found.seen:
             values = np.zeros(self._layout.size)
             for name, part in _packet_places(self._layout):
                 values[part] = state[name]
-            found._last = Packet(int(state["number"]), 0.0, values)
+            found.last = Packet(int(state["number"]), 0.0, values)
 
     def _pack(self, beliefs: Beliefs) -> None:
-        state, last = self._state, beliefs._last
-        for owner, names in _owners(beliefs):
-            for name, attribute in names.items():
-                state[name] = getattr(owner, attribute)
-        state["ring"] = beliefs._ring
-        runs = list(beliefs._plan._runs)
+        state, last, odometry = self._state, beliefs.last, beliefs.odometry
+        self._put(beliefs, _OWN)
+        self._put(beliefs.upright, _UPRIGHT)
+        if isinstance(odometry, Odometry):
+            self._put(odometry, _ODOMETRY)
+            self._put(Strapdown(beliefs.period, self.model.gravity), _STRAPDOWN, "rolling_")
+        else:
+            self._put(Odometry(beliefs.period), _ODOMETRY)
+            self._put(odometry.strapdown, _STRAPDOWN, "rolling_")
+            state["count"] = odometry.count
+        state["ring"] = beliefs.ring
+        runs = list(beliefs.plan.runs)
         # The oldest one counts until there are as many as are kept.
         state["planned"] = runs[:1] * (len(state["planned"]) - len(runs)) + runs
-        state["found"] = beliefs._kinematics._runs
+        state["found"] = beliefs.kinematics.runs
         if last is not None:
             state["number"] = last.number
             for name, part in _packet_places(beliefs.layout):
                 state[name] = last.values[part]
+
+    def _put(self, part: Any, names: tuple[str, ...], prefix: str = "") -> None:
+        """Take over a part of beliefs into the library's record."""
+        for name in names:
+            self._state[prefix + name] = getattr(part, name)
+
+    def _get(self, part: Any, names: tuple[str, ...], prefix: str = "") -> None:
+        """Take over a part of beliefs from the library's record."""
+        for name in names:
+            value, like = self._state[prefix + name], getattr(part, name)
+            setattr(part, name, value.copy() if isinstance(like, np.ndarray) else _of_kind(like, value.tolist()))
 
     def __reduce__(self) -> Any:
         return native_beliefs, (self.unpack(),)
@@ -273,7 +272,7 @@ class NativeBeliefs:
 def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeliefs | NativeBeliefs:
     """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
     library = installed()
-    if library is None or library.real != np.float64 or beliefs.model.feet != FEET:
+    if library is None or library.real != np.float64:
         return beliefs
     try:
         return NativeBeliefs(library, beliefs)
@@ -284,8 +283,6 @@ def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeli
 def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     """Return a header with one robot's ``sf_model model`` and ``sf_timing timing``, for its controller.
 
-    Of beliefs that hold momentum it declares ``sf_strapdown_config legs`` as well.
-
     Raises:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
@@ -293,20 +290,23 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     native = NativeBeliefs(require(installed()), beliefs)
     model, timing = native._model, native._timing
     sizes = {
+        "FEET": int(timing["feet"]),
+        "CORNERS": max(1, int(timing["points"])),
         "BODIES": int(model["bodies"]),
         "HINGES": max(1, int(model["hinges"])),
         "PLANNED": int(timing["window"]),
     }
-    records = {"sf_model model": model, "sf_timing timing": timing}
-    if native._legs is None:
-        return c_header("surefoot_beliefs.h", sizes, records)
-    sizes["CORNERS"] = int(native._legs["points"])
-    return c_header("surefoot_strapdown.h", sizes, records | {"sf_strapdown_config legs": native._legs})
+    header = "surefoot_strapdown.h" if native._momentum else "surefoot_beliefs.h"
+    return c_header(header, sizes, {"sf_model model": model, "sf_timing timing": timing})
 
 
-def _owners(beliefs: Beliefs) -> tuple[tuple[Any, dict[str, str]], ...]:
-    """Return the objects that hold the parts of a state, and their attributes."""
-    return (beliefs, _OWN), (beliefs._odometry, _ODOMETRY), (beliefs._upright, _UPRIGHT)
+def _strapdown_shapes(name: str) -> dict[str, tuple[int, ...]]:
+    shapes = (3, 3), (3,), (3,), (3,), (), ()
+    return {f"{name}_{part}": shape for part, shape in zip(_STRAPDOWN, shapes, strict=True)}
+
+
+def _of_kind(like: Any, value: Any) -> Any:
+    return tuple(value) if isinstance(like, tuple) else type(like)(value)
 
 
 def _packet_places(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:

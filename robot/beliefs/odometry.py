@@ -46,22 +46,20 @@ class Odometry:
 
     Attributes:
         up: Unit vector against gravity in the torso's axes.
+        forward: Unit vector ahead, level, likewise.
+        spin: Angular velocity at the last middle in rad/s.
+        count: Middles so far.
         force_bias: Excess of the accelerometer in m/s^2, in its own axes, shape (3,).
+        spin_bias: Excess of the gyroscope in rad/s, shape (3,).
     """
 
     def __init__(self, period: float, gravity: float = GRAVITY) -> None:
         self._period, self._gravity = period, gravity
-        self._forward: Vector = (1.0, 0.0, 0.0)
-        self._spin: Vector = (0.0, 0.0, 0.0)
-        self._spin_bias: Vector = (0.0, 0.0, 0.0)
-        self._count = 0
+        self.forward: Vector = (1.0, 0.0, 0.0)
+        self.spin: Vector = (0.0, 0.0, 0.0)
+        self.count = 0
         self.up: Vector = (0.0, 0.0, 1.0)
-        self.force_bias = np.zeros(3)
-
-    @property
-    def spin_bias(self) -> NDArray[np.float64]:
-        """What the gyroscope shows too much in rad/s, shape (3,)."""
-        return np.array(self._spin_bias)
+        self.force_bias = self.spin_bias = np.zeros(3)
 
     def turn(
         self,
@@ -82,10 +80,10 @@ class Odometry:
             The rotation from the torso's to the odometry axes, shape (3, 3).
         """
         period, gravity = self._period, self._gravity
-        self._count += 1
+        self.count += 1
         wx, wy, wz = spin.tolist()
-        (sx, sy, sz), (bx, by, bz) = self._spin, self._spin_bias
-        self._spin = (wx, wy, wz)
+        (sx, sy, sz), (bx, by, bz) = self.spin, self.spin_bias.tolist()
+        self.spin = (wx, wy, wz)
         tx, ty, tz = (
             (0.5 * (wx + sx) - bx) * period,
             (0.5 * (wy + sy) - by) * period,
@@ -95,28 +93,25 @@ class Odometry:
         x, y, z = self.up
         x, y, z = x - (ty * z - tz * y), y - (tz * x - tx * z), z - (tx * y - ty * x)
         share = period / (TILT_TIME * SPIN_BIAS_TIME)
-        self._spin_bias = (
-            bx + share * (y * gz - z * gy),
-            by + share * (z * gx - x * gz),
-            bz + share * (x * gy - y * gx),
-        )
+        pull = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        self.spin_bias = np.array((bx + share * pull[0], by + share * pull[1], bz + share * pull[2]))
         # The first middles are averaged: nothing was known before.
-        share = max(1.0 / self._count, period / TILT_TIME)
+        share = max(1.0 / self.count, period / TILT_TIME)
         x, y, z = x + share * (gx - x), y + share * (gy - y), z + share * (gz - z)
         norm = 1.0 / sqrt(x * x + y * y + z * z)
         x, y, z = self.up = x * norm, y * norm, z * norm
 
-        u, v, w = self._forward
+        u, v, w = self.forward
         u, v, w = u - (ty * w - tz * v), v - (tz * u - tx * w), w - (tx * v - ty * u)
         along = u * x + v * y + w * z
         u, v, w = u - along * x, v - along * y, w - along * z
         norm = 1.0 / sqrt(u * u + v * v + w * w)
-        u, v, w = self._forward = u * norm, v * norm, w * norm
+        u, v, w = self.forward = u * norm, v * norm, w * norm
 
         R = np.array(((u, v, w), (y * w - z * v, z * u - x * w, x * v - y * u), (x, y, z)))
         fx, fy, fz = force.tolist()
         if fx * fx + fy * fy + fz * fz > (FREE_FALL * gravity) ** 2:
-            share = max(1.0 / self._count, period / REST_TIME)
+            share = max(1.0 / self.count, period / REST_TIME)
             bx, by, bz = self.force_bias.tolist()
             bx, by = bx + share * (fx - gravity * x - bx), by + share * (fy - gravity * y - by)
             self.force_bias = np.array((bx, by, bz + share * (fz - gravity * z - bz)))

@@ -33,7 +33,7 @@ from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import Odometry
-from surefoot.robot.beliefs.strapdown import RollingOdometry
+from surefoot.robot.beliefs.strapdown import RollingOdometry, StrapdownConstants
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
@@ -129,8 +129,20 @@ class Beliefs(Believed):
         layout: Columns of a packet.
         period: Time between joined packets in s.
         dt: Time between the feet's samples in s.
+        delay: As passed in, like ``averaged``, ``lag`` and ``joined``.
         feet: Number of the feet, F.
         rows: Columns of a row.
+        ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
+        last: The last joined packet, or ``None``.
+        run: Packets without a gap up to it.
+        seen: Packets so far.
+        clock: Time on the host's clock in s at which packet 0 left.
+        parts: Packets that are being joined so far.
+        sum: Of their IMU.
+        odometry: Turns the torso.
+        plan: Contacts by the plan.
+        kinematics: Contacts by kinematics.
+        upright: Whether it is.
     """
 
     believed: Reference
@@ -150,21 +162,21 @@ class Beliefs(Believed):
     ) -> None:
         self.model = model
         self.layout = layout
-        self.period, self._delay, self._averaged = joined * period, delay, averaged or joined > 1
-        self._join, self._parts, self._sum = joined, 0, (0.0,) * 6
+        self.period, self.delay, self.averaged = joined * period, delay, averaged or joined > 1
+        self.joined, self.parts, self.sum = joined, 0, (0.0,) * 6
         self.feet, self.rows, self._touching = model.feet, Rows.of(model.feet), touching
-        self._ring = np.zeros((HISTORY, self.rows.width, 3))
+        self.ring = np.zeros((HISTORY, self.rows.width, 3))
         self._local = np.zeros((self.rows.force + 1, 3))
-        self._odometry: Odometry | RollingOdometry = (
+        self.odometry: Odometry | RollingOdometry = (
             Odometry(self.period, model.gravity)
             if touching is None
             else RollingOdometry(model, self.period, touching[..., :3], touching[..., 3])
         )
-        self._last: Packet | None = None
-        self._run = 0
-        self._clock, self._seen = 0.0, 0
-        self._lag, self.dt = lag, dt
-        self._plan, self._kinematics, self._upright = (
+        self.last: Packet | None = None
+        self.run = 0
+        self.clock, self.seen = 0.0, 0
+        self.lag, self.dt = lag, dt
+        self.plan, self.kinematics, self.upright = (
             Plan(lag, self.feet),
             Kinematics(model.gravity, self.feet, touching),
             Upright(dt, model.gravity),
@@ -176,24 +188,34 @@ class Beliefs(Believed):
         return Beliefs(
             self.model,
             self.layout,
-            self.period / self._join,
-            self._delay,
-            self._averaged,
-            lag=self._lag,
+            self.period / self.joined,
+            self.delay,
+            self.averaged,
+            lag=self.lag,
             dt=self.dt,
-            joined=self._join,
+            joined=self.joined,
             touching=self._touching,
         )
 
     @property
+    def rolls(self) -> bool:
+        """Whether it has round feet."""
+        return self._touching is not None
+
+    @property
+    def constants(self) -> StrapdownConstants:
+        """Constants of round feet, by their names in C; flat ones have no parts."""
+        return StrapdownConstants.of(np.zeros((self.feet, 0, 4)) if self._touching is None else self._touching)
+
+    @property
     def force_bias(self) -> NDArray[np.float64]:
         """The believed error of the robot's accelerometer in m/s^2, shape (3,)."""
-        return self._odometry.force_bias
+        return self.odometry.force_bias
 
     @property
     def spin_bias(self) -> NDArray[np.float64]:
         """What the robot takes for an error of its gyroscope in rad/s, shape (3,)."""
-        return self._odometry.spin_bias
+        return self.odometry.spin_bias
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
@@ -210,49 +232,49 @@ class Beliefs(Believed):
     def take(self, packet: Packet) -> Posture | None:
         """Take in one joined packet; return the posture since the last one, ``None`` if one is missing."""
         self._synchronise(packet)
-        before, self._last = self._last, packet
+        before, self.last = self.last, packet
         if before is None or packet.number != before.number + 1:
-            self._run = 0
+            self.run = 0
             return None
-        self._run += 1
+        self.run += 1
         posture = self._find_posture(before.values, packet.values)
         self._keep(posture, packet.number)
-        if self._run >= 3:
+        if self.run >= 3:
             self._differentiate(packet.number)
         return posture
 
     def _combine(self, packet: Packet) -> Packet | None:
         """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
-        if self._join == 1:
+        if self.joined == 1:
             return packet
-        number, part = divmod(packet.number, self._join)
+        number, part = divmod(packet.number, self.joined)
         if part == 0:
-            self._parts, self._sum = 0, (0.0,) * 6
-        if part != self._parts:
-            self._parts = self._join
+            self.parts, self.sum = 0, (0.0,) * 6
+        if part != self.parts:
+            self.parts = self.joined
             return None
         where, values = self.layout, packet.values
         measured = (*values[where.accelerometer].tolist(), *values[where.gyroscope].tolist())
-        self._sum = tuple(a + b for a, b in zip(self._sum, measured, strict=True))
-        self._parts += 1
-        if self._parts < self._join:
+        self.sum = tuple(a + b for a, b in zip(self.sum, measured, strict=True))
+        self.parts += 1
+        if self.parts < self.joined:
             return None
         values = values.copy()
-        mean = np.array(self._sum) / self._join
+        mean = np.array(self.sum) / self.joined
         values[where.accelerometer], values[where.gyroscope] = mean[:3], mean[3:]
         return Packet(number, packet.arrival, values)
 
     def _synchronise(self, packet: Packet) -> None:
         """Average the packets' lateness: the time on the host's clock at which number 0 left."""
-        self._seen += 1
-        left = packet.arrival - self._delay - packet.number * self.period
-        self._clock += (left - self._clock) * max(1.0 / self._seen, 1.0 / CLOCK_MEMORY)
+        self.seen += 1
+        left = packet.arrival - self.delay - packet.number * self.period
+        self.clock += (left - self.clock) * max(1.0 / self.seen, 1.0 / CLOCK_MEMORY)
 
     def _find_posture(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> Posture:
         """Find the posture at the middle between two packets."""
         where, period = self.layout, self.period
         start, end = before[where.joint_position], after[where.joint_position]
-        if self._averaged:
+        if self.averaged:
             force, spin = after[where.accelerometer], after[where.gyroscope]
         else:
             force = 0.5 * (before[where.accelerometer] + after[where.accelerometer])
@@ -263,21 +285,21 @@ class Beliefs(Believed):
     def _keep(self, posture: Posture, number: int) -> None:
         """Fill the row at the middle between a packet and the one before."""
         com, momentum, sites, axes, force, spin = posture
-        R_odometry_torso = self._odometry.turn(spin, force, sites, axes)
+        R_odometry_torso = self.odometry.turn(spin, force, sites, axes)
         local, at = self._local, self.rows
         local[COM] = com
         local[IMU : at.soles.stop] = sites
         local[at.axes] = axes
         local[at.momentum] = momentum
-        local[at.force] = force - self._odometry.force_bias
-        row = self._ring[number % HISTORY]
+        local[at.force] = force - self.odometry.force_bias
+        row = self.ring[number % HISTORY]
         np.matmul(local, R_odometry_torso.T, out=row[: at.force + 1])
         row[at.accelerometer] = force
         row[at.gyroscope] = spin
 
     def _differentiate(self, number: int) -> None:
         """Fill in the rates one middle before a packet's, from its neighbours."""
-        ring, period, at = self._ring, self.period, self.rows
+        ring, period, at = self.ring, self.period, self.rows
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
         acceleration = row[at.force] + (bent[COM] - bent[IMU]) / period**2
@@ -302,15 +324,15 @@ class Beliefs(Believed):
         nobody = np.zeros(self.feet, dtype=bool)
         contacts = nobody, nobody
         if command is not None:
-            contacts = self._plan.at(command.stance, command.swing)
+            contacts = self.plan.at(command.stance, command.swing)
         self.believed = nothing(self.feet)
         if hold:
             return False
         reference = self.reference(time, *contacts)
-        if not self._upright.at(reference, self.force_bias):
-            return self._upright.fell
+        if not self.upright.at(reference, self.force_bias):
+            return self.upright.fell
         if command is None:
-            stance, swing = self._kinematics.at(reference)
+            stance, swing = self.kinematics.at(reference)
             reference = reference._replace(stance=stance, swing=swing)
         self.believed = reference
         return False
@@ -325,7 +347,7 @@ class Beliefs(Believed):
             stance: Feet that are sure to stand then, shape (F,).
             swing: Feet that are sure to be in the air then, shape (F,).
         """
-        if self._run < 3:
+        if self.run < 3:
             return nothing(self.feet)._replace(stance=stance, swing=swing)
         rows, at = self._at(time), self.rows
         R_level_odometry, origin = _level(rows[at.soles], rows[at.axes])
@@ -354,10 +376,10 @@ class Beliefs(Believed):
             lowest point) in m and its heading, a
             unit vector: x, y, forward x, forward y of each one, shape (F, 4).
         """
-        last = self._last
-        if last is None or self._run < 1 + SLOPE:
+        last = self.last
+        if last is None or self.run < 1 + SLOPE:
             return np.array([(0.0, 0.0, 1.0, 0.0)] * self.feet)
-        newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - SLOPE) % HISTORY]
+        newest, before = self.ring[last.number % HISTORY], self.ring[(last.number - SLOPE) % HISTORY]
         ahead = (time - self._middle(last.number)) / self.period
         ahead = min(max(ahead, 0.0), FURTHEST) / SLOPE
         poses = slice(self.rows.soles.start, self.rows.axes.stop)
@@ -376,14 +398,14 @@ class Beliefs(Believed):
 
     def _middle(self, number: int) -> float:
         """Time on the host's clock of the middle between a packet and the one before."""
-        return self._clock + (number - 0.5) * self.period
+        return self.clock + (number - 0.5) * self.period
 
     def _at(self, time: float) -> NDArray[np.float64]:
         """Interpolate the rows that are complete, shape (ROWS, 3); at their ends, take the end."""
-        last = self._last
+        last = self.last
         assert last is not None
-        low, high = last.number - min(self._run, HISTORY - 1) + 2, last.number - 1
-        return self.interpolate(self._ring, time, low, high)
+        low, high = last.number - min(self.run, HISTORY - 1) + 2, last.number - 1
+        return self.interpolate(self.ring, time, low, high)
 
     def interpolate(self, ring: NDArray[np.float64], time: float, low: int, high: int) -> NDArray[np.float64]:
         """Interpolate a ring of rows, of the middles before packets, at a moment.
@@ -394,7 +416,7 @@ class Beliefs(Believed):
             low: Number of the first row to use.
             high: Number of the last.
         """
-        index = (time - self._clock) / self.period + 0.5
+        index = (time - self.clock) / self.period + 0.5
         index = min(max(index, low), high)
         number = min(floor(index), high - 1) if high > low else low
         row = ring[number % HISTORY]

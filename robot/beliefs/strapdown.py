@@ -46,18 +46,24 @@ class StrapdownConstants(NamedTuple):
     """Constants by their names in C; module constants of the same names explain them.
 
     Attributes:
-        points: Number of each sole's points that may touch, n.
-        corners: These points in the sole frames in m, shape (F, n, 3).
+        points: Number of each foot's parts that may touch, n.
+        corners: Their centres in the sole frames in m, shape (F, n, 3).
+        radius: Their radii in m, shape (F, n); 0 of points.
     """
 
     points: int
     corners: Floats
+    radius: Floats
     leg_time: float = LEG_TIME
     tilt_rate: float = TILT_RATE
     zero_offset: float = ZERO_OFFSET
     bias_time: float = BIAS_TIME
     touch: float = TOUCH
-    free_fall: float = FREE_FALL
+
+    @classmethod
+    def of(cls, places: Floats) -> "StrapdownConstants":
+        """Return those of feet; places: centres and radii, shape (F, n, 4)."""
+        return cls(places.shape[1], places[..., :3], places[..., 3])
 
 
 class Strapdown:
@@ -165,23 +171,25 @@ class RollingOdometry:
     Attributes:
         force_bias: Zeros: nothing is taken for an error of the accelerometer, shape (3,).
         spin_bias: Zeros as well: the legs show what the gyroscope's is.
+        strapdown: Velocity and attitude.
+        count: Middles between packets so far.
     """
 
     def __init__(self, model: NominalModel, period: float, corners: Floats, radius: Floats) -> None:
-        self._model, self._period, self._corners, self._radius = model, period, corners, radius
-        self._strapdown: Strapdown | None = None
+        self._model, self._corners, self._radius = model, corners, radius
+        self.strapdown, self.count = Strapdown(period, model.gravity), 0
         self.force_bias = self.spin_bias = np.zeros(3)
 
     def turn(self, spin: Floats, force: Floats, sites: Floats, axes: Floats) -> Floats:
         """Take in one middle between packets; as :meth:`Odometry.turn`."""
-        if self._strapdown is None:
-            self._strapdown = Strapdown(self._period, self._model.gravity)
-            self._strapdown.begin(force)
+        if not self.count:
+            self.strapdown.begin(force)
+        self.count += 1
         _, twist = self._model.velocities()
-        up = self._strapdown.R[2]
+        up = self.strapdown.R[2]
         soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
         legs = -touching(*soles, self._corners, up, self._radius)
-        R, _ = self._strapdown.advance(force, spin, legs, twist[0, 3:], self.force_bias)
+        R, _ = self.strapdown.advance(force, spin, legs, twist[0, 3:], self.force_bias)
         return R
 
 

@@ -30,7 +30,7 @@ int main(int count, char **words) {
         sf_belief belief;
         static sf_estimate estimate;
         static sf_shown shown;
-        sf_real soles[8];
+        sf_real soles[4 * SF_FEET];
         unsigned char planned[4];
         double time = (double)number * timing.period;
         for (int i = 0; i < model.hinges; i++) angle[i] = (sf_real)(rand() % 100 * 0.001);
