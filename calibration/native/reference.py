@@ -14,6 +14,7 @@ _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
 }
 """Names of the records of both kinds, and fields that they have besides."""
 
+
 def reference_dtype(
     library: Library, kind: type[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> np.dtype[Any] | None:

@@ -263,7 +263,9 @@ class NativeBeliefs:
         """Take over a part of beliefs from the library's record."""
         for name in names:
             value, like = self._state[prefix + name], getattr(part, name)
-            setattr(part, name, value.copy() if isinstance(like, np.ndarray) else _of_kind(like, value.tolist()))
+            setattr(
+                part, name, value.copy() if isinstance(like, np.ndarray) else _of_kind(like, value.tolist())
+            )
 
     def __reduce__(self) -> Any:
         return native_beliefs, (self.unpack(),)

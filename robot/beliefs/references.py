@@ -205,7 +205,9 @@ class Beliefs(Believed):
     @property
     def constants(self) -> StrapdownConstants:
         """Constants of round feet, by their names in C; flat ones have no parts."""
-        return StrapdownConstants.of(np.zeros((self.feet, 0, 4)) if self._touching is None else self._touching)
+        return StrapdownConstants.of(
+            np.zeros((self.feet, 0, 4)) if self._touching is None else self._touching
+        )
 
     @property
     def force_bias(self) -> NDArray[np.float64]:

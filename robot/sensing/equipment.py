@@ -144,10 +144,7 @@ class Equipment:
         for device in devices:
             check_wire(device, self._dt)
         instruments = Instruments(tuple(devices), self.drawing, self._dt)
-        native = {
-            part.name: native_here(part.kind, part.config) if part.in_library else None
-            for part in instruments.parts
-        }
+        native = {part.name: native_here(part.kind, part.config) for part in instruments.parts}
         if not condition.faults:
             return Fitted(condition, instruments, None, native)
         broken = channel_faults(condition.faults, instruments)

@@ -116,10 +116,17 @@ class CellsUnderFeet:
         force: Floats = load[-1] + 0.0 if instant else load.mean(axis=0)
         return force
 
-    @property
-    def in_library(self) -> bool:
-        """Whether the library reads them: four a foot."""
-        return not self._one_a_foot
+    def cell_map(self, truth: Any) -> tuple[Floats, Floats] | None:
+        """Return the map from a truth's loads to the cells' forces: factors and N to add, (K,).
+
+        ``None`` where the library does not find these loads: of single cells in a simulation of plates.
+        """
+        if not self._one_a_foot:
+            found: tuple[Floats, Floats] = truth.cell_map()
+            return found
+        if not truth.sensor_columns().soles:
+            return None
+        return np.kron(np.eye(self.channels), np.eye(6)[:, 2:3]), np.zeros(self.channels)
 
     def _foot(self, name: str, foot: int, drawing: RobotDrawing) -> FootLayout:
         """Describe one foot."""
@@ -154,7 +161,6 @@ class SensorsInAnkles:
 
     name: Final = "ankles"
     kind: Final = FORCE_TORQUE
-    in_library: Final = True
 
     def __init__(self, config: ForceTorque, drawing: RobotDrawing, dt: float) -> None:
         below = drawing.below_ankle

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.native import Record, call_for_many
-from surefoot.robot.sensing.instruments import Instruments, InstrumentsState
+from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.native import installed
@@ -110,10 +110,12 @@ class NativeSensing:
             "stride": where.stride,
             "soles": where.soles,
         }
+        first = instruments.parts[0]
+        self._cells = first if isinstance(first, CellsUnderFeet) else None
         self._map: tuple[NDArray[np.float64], ...] = ()
         if "cells" in devices:
-            arrays["map"], arrays["preload"] = self._map = tuple(part.copy() for part in truth.cell_map())
-            arrays["load"] = np.zeros_like(truth.force_cell)
+            arrays["map"], arrays["preload"] = self._map = self._cell_map(truth)
+            arrays["load"] = np.zeros((len(truth.time), devices["cells"].constants["channels"]))
             numbers["readings"] = len(self._map[0])
         if "ankles" in devices:
             arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
@@ -162,12 +164,17 @@ class NativeSensing:
         """
         if truth.rows.shape != self._shape:
             return None
-        for part, now in zip(self._map, truth.cell_map() if self._map else (), strict=True):
+        for part, now in zip(self._map, self._cell_map(truth), strict=True):
             part[...] = now
         if self._telemetry is not None:
             position, inertial = self._telemetry.inputs
             position[0], inertial[0] = truth.joint_position[-1], at_rest
         return self._read(truth, 0.0, 1 + fresh, observation)
+
+    def _cell_map(self, truth: Any) -> tuple[NDArray[np.float64], ...]:
+        """Return the cells' map of a truth, as a copy; nothing without cells."""
+        found = None if self._cells is None else self._cells.cell_map(truth)
+        return () if found is None else tuple(part.copy() for part in found)
 
     def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
         """Read a control step; ``None``, with nothing done, for one that it does not take.
@@ -276,6 +283,8 @@ def native_sensing(
         view: The view.
     """
     if any(device is None for device in devices.values()) or truth.rows.dtype != np.float64:
+        return None
+    if any(part.cell_map(truth) is None for part in instruments.parts if isinstance(part, CellsUnderFeet)):
         return None
     if view is not None and view.bounds[0].dtype != np.float32:
         return None

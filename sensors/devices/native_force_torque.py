@@ -1,6 +1,6 @@
 """Six-axis sensors as the library has them; see :mod:`surefoot.sensors.devices.native_device`.
 
-The Python of :mod:`surefoot.sensors.devices.force_torque` alone reads more than two sensors, and that of
+The Python of :mod:`surefoot.sensors.devices.force_torque` alone reads more than eight sensors, and that of
 :mod:`surefoot.sensors.devices.strain_gauges` sensors of more than twelve gauges.
 """
 

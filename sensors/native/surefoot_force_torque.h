@@ -19,7 +19,7 @@
 #include "surefoot_stages.h"
 
 #ifndef SF_SIX_AXIS
-#define SF_SIX_AXIS 2 /* sensors of a robot */
+#define SF_SIX_AXIS 8 /* sensors of a robot */
 #endif
 #ifndef SF_GAUGES
 #define SF_GAUGES 12 /* gauges of a sensor */

@@ -20,7 +20,7 @@
 #include "surefoot_stages.h"
 
 #ifndef SF_LOAD_CELLS
-#define SF_LOAD_CELLS 16 /* load cells of a robot */
+#define SF_LOAD_CELLS 32 /* load cells of a robot */
 #endif
 #ifndef SF_SETTLING
 #define SF_SETTLING 8 /* conversions that a chip averages over */

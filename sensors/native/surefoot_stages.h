@@ -11,7 +11,7 @@
 #include "surefoot_random.h"
 
 #ifndef SF_ON_WIRE
-#define SF_ON_WIRE 16 /* channels of a device */
+#define SF_ON_WIRE 48 /* channels of a device */
 #endif
 #ifndef SF_CREEPS
 #define SF_CREEPS 4 /* exponentials of the creep */

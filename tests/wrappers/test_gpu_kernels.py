@@ -78,7 +78,7 @@ STEP = """
     } else {
         const sf_timing *timing = (const sf_timing *)((const sf_model *)c + 1);
         sf_beliefs *s = (sf_beliefs *)state.data + robot;
-        double soles[8];
+        double soles[4 * SF_FEET];
         sf_beliefs_packet((const sf_model *)c, timing, s, (sf_whole)in[0], in[1], in + 2, in + 2, in + 2);
         sf_beliefs_sample(timing, s, in[0], nullptr, 0, (sf_belief *)beliefs.data + robot);
         sf_beliefs_soles(timing, s, in[0], soles);

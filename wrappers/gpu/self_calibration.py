@@ -186,6 +186,7 @@ class SelfCalibrationModule(BatchModule):
         steps = _STEPS[self.method]
         sizes = {
             "CHANNELS": layout.channels,
+            "FEET": len(layout.feet),
             "LAG": max(8, self.setup.lag),
             **steps.sizes(self.setup, options),
         }
