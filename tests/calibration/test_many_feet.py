@@ -15,11 +15,16 @@ from surefoot.calibration.reference import GRAVITY
 DT, SECONDS, MASS = 0.01, 16.0, 12.0
 WEIGHT, SAMPLES = MASS * GRAVITY, round(SECONDS / DT)
 PLACES = {
+    1: [(0.0, 0.0)],
+    3: [(0.2, 0.0), (-0.2, 0.13), (-0.2, -0.13)],
     4: [(0.2, 0.13), (0.2, -0.13), (-0.2, 0.13), (-0.2, -0.13)],
     6: [(0.2, 0.13), (0.2, -0.13), (0.0, 0.16), (0.0, -0.16), (-0.2, 0.13), (-0.2, -0.13)],
 }
-TOGETHER = {4: [0, 1, 1, 0], 6: [0, 1, 1, 0, 0, 1]}
-"""Which feet stand together while the others swing."""
+PLACES |= {feet: [(0.1 * i - 0.4, 0.15 * (-1) ** i) for i in range(feet)] for feet in (8, 9)}
+TOGETHER = {3: [0, 1, 1], 4: [0, 1, 1, 0], 6: [0, 1, 1, 0, 0, 1]} | {
+    feet: [i % 2 for i in range(feet)] for feet in (8, 9)
+}
+"""Which feet stand together while the others swing; one foot alone stays down."""
 
 
 def layout_of(feet, axes="z"):
@@ -35,7 +40,7 @@ def move(feet, seed):
     swings = np.stack(
         [lifts, np.interp((phase + 0.5) % 1.0, np.sort(phase), lifts[np.argsort(phase)])], axis=1
     )
-    share = 1.0 - swings[:, TOGETHER[feet]]
+    share = np.ones((SAMPLES, 1)) if feet == 1 else 1.0 - swings[:, TOGETHER[feet]]
     swing = share <= 0.0
     lean = np.sin(2.0 * np.pi * rng.uniform(0.15, 0.4, feet) * time[:, None] + rng.uniform(0.0, 6.0, feet))
     share = share * (1.0 + 0.3 * lean)

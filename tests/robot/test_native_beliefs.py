@@ -3,6 +3,7 @@
 import copy
 import pickle
 import subprocess
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
 
-from surefoot.calibration import nao_shoe_layout
+from surefoot.calibration import FeetLayout, nao_shoe_layout
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NATIVE, Library
 from surefoot.envs import InstrumentedEnv
@@ -40,7 +41,9 @@ CORNERS = np.random.default_rng(8).normal(size=(2, 4, 3)) * (0.06, 0.03, 0.001)
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 
-def random_tree(seed: int) -> mujoco.MjSpec:
+def random_tree(
+    seed: int, places: tuple[tuple[float, float], ...] = ((0.0, 0.1), (0.0, -0.1))
+) -> mujoco.MjSpec:
     """A robot of bodies that hang anywhere on each other, by no hinge, one or three; it has legs."""
     rng = np.random.default_rng([71, seed])
 
@@ -65,13 +68,23 @@ def random_tree(seed: int) -> mujoco.MjSpec:
         )
         for i in range(rng.choice([0, 1, 1, 3])):
             body.add_joint(name=f"{number} {i}", axis=vector(1.0), pos=vector(0.05), ref=rng.normal())
-    for side, y in (("left", 0.1), ("right", -0.1)):
-        leg = massive(torso.add_body(pos=(0.0, y, -0.3)))
+    for side, place in zip(soles_of(len(places)), places, strict=True):
+        leg = massive(torso.add_body(pos=(*place, -0.3)))
         leg.add_joint(name=f"{side} hip", axis=(0.0, 1.0, 0.0), pos=vector(0.05))
         foot = massive(leg.add_body(pos=(0.0, 0.0, -0.3)))
         foot.add_joint(name=f"{side} ankle", axis=(1.0, 0.0, 0.0))
-        foot.add_site(name=f"{side}_sole", pos=vector(0.02), quat=(1.0, *vector(0.01)))
+        foot.add_site(name=side, pos=vector(0.02), quat=(1.0, *vector(0.01)))
     return spec
+
+
+def soles_of(feet: int) -> tuple[str, ...]:
+    return ("left_sole", "right_sole") if feet == 2 else tuple(f"sole {foot}" for foot in range(feet))
+
+
+def on_feet(feet: int) -> NominalModel:
+    angle = 2.0 * np.pi * np.arange(feet) / feet
+    places = tuple(zip(0.2 * np.cos(angle), 0.15 * np.sin(angle), strict=True))
+    return NominalModel(random_tree(2, places), ERRORS, sites=("imu", *soles_of(feet)))
 
 
 def humanoid() -> NominalModel:
@@ -83,6 +96,7 @@ def humanoid() -> NominalModel:
 ROBOTS = {
     "nao": lambda: NominalModel.of_drawing(draw_nao(), ERRORS),
     "humanoid": humanoid,
+    **{f"{feet} feet": lambda feet=feet: on_feet(feet) for feet in (1, 3, 4, 8)},
     **{f"tree {seed}": lambda seed=seed: NominalModel(random_tree(seed), ERRORS) for seed in (1, 2, 3)},
 }
 
@@ -103,9 +117,17 @@ def model() -> NominalModel:
     return robot("tree 2")
 
 
-def python(model: NominalModel, averaged: bool = True, lag: int = 5) -> Beliefs:
+def python(model: NominalModel, averaged: bool = True, lag: int = 5, places=None) -> Beliefs:
     layout = TelemetryLayout(len(model.joint_names))
-    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT)
+    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT, touching=places)
+
+
+def round_feet(feet: int) -> np.ndarray:
+    """Centres and radii of the balls of each foot."""
+    rng = np.random.default_rng(9)
+    return np.concatenate(
+        [0.02 * rng.normal(size=(feet, 2, 3)), rng.uniform(0.01, 0.03, (feet, 2, 1))], axis=2
+    )
 
 
 def motion(joints: int, seed: int = 0) -> list[Packet]:
@@ -131,13 +153,13 @@ def motion(joints: int, seed: int = 0) -> list[Packet]:
     return packets
 
 
-def commands(seed: int = 0):
+def commands(seed: int = 0, feet: int = 2):
     """Yield what a robot plans that steps at random."""
-    rng, left = np.random.default_rng([73, seed]), np.array([True, False])
+    rng, left = np.random.default_rng([73, seed]), np.arange(feet) % 2 == 0
     while True:
         swinging = (None, left, ~left)[int(rng.integers(3))]
         for _ in range(int(rng.integers(1, 30))):
-            swing = np.zeros(2, bool) if swinging is None else swinging
+            swing = np.zeros(feet, bool) if swinging is None else swinging
             yield SimpleNamespace(stance=~swing, swing=swing)
 
 
@@ -207,8 +229,30 @@ def test_the_library_is_the_python(library, name, averaged, lag, plans, momentum
     expected = python(model, averaged, lag)
     if momentum:
         expected = MomentumBeliefs(expected, CORNERS)
+    play(library, expected, lag, plans)
+
+
+@pytest.mark.parametrize("rolls", [True, False])
+@pytest.mark.parametrize(
+    ("feet", "momentum"),
+    [
+        (4, True),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in product((1, 3, 4, 8), (True, False))),
+    ],
+)
+def test_the_library_is_the_python_on_any_number_of_feet(library, feet, momentum, rolls):
+    model, places = robot(f"{feet} feet"), round_feet(feet)
+    expected = python(model, True, 3, places if rolls else None)
+    if momentum:
+        expected = MomentumBeliefs(expected, places[..., :3], places[..., 3] * rolls)
+    play(library, expected, 3, plans=feet == 3)
+
+
+def play(library, expected: Beliefs | MomentumBeliefs, lag: int, plans: bool) -> None:
+    """Let both take in two thousand packets, and see that they believe the same."""
+    model = expected.model
     native = NativeBeliefs(library, expected)
-    packets, plan = motion(len(model.joint_names)), commands()
+    packets, plan = motion(len(model.joint_names)), commands(feet=model.feet)
     heard, told = 0, ([], [])
     for step in range(PACKETS):
         now = DT * step
@@ -233,6 +277,17 @@ def test_the_library_is_the_python(library, name, averaged, lag, plans, momentum
     *_, known, standing, fell = python_told.T
     for happened in (known, standing, fell):
         assert 0 < happened.sum() < PACKETS
+
+
+def test_more_feet_than_there_is_room_for_are_refused(library, monkeypatch):
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    model = on_feet(9)
+    beliefs = python(model)
+    with pytest.raises(
+        ValueError, match=r"compiled for at most 8 feet, and the robot has 9; compile it with"
+    ):
+        NativeBeliefs(library, beliefs)
+    assert native_beliefs(beliefs) is beliefs
 
 
 def test_a_reference_may_be_asked_for_any_moment(library, model):
@@ -329,8 +384,8 @@ def test_what_does_not_fit_is_found(library):
     ):
         assert not fits(timing, **change), change
     for change in (
-        {"window": 0}, {"window": 65}, {"period": 0.0}, {"dt": np.nan}, {"feet": 0}, {"feet": 9}, {"points": 17},
-        {"points": 0},
+        {"window": 0}, {"window": 65}, {"period": 0.0}, {"dt": np.nan}, {"feet": 0}, {"feet": 9},
+        {"points": 17}, {"points": 0},
     ):  # fmt: skip
         assert not fits({**timing, **change}), change
     assert fits({**timing, "points": 0}, momentum=False)
@@ -433,12 +488,13 @@ class Estimates:
 
     def __init__(self, library: Library, feet: FootView, seed: int) -> None:
         self.rng, K = np.random.default_rng([74, seed]), feet.every["foot_force"].shape[0]
+        F = feet.every["vgrf"].shape[0]
         shapes = {
-            "force": (K,), "wrench": (2, 6), "vgrf": (2,), "cop": (2,), "cop_foot": (2, 2), "flags": (K,),
-            "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (2,),
+            "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "flags": (K,),
+            "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
         self.estimate = Record(library.record("estimate", shapes))
-        self.config = library.record_of("config", {"channels": K, "feet": 2})
+        self.config = library.record_of("config", {"channels": K, "feet": F})
 
     def draw(self) -> Estimate:
         now, rng = self.estimate.now, self.rng
@@ -446,22 +502,27 @@ class Estimates:
             now[name] = 10.0 ** rng.uniform(-1.0, 4.0) * rng.normal(size=now[name].shape)
         now["wrench"][:, 2] = np.abs(now["wrench"][:, 2]) + 1.0
         now["force_std"] = rng.random(now["force_std"].shape)
-        now["cop_foot"], now["cop_covariance"] = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+        now["cop_foot"], now["cop_covariance"] = (
+            rng.normal(size=now["cop_foot"].shape),
+            rng.normal(size=(2, 2)),
+        )
         now["flags"] = rng.integers(0, 2**15, now["flags"].shape)
-        now["cop_valid"], now["cop_foot_valid"] = rng.random() < 0.7, rng.random(2) < 0.7
+        now["cop_valid"], now["cop_foot_valid"] = rng.random() < 0.7, rng.random(now["vgrf"].size) < 0.7
         parts = {name: now[name].copy() for name in now.dtype.names}
         empty = dict.fromkeys(("scale", "offset", "covariance"))
         return Estimate(**parts, **empty)
 
 
-@pytest.mark.parametrize("flaw", ["", "no area"])
-def test_what_is_shown_is_the_python_s(library, model, flaw):
-    native = NativeBeliefs(library, python(model))
+@pytest.mark.parametrize(("feet", "flaw"), [(2, ""), (2, "no area"), (4, "round"), (1, "")])
+def test_what_is_shown_is_the_python_s(library, feet, flaw):
+    model, rolls = robot("tree 2" if feet == 2 else f"{feet} feet"), flaw == "round"
+    native = NativeBeliefs(library, python(model, places=round_feet(feet) if rolls else None))
     native.update(motion(len(model.joint_names))[:60])
     parts = tuple(part for part in SHOWN if not (flaw and part == "cop_foot"))
-    one, two = (FootView(parts, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
+    layout = FeetLayout(nao_shoe_layout().feet[:1] * feet)
+    one, two = (FootView(parts, layout, 5.3, flaw, rolls=rolls) for _ in range(2))
     source, config = Estimates(library, one, 1), view_record(library, one)
-    shown, soles = Record(view_dtype(library, one)), np.zeros((2, 4))
+    shown, soles = Record(view_dtype(library, one)), np.zeros((feet, 4))
     for step in range(300):
         estimate, time = source.draw(), 0.5 + 0.001 * step
         places, (found, held) = native.soles(time), (shown.now, two.held)

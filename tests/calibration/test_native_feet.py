@@ -1,0 +1,104 @@
+"""The filter in C against the Python for other numbers of feet than two: balls, cells and six axes."""
+
+import numpy as np
+import pytest
+from _native import library_of
+from test_many_feet import DT, MASS, WEIGHT, layout_of, move, read
+from test_native_filter import play
+
+from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
+from surefoot.calibration.native import NATIVE, ReferenceRecord, c_source, native_filter
+from surefoot.calibration.online import online_method
+from surefoot.native import compiler
+
+SAMPLES, AT = 400, 160
+CORNERS = np.array([(0.02, 0.015, 0.0), (0.02, -0.015, 0.0), (-0.02, 0.015, 0.0), (-0.02, -0.015, 0.0)])
+KINDS = {
+    "fz": lambda name: FootLayout.point(name, "z"),
+    "xyz": lambda name: FootLayout.point(name, "xyz"),
+    "cells": lambda name: FootLayout.load_cells(name, CORNERS),
+    "six axes": lambda name: FootLayout.force_torque(name, position_sensor_sole=(0.0, 0.0, 0.05)),
+}
+UP = {"fz": [1.0], "xyz": [0.0, 0.0, 1.0], "cells": [0.3, 0.2, 0.3, 0.2], "six axes": [0, 0, 1.0, 0, 0, 0]}
+"""What a newton on a foot is on each of its channels."""
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+
+
+class Log:
+    """Four seconds of a robot whose feet stand and swing, with a gap, lost readings and a retraction."""
+
+    def __init__(self, feet, kind, momentum):
+        force, reference = move(feet, 1)
+        load = (force[:SAMPLES, :, None] * UP[kind]).reshape(SAMPLES, -1)
+        self.force = read(load, 1)
+        self.force[AT, 0] = self.force[AT + 60 : AT + 64] = np.nan
+        self.times = np.full(SAMPLES, DT)
+        self.times[AT + 90] = 0.08
+        self._reference = reference if momentum else accelerations(reference)
+        self.retracted, self.begun = {AT + 120}, set()
+
+    def row(self, k):
+        return type(self._reference)(*(part[k] for part in self._reference))
+
+
+def accelerations(momentum):
+    rates = [np.gradient(part, DT, axis=0) for part in (momentum.com_velocity, momentum.angular_momentum)]
+    felt = np.zeros((2, *momentum.com.shape))
+    felt[0, :, 2] = 9.81
+    return Reference(momentum.com, *rates, *momentum[3:], *felt)
+
+
+def setup_of(feet, kind, lag=0):
+    layout = FeetLayout(tuple(KINDS[kind](f"foot {i}") for i in range(feet)))
+    initial = Parameters(np.ones(layout.channels), np.zeros(layout.channels))
+    return OnlineSetup(layout=layout, mass=MASS, initial=initial, dt=DT, lag=lag, foot_length=0.4)
+
+
+ROBOTS = [(1, "fz"), (1, "six axes"), (3, "xyz"), (4, "fz"), (4, "cells"), (4, "six axes"), (8, "xyz")]
+FAST = (1, "fz"), (3, "xyz"), (4, "cells")
+
+
+@pytest.mark.parametrize("momentum", [True, False])
+@pytest.mark.parametrize(
+    ("feet", "kind"), [one if one in FAST else pytest.param(*one, marks=pytest.mark.slow) for one in ROBOTS]
+)
+def test_the_library_is_the_python(library, feet, kind, momentum):
+    setup = setup_of(feet, kind)
+    native = native_filter(library, "moment", setup, {})
+    assert native is not None
+    state, _ = play(
+        online_method("moment", setup), native, Log(feet, kind, momentum), exchange=range(39, SAMPLES, 80)
+    )
+    assert np.isfinite(state.covariance).all()
+
+
+@pytest.mark.parametrize("method", ["window", "quasi-static", "tare", "none"])
+def test_other_methods_are_the_python_s(library, method):
+    setup, log = setup_of(4, "fz", 2), Log(4, "fz", False)
+    log.retracted = set()
+    native = native_filter(library, method, setup, {})
+    assert native is not None
+    play(online_method(method, setup), native, log, exchange=150)
+
+
+def test_more_feet_than_the_library_has_room_for_are_refused_and_left_to_python(library):
+    setup = setup_of(9, "fz")
+    assert native_filter(library, "moment", setup, {}) is None
+    with pytest.raises(ValueError, match=r"The library is not made for such a robot; .* has its limits"):
+        c_source(setup)
+    with pytest.raises(
+        ValueError, match=r"compiled for at most 8 feet, and the robot has 9; compile it with"
+    ):
+        ReferenceRecord(library, Reference, 9)
+    calibrator = FootCalibrator(layout_of(9), mass=MASS, initial=setup.initial, dt=DT, lag=0, foot_length=0.4)
+    log = Log(9, "fz", False)
+    estimate = calibrator.update(log.force[0], log.row(0))
+    assert calibrator.native() is None
+    assert estimate.vgrf.shape == (9,)
+    assert abs(estimate.vgrf.sum() - WEIGHT) < WEIGHT
