@@ -53,7 +53,7 @@ typedef struct {
     sf_real lean[3], highest;
     double clock; /* time in s on the host's clock at which packet 0 left */
     sf_real sum[6]; /* of the IMU over the packets that are being joined */
-    sf_whole number, seen, run, count, parts;
+    sf_whole number, seen, run, parts;
     sf_whole planned[SF_PLANNED * 2 * SF_FEET], found[2 * SF_FEET], upright; /* samples: stance of each foot, then swing */
     sf_real ring[SF_PACKETS * SF_ROW]; /* rows as wide as the robot needs, of which `run` tells which are any */
 } sf_beliefs;
