@@ -3,6 +3,7 @@
 import copy
 import pickle
 import subprocess
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -519,7 +520,8 @@ def test_what_is_shown_is_the_python_s(library, feet, flaw):
     native = NativeBeliefs(library, python(model, places=round_feet(feet) if rolls else None))
     native.update(motion(len(model.joint_names))[:60])
     parts = tuple(part for part in SHOWN if not (flaw and part == "cop_foot"))
-    layout = FeetLayout(nao_shoe_layout().feet[:1] * feet)
+    shoe = nao_shoe_layout().feet[0]
+    layout = FeetLayout(tuple(replace(shoe, name=f"foot {i}") for i in range(feet)))
     one, two = (FootView(parts, layout, 5.3, flaw, rolls=rolls) for _ in range(2))
     source, config = Estimates(library, one, 1), view_record(library, one)
     shown, soles = Record(view_dtype(library, one)), np.zeros((feet, 4))

@@ -273,9 +273,8 @@ def test_bad_input_is_refused_with_the_reason(log):
         make("tare")(*momentum_row(log, 0))
     with pytest.raises(ValueError, match="Method 'windows' does not exist"):
         make("windows")
-    four = FeetLayout(tuple(FootLayout.point(name) for name in ("fl", "fr", "rl", "rr")))
-    with pytest.raises(ValueError, match=r"There is no kernel of 'moment' for 4 feet .* FootCalibrator none"):
-        SelfCalibrationModule(four, mass=12.0, foot_length=0.4)
+    with pytest.raises(ValueError, match=r"There is no kernel of 'window' for 2 feet .* FootCalibrator none"):
+        make("window", window=5.0)
 
 
 @pytest.mark.slow
@@ -327,6 +326,27 @@ def test_ankle_sensors_are_those_of_a_calibrator_alone(log):
         expected = alone.update(raw.ravel(), Reference(*(part[0].cpu().numpy() for part in reference)))
         np.testing.assert_allclose(found.force[0].cpu(), expected.force, rtol=1e-9, atol=1e-9)
     assert np.abs(expected.scale - 1.0).max() > 1e-3
+
+
+@pytest.mark.slow
+def test_four_feet_are_those_of_a_calibrator_alone():
+    four = FeetLayout(tuple(FootLayout.point(name) for name in ("fl", "fr", "rl", "rr")))
+    known = {"mass": 12.0, "dt": DT, "lag": 0, "foot_length": 0.4}
+    module = SelfCalibrationModule(four, device=DEVICE, dtype=torch.float64, **known)
+    alone, rng, none = FootCalibrator(four, **known), np.random.default_rng(5), np.zeros(3)
+    soles = np.array([(0.2, 0.13, 0.0), (0.2, -0.13, 0.0), (-0.2, 0.13, 0.0), (-0.2, -0.13, 0.0)])
+    for k in range(120):
+        swing = np.arange(4) == k // 30
+        load = 120.0 * ~swing / 3.0 + 1.0 + 0.1 * rng.normal(size=4)
+        reference = Reference(
+            np.array([0.0, 0.0, 0.3]), none, none, soles, np.tile(np.eye(3), (4, 1, 1)), ~swing, swing,
+            np.array([0.0, 0.0, 9.81]), none,
+        )  # fmt: skip
+        expected = alone.update(load, reference)
+        rows = Reference(*(torch.as_tensor(part[None], device=DEVICE) for part in reference))
+        found = module(torch.as_tensor(load[None], device=DEVICE), rows)
+        np.testing.assert_allclose(found.force[0].cpu(), expected.force, rtol=1e-9, atol=1e-9)
+    assert np.abs(expected.offset).max() > 0.1
 
 
 def test_a_module_is_where_it_was_asked_for_whatever_torchs_default_device_is(log):
