@@ -119,6 +119,11 @@ class NativeBeliefs:
         self._revision, self._model, self._tree = self.model.revision, model, model.ctypes.data
 
     @property
+    def constants(self) -> dict[str, NDArray[Any]]:
+        """The records of the robot by the names that they have in headers: model and timing."""
+        return {"model": self._model, "timing": self._timing}
+
+    @property
     def force_bias(self) -> NDArray[np.float64]:
         """As of :class:`Beliefs`."""
         bias: NDArray[np.float64] = self._force_bias.copy()
@@ -290,7 +295,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
         ValueError: If the library is not made for such a robot.
     """
     native = NativeBeliefs(require(installed()), beliefs)
-    model, timing = native._model, native._timing
+    model, timing = native.constants.values()
     sizes = {
         "FEET": int(timing["feet"]),
         "CORNERS": max(1, int(timing["points"])),
