@@ -39,6 +39,7 @@ void sample(const sf_config *c, const own *m, state *s, work *w, const sf_real *
 const unsigned state_size[] = {sizeof(state)}, work_size[] = {sizeof(work)};
 """
 BELIEFS = """
+#define SF_FEET 2
 #define SF_BODIES 26
 #define SF_HINGES 24
 #define SF_PACKETS 16

@@ -19,7 +19,7 @@ int main(int count, char **words) {
     static sf_held held;
     sf_whole number = 0;
     long samples = count == 2 ? atol(words[1]) : 0, known = 0;
-    sf_view view = {200, 1, 52, 0};
+    sf_view view = {200, 1, 52, 0, 0};
     config.channels = SF_CHANNELS;
     config.feet = SF_FEET;
     if (!sf_beliefs_fit(&model, &timing)) return 1;
@@ -52,7 +52,7 @@ int main(int count, char **words) {
         if (k % 1000 > 900) {
             known += belief.known;
             for (int i = 0; i < 3; i++)
-                if (!sf_finite(beliefs.up[i]) || (belief.known && !sf_finite(belief.reference.com_acceleration[i])))
+                if (!sf_finite(beliefs.odometry.up[i]) || (belief.known && !sf_finite(belief.reference.com_acceleration[i])))
                     return 2;
             for (int i = 0; i < 2; i++)
                 if (!sf_finite((sf_real)shown.cop[i])) return 3;
