@@ -126,7 +126,8 @@ class CellsUnderFeet:
             return found
         if not truth.sensor_columns().soles:
             return None
-        return np.kron(np.eye(self.channels), np.eye(6)[:, 2:3]), np.zeros(self.channels)
+        factors: Floats = np.kron(np.eye(self.channels), np.eye(6)[:, 2:3])
+        return factors, np.zeros(self.channels)
 
     def _foot(self, name: str, foot: int, drawing: RobotDrawing) -> FootLayout:
         """Describe one foot."""

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import Reference
+from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.envs import InstrumentedEnv
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Kinematics
 from surefoot.robot.beliefs.errors import NO_ERRORS
+from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.strapdown import touching
 from surefoot.sensors import preset, sized
+from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import (
     FootSensors,
@@ -128,6 +131,30 @@ def test_a_robot_is_the_same_alone_and_among_others() -> None:
         seen = many.step(np.stack([action, action]))[0]
         one = alone.step(action)[0]
     many.close()
+
+
+@pytest.mark.skipif(
+    CALIBRATION.installed() is None or SENSORS.installed() is None, reason="needs the libraries"
+)
+@pytest.mark.parametrize("config", [ONE_CELL, "icub-force-torque"], ids=["one cell", "six axes"])
+def test_the_library_does_all_of_it_as_python_does(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[Any]] = []
+    for native in (True, False):
+        if not native:
+            for library in (CALIBRATION, SENSORS):
+                monkeypatch.setattr(library, "_found", (None,))
+        env = SelfCalibration(
+            FootSensors(ant(), config), show=("foot_force", "vgrf", "cop", "cop_std", "wrench")
+        )
+        env.reset(seed=2)
+        seen.append([env.step(trot(env, step))[0] for step in range(40)])
+        assert isinstance(env.beliefs, NativeBeliefs) == native
+        assert (env.robot.by_library() is not None) == native
+        assert (env.env.robot.packet_rows() is not None) == native
+        env.close()
+    for one, two in zip(*seen, strict=True):
+        for name, part in one.items():
+            np.testing.assert_allclose(part, two[name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
 def test_presets_have_a_sensor_for_each_foot() -> None:
