@@ -1,8 +1,12 @@
 """The site of `make docs`: the pages as they are, notebooks executed, the reference from docstrings."""
 
 import re
+import sys
 from importlib import metadata
+from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))  # where study_tables is
 
 project, author, release = "surefoot", "", metadata.version("surefoot")
 html_title = f"surefoot {release}"
@@ -13,7 +17,7 @@ repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]
 if "/OWNER/" not in repository:
     html_theme_options |= {"repository_url": repository, "use_repository_button": True}
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "study_tables"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # links name headings as on GitHub
 
