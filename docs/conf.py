@@ -13,6 +13,7 @@ html_title = f"surefoot {release}"
 html_theme = "sphinx_book_theme"
 html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
 html_show_copyright = False
+html_static_path, html_css_files = ["_static"], ["tables.css"]
 repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]
 if "/OWNER/" not in repository:
     html_theme_options |= {"repository_url": repository, "use_repository_button": True}

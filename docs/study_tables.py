@@ -135,7 +135,7 @@ class StudyTableDirective(CSVTable):  # type: ignore[misc]
 
 def _escape(cell: str) -> str:
     text = re.sub(f"([{re.escape(string.punctuation)}])", r"\\\1", cell)
-    return text.replace('"', '""')
+    return text.replace('"', '""').replace(" ± ", "\u00a0±\u00a0")
 
 
 def named_tables(folder: Path) -> Iterator[tuple[Path, str, dict[str, str]]]:
