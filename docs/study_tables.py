@@ -11,6 +11,7 @@ table. It may name columns, and patterns of the first cell of rows, parted by ba
     The caption.
     ```
 
+Figures are links such as ``data/walking/NAME.svg``.
 ``made.json`` beside the data says by which command, with which version and when they were made.
 """
 
@@ -34,6 +35,7 @@ DATA = DOCS / "data"
 MADE = "made.json"
 
 _BLOCK = re.compile(r"^```\{study-table\} *(\S+)\n((?::\w+:.*\n)*)", re.MULTILINE)
+_FIGURE = re.compile(r"\]\(data/([\w-]+)/([^)]+\.svg)\)")
 _README = re.compile(r"(<!-- results -->\n).*?(<!-- end -->)", re.DOTALL)
 
 README_COLUMNS = {
@@ -145,6 +147,12 @@ def named_tables(folder: Path) -> Iterator[tuple[Path, str, dict[str, str]]]:
             yield page, block[1], dict(re.findall(r"^:(\w+): *(.*)$", block[2], re.MULTILINE))
 
 
+def named_figures(folder: Path) -> set[tuple[str, str]]:
+    """Folder and name of each figure of docs/data to which pages below a folder link."""
+    texts = (page.read_text(encoding="utf-8") for page in folder.rglob("*.md"))
+    return {figure for text in texts for figure in _FIGURE.findall(text)}
+
+
 def readme_table(data: Path) -> str:
     """Make README's table: errors of the CoP, in brackets of a single foot, the best in bold."""
     columns = "scenario | " + " | ".join(README_COLUMNS.values())
@@ -171,18 +179,27 @@ def _bold(cells: Sequence[str]) -> list[str]:
 
 
 def main(results: Path) -> None:
-    """Take the tables that pages name from results, fill in README's, and say which are not there."""
-    names = sorted({name for _, name, _ in named_tables(DOCS)})
-    for name in names:
+    """Take tables and figures that pages name from results, a study as a whole, and fill in README's table.
+
+    Raises:
+        ValueError: If a study wrote some of its tables and figures and not the others.
+    """
+    wanted: dict[str, set[str]] = {}
+    for _, name, _ in named_tables(DOCS):
         folder, _, file = name.partition("/")
-        made = results / folder / "tables"
-        if not (made / f"{file}.csv").is_file():
-            print(f"{name}: kept as it is; {made / file}.csv is not there")
-            continue
+        wanted.setdefault(folder, {f"tables/{MADE}"}).add(f"tables/{file}.csv")
+    for folder, file in named_figures(DOCS):
+        wanted.setdefault(folder, {f"tables/{MADE}"}).add(f"figures/{file}")
+    there = sorted(folder for folder in wanted if (results / folder / "tables" / MADE).is_file())
+    for folder in there:
+        if lacking := sorted(file for file in wanted[folder] if not (results / folder / file).is_file()):
+            raise ValueError(f"{results / folder} lacks {', '.join(lacking)}, which pages name.")
+    for folder in there:
         (DATA / folder).mkdir(parents=True, exist_ok=True)
-        for copied in (f"{file}.csv", MADE):
-            copyfile(made / copied, DATA / folder / copied)
-        print(f"{name}: taken from {made}")
+        for file in wanted[folder]:
+            copyfile(results / folder / file, DATA / folder / Path(file).name)
+    for folder in sorted(wanted):
+        print(f"{folder}: {f'{len(wanted[folder]) - 1} taken' if folder in there else 'kept, no results'}")
     readme = DOCS.parent / "README.md"
     text = _README.sub(
         lambda mark: mark[1] + "\n" + readme_table(DATA) + "\n" + mark[2], readme.read_text(encoding="utf-8")

@@ -40,6 +40,8 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     save_tables(
         tmp_path / "out/a/tables", [Table("methods", "Methods", ("method", "CoP", "paper", "paper"), rows)]
     )
+    (tmp_path / "out/a/figures").mkdir()
+    (tmp_path / "out/a/figures/curves_0.1.svg").write_text("<svg/>")
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/page.md").write_text(PAGE)
     (tmp_path / "README.md").write_text("before\n<!-- results -->\nold\n<!-- end -->\nafter\n")
@@ -52,7 +54,9 @@ def test_the_script_takes_what_pages_name_and_keeps_what_no_study_wrote(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(script, "readme_table", lambda data: "| new |\n")
-    (tmp_path / "docs/page.md").write_text(PAGE + "\n```{study-table} b/other\nOther.\n```\n")
+    (tmp_path / "docs/page.md").write_text(
+        PAGE + "\n![x](data/a/curves_0.1.svg)\n```{study-table} b/other\nOther.\n```\n"
+    )
     script.main(tmp_path / "out")
     table = script.read_table(tmp_path / "docs/data", "a/methods")
     assert table.lines[1:] == [["a|b", "NaN", "1", "x"], ["tare", "> 5.1 ± *1.3", "2", "y"]]
@@ -60,13 +64,18 @@ def test_the_script_takes_what_pages_name_and_keeps_what_no_study_wrote(
     made = json.loads((tmp_path / "out/a/tables" / MADE).read_text())
     assert table.version == f"{made['software']}, {made['date']}"
     said = capsys.readouterr().out
-    assert said == (
-        f"a/methods: taken from {tmp_path}/out/a/tables\n"
-        f"b/other: kept as it is; {tmp_path}/out/b/tables/other.csv is not there\n"
-    )
+    assert said == "a: 2 taken\nb: kept, no results\n"
+    assert (tmp_path / "docs/data/a/curves_0.1.svg").read_text() == "<svg/>"
     assert (tmp_path / "README.md").read_text() == (
         "before\n<!-- results -->\n\n| new |\n\n<!-- end -->\nafter\n"
     )
+
+
+def test_a_study_that_lacks_a_table_is_refused(script: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "docs/page.md").write_text(PAGE + "\n```{study-table} a/other\nOther.\n```\n")
+    with pytest.raises(ValueError, match=r"out/a lacks tables/other\.csv, which pages name"):
+        script.main(tmp_path / "out")
+    assert not (tmp_path / "docs/data").exists()
 
 
 def render(page: str, script: ModuleType) -> Any:
@@ -109,7 +118,7 @@ def test_what_is_missing_is_an_error_that_names_it(
 
 def test_all_that_pages_name_is_there_and_nothing_else(script: ModuleType) -> None:
     data = ROOT / "docs" / "data"
-    named = set()
+    named = {data / folder / name for folder, name in script.named_figures(ROOT / "docs")}
     for page, name, options in script.named_tables(ROOT / "docs"):
         table = script.read_table(data, name, **options)
         assert len({len(line) for line in table.lines}) == 1, page
