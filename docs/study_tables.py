@@ -53,7 +53,7 @@ README_ROWS = (
     "a cell spikes five times a second",
     "six-axis sensors in the ankles",
 )
-README_ROBOT = "G1 by a policy, walking"
+README_ROBOT = "g1/walk"
 
 
 class StudyTable(NamedTuple):
@@ -165,7 +165,7 @@ def readme_table(data: Path) -> str:
         cells = zip(_bold(totals[row]), _bold(feet[row]), strict=True)
         lines.append([row, *(f"{total} ({foot})" for total, foot in cells)])
     table = "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---")
-    (_, robot) = read_table(data, "momentum/feet", "moment: foot (mm) | raw: foot (mm)", README_ROBOT).lines
+    (_, robot) = read_table(data, "momentum/feet", "moment: foot (mm) | none: foot (mm)", README_ROBOT).lines
     return (
         f"{table}\n\nOn a Unitree G1 that walks by a policy a foot has {robot[0]} mm, "
         f"raw readings {robot[1]} mm.\n"
