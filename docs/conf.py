@@ -1,12 +1,14 @@
 """The site of `make docs`: the pages as they are, notebooks executed, the reference from docstrings."""
 
+import os
 import re
 import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))  # where study_tables is
+sys.path.insert(0, str(Path(__file__).parent))  # where study_tables is, and for notebooks gallery_figures
+os.environ["PYTHONPATH"] = os.pathsep.join([sys.path[0], *filter(None, [os.environ.get("PYTHONPATH")])])
 
 project, author, release = "surefoot", "", metadata.version("surefoot")
 html_title = f"surefoot {release}"
