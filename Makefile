@@ -31,7 +31,7 @@ LOWEST_TESTS ?= tests/wrappers tests/experiments
 lowest: $(LOWEST)/.made
 	$(LOWEST)/bin/pytest -n auto --dist loadfile -m "not slow" -o filterwarnings=default $(LOWEST_TESTS) $(PYTEST)
 
-# All studies and their tables in docs: about an hour on two cores; what is finished is not run again. More
+# All studies, and their tables into docs/data: about an hour on two cores; what is finished is not run again. More
 # walks, rigs and episodes make narrower intervals.
 RESULTS := out/results
 WALKS ?= 10
@@ -63,7 +63,7 @@ results: $(VENV)/.dev
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
 	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
-	$(BIN)/python docs/fill_tables.py docs/results.md docs/in-situ.md docs/policy-results.md
+	$(BIN)/python docs/study_tables.py $(RESULTS)
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev

@@ -1,6 +1,7 @@
 """Feet that stand, walk and are held: errors of single feet and cells by the foot calibrators.
 
     python benchmarks/momentum.py --out FOLDER --scenes nao/walk g1/walk g1/held-20 --seeds 4
+    python benchmarks/momentum.py --out FOLDER --results out/results/momentum
 
 Elsewhere the total is scored; policies are shown single feet. Each scene is recorded once and played by every
 method. Its map and the true one are held against each other on the same readings: the error of each foot's
@@ -14,8 +15,10 @@ that drift a tenth as fast, ``triple`` three times as bad ones, untold.
 """
 
 import argparse
+import json
 import os
 import pickle
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +38,9 @@ from scipy.stats import chi2
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import stack_rows, take_rows
+from surefoot.experiments.study.page import MADE, save_tables
+from surefoot.experiments.study.tables import Table, decimal
+from surefoot.files import write_text
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -327,6 +333,30 @@ def _row(folder: Path, name: str, seed: int, start: str, methods: Sequence[str])
     return [score(one, method) for method in methods]
 
 
+SHOWN = {"foot": "foot (mm)", "cell": "cell (%)", "nees": "NEES"}
+"""Columns of the pages, of each method; NEES of those that claim a covariance."""
+
+
+def save_results(
+    folder: Path, given: argparse.Namespace, names: Sequence[str], rows: Sequence[Sequence[dict[str, float]]]
+) -> None:
+    """Save the table of the pages, a line a scene, and the command that made it."""
+    columns = [
+        (method, key) for key in SHOWN for method in given.methods if key != "nees" or method == "moment"
+    ]
+    lines = []
+    for i, name in enumerate(names):
+        of = rows[i * given.seeds : (i + 1) * given.seeds]
+        means = (np.nanmean([row[given.methods.index(method)][key] for row in of]) for method, key in columns)
+        scene = name if given.start == "usual" else f"{name}, {given.start}"
+        lines.append((scene, str(given.seeds), *(decimal(float(mean), ".2f") for mean in means)))
+    headings = ("scene", "seeds", *(f"{method}: {SHOWN[key]}" for method, key in columns))
+    save_tables(folder, [Table("feet", "Feet by policy, walking, standing and held", headings, tuple(lines))])
+    made = json.loads((folder / MADE).read_text(encoding="utf-8"))
+    made["command"] = shlex.join(["python", "benchmarks/momentum.py", *sys.argv[1:]])
+    write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
+
+
 def main() -> None:
     """Record the missing walks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -337,6 +367,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=HELD_OUT, help="first seed")
     parser.add_argument("--start", default="usual", choices=("usual", "bench", "triple"))
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--results", type=Path, help="folder for the table of the pages")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     strange = "SUREFOOT_STRANGERS" in os.environ
@@ -353,6 +384,8 @@ def main() -> None:
             means = " | ".join(f"{np.nanmean([row[j][key] for row in of]):.2f}" for key in COLUMNS)
             worse = sum(row[j]["foot"] > 1.02 * row[0]["foot"] for row in of)
             print(f"| {name} | {method} | {means} | {worse} of {len(of)} |", flush=True)
+    if given.results:
+        save_results(given.results / "tables", given, names, rows)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,26 @@
 """The site of `make docs`: the pages as they are, notebooks executed, the reference from docstrings."""
 
+import os
 import re
+import sys
 from importlib import metadata
+from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))  # where study_tables is, and for notebooks gallery_figures
+os.environ["PYTHONPATH"] = os.pathsep.join([sys.path[0], *filter(None, [os.environ.get("PYTHONPATH")])])
 
 project, author, release = "surefoot", "", metadata.version("surefoot")
 html_title = f"surefoot {release}"
 html_theme = "sphinx_book_theme"
 html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
 html_show_copyright = False
+html_static_path, html_css_files = ["_static"], ["tables.css"]
 repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]
 if "/OWNER/" not in repository:
     html_theme_options |= {"repository_url": repository, "use_repository_button": True}
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "study_tables"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # links name headings as on GitHub
 

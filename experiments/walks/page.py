@@ -98,7 +98,8 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
         *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
-    summary = (tables.overview_table(scores, scenarios), timing, alarms)
+    overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS[:2]]
+    summary = (*overviews, timing, alarms)
     sections = [
         Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
         *(_scenario_section(results, scenario, drawn) for scenario in scenarios),

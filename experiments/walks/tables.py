@@ -122,11 +122,14 @@ def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     )
 
 
-def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
-    """Return the CoP errors of all scenarios and methods."""
+def overview_table(
+    scores: Frame, scenarios: Sequence[Scenario], metric: tuple[str, float, str, float] = METRICS[0]
+) -> Table:
+    """Return an error of all scenarios and methods, by default that of the CoP."""
+    error, factor, heading, _ = metric
 
     def error_of(method: str) -> Cell:
-        return lambda item: with_interval(item[1][item[1]["method"] == method]["cop"], 1e3)
+        return lambda item: with_interval(item[1][item[1]["method"] == method][error], factor)
 
     columns: dict[str, Cell] = {
         "scenario": lambda item: item[0].title,
@@ -134,7 +137,8 @@ def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
         **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
     }
     parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
-    return table_of("overview", "CoP rmse in mm, all scenarios", columns, [p for p in parts if len(p[1])])
+    name = "overview" + error.removeprefix("cop")
+    return table_of(name, f"{heading}, all scenarios", columns, [p for p in parts if len(p[1])])
 
 
 def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:

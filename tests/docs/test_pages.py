@@ -241,17 +241,3 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_code() -> None:
     code = "".join(joined.sub("", path.read_text(encoding="utf-8")) for path in files)
     assert len(messages) > 12
     assert [message for message in messages if message.strip() not in code] == []
-
-
-def test_the_readme_fits_on_a_screen_and_its_results_are_those_of_the_results_page() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert len(text.split()) <= 700
-    table = text.partition("## What it is worth")[2].partition("## ")[0]
-    results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    numbers = [
-        cell.strip("* ") for line in re.findall(r"^\|.*$", table, re.MULTILINE) for cell in line.split("|")
-    ]
-    missing = [
-        cell for cell in numbers if re.fullmatch(r"[\d.]+", cell) and not re.search(rf"\b{cell}\b", results)
-    ]
-    assert missing == []
