@@ -1,8 +1,7 @@
 """The robot's command to itself at one control tick."""
 
-from collections.abc import Callable
 from math import atan2, cos, pi, sin
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,9 +62,3 @@ def rotate_level(x: float, y: float, heading: float) -> list[float]:
     """Return a vector of the world, turned about the vertical into a frame with a heading in rad."""
     c, s = cos(heading), sin(heading)
     return [c * x + s * y, c * y - s * x]
-
-
-def each(function: Callable[[float], float], numbers: Any) -> NDArray[np.float64]:
-    """Apply a function of :mod:`math` to each number: NumPy's differ from it in the last digit."""
-    flat = [function(number) for number in np.ravel(numbers).tolist()]
-    return np.array(flat).reshape(np.shape(numbers))

@@ -154,9 +154,7 @@ class FeetObserver:
         # Addresses are of no use elsewhere.
         return FeetObserver, (self._places, self._force_bound)
 
-    def look(
-        self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int = 1
-    ) -> Look:
+    def look(self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int = 1) -> Look:
         """Show the last row of a control step, of one robot or of many.
 
         Args:
@@ -213,7 +211,9 @@ def observe(
     middle_x, middle_y, heading = places.feet.level(row)
     level = rotate_level(x - middle_x, y - middle_y, heading)
     kept = cop_held.tolist()
-    held = [place if there else old for there, place, old in zip(valid, (level, *cop_foot), kept, strict=True)]
+    held = [
+        place if there else old for there, place, old in zip(valid, (level, *cop_foot), kept, strict=True)
+    ]
     shown = [[_clip(part, COP_BOUND) for part in place] for place in held]
 
     at, joints = places.com_velocity, places.joint_dofs.size

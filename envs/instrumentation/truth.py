@@ -11,7 +11,7 @@ share the ground's force, and their centre of pressure is that of the contacts.
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray

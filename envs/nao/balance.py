@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, each
+from surefoot.envs.command import Command
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
@@ -112,28 +112,29 @@ class NaoBalanceEnv(NaoStandEnv):
         return sway
 
     @staticmethod
-    def join(plans: Sequence["RandomSway"]) -> "RandomSway":
+    def join(plans: Sequence["RandomSway"]) -> "RandomSways":
         """Put sways of many robots into one."""
-        return RandomSway(np.array([plan.waves for plan in plans]), plans[0].stand_time)
+        return RandomSways(tuple(plans))
 
-    def command_at(self, plan: "RandomSway", tick: Any) -> Command:
+    def command_at(self, plan: "RandomSway | RandomSways", tick: Any) -> Command:
         """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
-        moves = tick > self.quiet_ticks
-        if not np.any(moves):
+        if np.ndim(tick):
+            tick = np.where(tick > self.quiet_ticks, tick, 0)
+        elif tick <= self.quiet_ticks:
             return self._still
-        sway, speed, bend = plan.at(np.where(moves, tick, 0) * CONTROL_STEP)
-        com = np.empty((*np.shape(tick), 3))
-        com[...] = self._com
-        com[..., :2] += sway
-        flat = np.zeros((2, *com.shape))
-        flat[0, ..., :2], flat[1, ..., :2] = speed, bend
-        follow_x, follow_y = self._follow
+        motion = np.array(plan.at(tick * CONTROL_STEP))
+        place = motion[..., 0, :]
+        parts = np.zeros((*motion.shape[:-1], 3))
+        parts[..., :2] = motion
+        parts[..., 0, :] += self._com
+        com, velocity, acceleration = parts[..., 0, :], parts[..., 1, :], parts[..., 2, :]
+        forward, left = self._follow
         return self._still._replace(
-            joint_target=self._lean(sway[..., 0] / follow_x, sway[..., 1] / follow_y),
+            joint_target=self._lean(place[..., 0] / forward, place[..., 1] / left),
             com=com,
-            com_velocity=flat[0],
-            com_acceleration=flat[1],
-            cop=com[..., :2] - float(self._com[2]) / self._gravity * bend,
+            com_velocity=velocity,
+            com_acceleration=acceleration,
+            cop=com[..., :2] - self._com[2] / self._gravity * acceleration[..., :2],
         )
 
     def reward(self, seen: Seen) -> dict[str, float]:
@@ -163,12 +164,11 @@ class RandomSway(NamedTuple):
     continuous; the amplitudes of an axis add up to at most its bound.
 
     Attributes:
-        waves: Amplitude in m, rate in rad/s and phase in rad of each sine, forward and to the left, of one
-            robot or with many in front, shape (..., 2, 3, 3).
+        waves: Amplitude in m, rate in rad/s and phase in rad of each sine, forward and to the left, (2, 3, 3).
         stand_time: How long it is still first, in s.
     """
 
-    waves: NDArray[np.float64]
+    waves: Sequence[Sequence[Sequence[float]]]
     stand_time: float
 
     @classmethod
@@ -190,35 +190,42 @@ class RandomSway(NamedTuple):
         shares = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(*share, (2, 1))
         rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
         phase = rng.uniform(-pi, pi, (2, WAVES))
-        return cls(np.stack([shares * np.array(amplitude)[:, None], rate, phase], axis=-1), stand_time)
+        waves = np.stack([shares * np.array(amplitude)[:, None], rate, phase], axis=-1)
+        return cls(waves.tolist(), stand_time)
 
-    def at(self, time: Any) -> tuple[NDArray[np.float64], ...]:
-        """Return the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2.
-
-        Args:
-            time: In s, a number, or one a robot, shape (N,).
-        """
-        moved = np.asarray(time) - self.stand_time
-        size, rate, phase = self.waves[..., 0], self.waves[..., 1], self.waves[..., 2]
-        angle = rate * moved[..., None, None] + phase
-        sine = size * each(sin, angle)
-        wave, slope = _sum(sine), _sum(size * each(cos, angle) * rate)
-        curve = -_sum(sine * (rate * rate))
-        fade, rise, bend = (part[..., None] for part in _fade(np.clip(moved / FADE_TIME, 0.0, 1.0)))
-        return (
-            fade * wave,
-            rise * wave + fade * slope,
-            bend * wave + 2.0 * rise * slope + fade * curve,
-        )
-
-
-def _sum(parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Add up the sines of an axis."""
-    total: NDArray[np.float64] = parts[..., 0] + parts[..., 1] + parts[..., 2]
-    return total
+    def at(self, time: float) -> list[tuple[float, ...]]:
+        """Return the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
+        moved = time - self.stand_time
+        fade, rise, bend = _fade(min(max(moved / FADE_TIME, 0.0), 1.0))
+        motions = []
+        for waves in self.waves:
+            wave = slope = curve = 0.0
+            for size, rate, phase in waves:
+                sine, cosine = sin(rate * moved + phase), cos(rate * moved + phase)
+                wave += size * sine
+                slope += size * cosine * rate
+                curve -= size * sine * (rate * rate)
+            motions.append(
+                (fade * wave, rise * wave + fade * slope, bend * wave + 2.0 * rise * slope + fade * curve)
+            )
+        return list(zip(*motions, strict=True))
 
 
-def _fade(since: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+class RandomSways(NamedTuple):
+    """The sways of N robots.
+
+    Attributes:
+        sways: One a robot.
+    """
+
+    sways: Sequence[RandomSway]
+
+    def at(self, times: NDArray[np.float64]) -> list[list[tuple[float, ...]]]:
+        """Return the motion of each at a time of its own, (N, 3, 2); see :meth:`RandomSway.at`."""
+        return [sway.at(time) for sway, time in zip(self.sways, times.tolist(), strict=True)]
+
+
+def _fade(since: float) -> tuple[float, float, float]:
     """The smooth step at a share of the fade, and its first two derivatives in time in 1/s and 1/s^2."""
     fade = since * since * since * (10.0 - 15.0 * since + 6.0 * since * since)
     rise = 30.0 * since * since * (1.0 - since) * (1.0 - since) / FADE_TIME

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, each
+from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
 from surefoot.envs.options import numbers_of, positive
 from surefoot.envs.robots.nao import FEET, place_on_ground
@@ -81,17 +81,16 @@ class NaoStandEnv(NaoEnv):
         posture: NDArray[np.float64] = self._posture + pitch + np.multiply.outer(left / self._height, roll)
         return posture
 
-    def _sine(self, tick: Any) -> tuple[Any, Any, Any]:
+    def _sine(self, tick: int) -> tuple[float, float, float]:
         """A sine that fades in over its first period, with its first two derivatives in time."""
         rate, time = self._rate, tick * CONTROL_STEP
-        sine, cosine = each(sin, rate * time), each(cos, rate * time)
+        sine, cosine = sin(rate * time), cos(rate * time)
         half = 0.5 * rate
         # After a whole period of the sine the fade is complete, half of one of its own.
-        turn = np.minimum(half * time, pi)
-        fade = 0.5 - 0.5 * each(cos, turn)
-        fading = turn < pi
-        slope = np.where(fading, 0.5 * half * each(sin, turn), 0.0)
-        curve = np.where(fading, 0.5 * half * half * each(cos, turn), 0.0)
+        turn = min(half * time, pi)
+        fade = 0.5 - 0.5 * cos(turn)
+        slope = 0.5 * half * sin(turn) if turn < pi else 0.0
+        curve = 0.5 * half * half * cos(turn) if turn < pi else 0.0
         return (
             fade * sine,
             slope * sine + fade * rate * cosine,
@@ -103,7 +102,10 @@ class NaoStandEnv(NaoEnv):
         return self._sample(tick) if any(self._sway) else self._still
 
     def _sample(self, tick: Any) -> Command:
-        where, speed, acceleration = self._sine(tick)
+        ticks = np.ravel(tick).tolist()
+        where, speed, acceleration = np.array([self._sine(one) for one in ticks]).T.reshape(
+            3, *np.shape(tick)
+        )
         outer = np.multiply.outer
         forward, left = self._sway
         sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])

@@ -50,7 +50,9 @@ class NaoPatternEnv(NaoEnv):
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""
         tilt = acos(min(max(seen.up_z, -1.0), 1.0)) / TILT_SCALE
-        cop = closeness(seen.cop_error_forward, seen.cop_error_left, self.cop_scale) if seen.cop_valid else 0.0
+        cop = (
+            closeness(seen.cop_error_forward, seen.cop_error_left, self.cop_scale) if seen.cop_valid else 0.0
+        )
         return {
             "reward_alive": 1.0,
             "reward_progress": closeness(

@@ -68,6 +68,7 @@ class Call:
         at, self._kept = record_at(library, room, {name: places[name][1] for name in fields})
         self._function = partial(getattr(library.functions, function), constants, at)
         self._robots = np.arange(robots or 1, dtype=np.int32)
+        self._first = self._robots.ctypes.data
 
     def __call__(self, *inputs: NDArray[Any], threads: int = 1) -> NDArray[Any]:
         """Fill a fresh record of all results.
@@ -77,6 +78,9 @@ class Call:
             threads: As of :func:`~surefoot.native.call_for_many`.
         """
         results = np.empty((), self._results)
-        addresses = [array.ctypes.data for array in inputs]
-        call_for_many(partial(self._function, *addresses, results.ctypes.data), (self._robots,), threads)
+        addresses = [array.ctypes.data for array in (*inputs, results)]
+        if len(self._robots) == 1:
+            self._function(*addresses, self._first, 1)
+        else:
+            call_for_many(partial(self._function, *addresses), (self._robots,), threads)
         return results
