@@ -174,7 +174,9 @@ class FeetObserver:
         elif rows.ndim == 2:
             shown, wrench, seen, held = observe(rows[-1], qvel, command, cop_held, self._places)
         else:
-            robots = zip(rows[:, -1], qvel, map(Command._make, zip(*command)), cop_held, strict=True)
+            robots = zip(
+                rows[:, -1], qvel, map(Command._make, zip(*command, strict=True)), cop_held, strict=True
+            )
             looks = [observe(*robot, self._places) for robot in robots]
             shown = {name: np.array([look[0][name] for look in looks]) for name in looks[0][0]}
             wrench, seen, held = (np.array([look[i] for look in looks]) for i in (1, 2, 3))
@@ -289,8 +291,8 @@ class _Observe:
         single, real = np.float32, np.float64
         fields = {
             "wrench": (real, (12,)), "held": (real, (3, 2)), "seen": (real, (len(Seen._fields) - 1,)),
-            "state": (single, (2 * places.joint_dofs.size + STATE,)), "cop_foot": (single, (2, 2)), "cop": (single, (2,)),
-            "cop_valid": (single, (3,)),
+            "state": (single, (2 * places.joint_dofs.size + STATE,)), "cop_foot": (single, (2, 2)),
+            "cop": (single, (2,)), "cop_valid": (single, (3,)),
         }  # fmt: skip
         front = robots[0] if robots else None
         self._call = Call(library, "surefoot_observe", "observation_room", at, fields, front)

@@ -342,7 +342,7 @@ class Motion:
         )
 
     def command(self, time: Any, plan: Schedule) -> Command:
-        """Return the command of a plan at a time in s after the episode start; of many robots at (N,) times."""
+        """Return a plan's command at a time in s after the episode start; of many robots at (N,) times."""
         table = self._table
         cycle = np.remainder(time, plan.total)
         k = (plan.end <= cycle[..., None]).sum(axis=-1)

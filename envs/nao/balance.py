@@ -164,7 +164,7 @@ class RandomSway(NamedTuple):
     continuous; the amplitudes of an axis add up to at most its bound.
 
     Attributes:
-        waves: Amplitude in m, rate in rad/s and phase in rad of each sine, forward and to the left, (2, 3, 3).
+        waves: Amplitude in m, rate in rad/s and phase in rad of the sines forward and to the left, (2, 3, 3).
         stand_time: How long it is still first, in s.
     """
 

@@ -242,11 +242,13 @@ class NaoEnv(BipedEnv):
         return draw_nao()
 
     def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
+        """Push the robot, and hand it its payload, as drawn."""
         if not prepares:
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
 
     def read(self, rows: NDArray[np.float64]) -> Truth:
+        """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return Truth(rows, self.channels)
 
     def reward(self, seen: Seen) -> dict[str, float]:
