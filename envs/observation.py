@@ -174,9 +174,9 @@ class FeetObserver:
         elif rows.ndim == 2:
             shown, wrench, seen, held = observe(rows[-1], qvel, command, cop_held, self._places)
         else:
-            robots = zip(
-                rows[:, -1], qvel, map(Command._make, zip(*command, strict=True)), cop_held, strict=True
-            )
+            parts: Any = command
+            commands = [Command._make(part[robot] for part in parts) for robot in range(len(rows))]
+            robots = zip(rows[:, -1], qvel, commands, cop_held, strict=True)
             looks = [observe(*robot, self._places) for robot in robots]
             shown = {name: np.array([look[0][name] for look in looks]) for name in looks[0][0]}
             wrench, seen, held = (np.array([look[i] for look in looks]) for i in (1, 2, 3))
