@@ -97,7 +97,7 @@ class NaoStandEnv(NaoEnv):
             curve * sine + 2.0 * slope * rate * cosine - fade * rate * rate * sine,
         )
 
-    def command_at(self, plan: None, tick: Any) -> Command:
+    def command_at(self, plan: Any, tick: Any) -> Command:
         """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
         return self._sample(tick) if any(self._sway) else self._still
 
