@@ -241,9 +241,8 @@ class BatchVectorEnv(SyncVectorEnv):
         self.truth, self.mean_truth = task.read(self._rows), task.mean_truth(self._rows, self._threads)
         correction = task.correct(self.truth, state.command)
         self.state = state._replace(correction=correction, cop_held=look.cop_held)
-        return look._replace(
-            observation={key: look.observation[key] for key in self.single_observation_space}
-        )
+        keys: Any = self.single_observation_space
+        return look._replace(observation={key: look.observation[key] for key in keys})
 
     def _share(self) -> None:
         """Bring the robots' own environments to where the robots are now."""
