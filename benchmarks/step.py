@@ -5,6 +5,9 @@
     python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
     python benchmarks/step.py --robots NaoBalance --launchers
+    python benchmarks/step.py --write out/results/speed && python docs/fill_tables.py docs/speed.md
+
+The last one, on a machine with nothing else to do, makes the tables of docs/speed.md, in some ten minutes.
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
@@ -14,18 +17,28 @@ that passes. The specification is the Python that runs where no library is (``SU
 ``pip install surefoot[robots]``.
 
 Many robots are copies in Gymnasium's ``SyncVectorEnv``, or, where MuJoCo's threads step the task, its own
-vector environment. ``--launchers`` compares both with ``AsyncVectorEnv``, the first of the table.
+vector environment. ``--launchers`` compares both with ``AsyncVectorEnv``, the first of the table. The memory
+of many is that of a process of its own which has stepped them once.
 """
 
 import argparse
 import cProfile
+import csv
+import json
 import os
+import platform
 import pstats
+import resource
+import shlex
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager, nullcontext
+from datetime import UTC, datetime
 from functools import partial
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -33,9 +46,10 @@ from unittest.mock import patch
 import gymnasium as gym
 import numpy as np
 
-import surefoot  # noqa: F401
+import surefoot
 from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.envs import InstrumentedEnv
+from surefoot.envs.native import NATIVE as ENVS
 from surefoot.native import cores
 from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -68,7 +82,9 @@ RESETS = 40
 @contextmanager
 def specification() -> Iterator[None]:
     """Let Python do the work of the libraries."""
-    with patch.object(CALIBRATION, "_found", (None,)), patch.object(SENSORS, "_found", (None,)):
+    with ExitStack() as stack:
+        for library in (CALIBRATION, ENVS, SENSORS):
+            stack.enter_context(patch.object(library, "_found", (None,)))
         yield
 
 
@@ -173,8 +189,31 @@ def many(
     return {name: Stack(env, True) for name, env in found.items()}
 
 
-def compare(found: dict[str, Stack], rounds: int, steps: int, robots: int = 1) -> None:
-    """Step all in turns and print their rows of the table; of many robots in the wall's time as well."""
+class Cost(NamedTuple):
+    """What a step of one stack costs, medians over the rounds.
+
+    Attributes:
+        used: Time of the process and its children in s.
+        ratio: How many times the first stack's in the same round it is.
+        low, high: Where this median lies 19 times in 20.
+        passed: Time that passes in s.
+        passed_ratio: How many times the first stack's it is.
+        added: Time that passes more than with the first stack, in s.
+        reset: Time of a reset in s; NaN where none was timed.
+    """
+
+    used: float
+    ratio: float
+    low: float
+    high: float
+    passed: float
+    passed_ratio: float
+    added: float
+    reset: float
+
+
+def compare(found: dict[str, Stack], rounds: int, steps: int, resets: int = 0) -> dict[str, Cost]:
+    """Step all in turns, and time some resets."""
     taken: dict[str, list[float]] = {name: [] for name in found}
     walls: dict[str, list[float]] = {name: [] for name in found}
     for number in range(-3, rounds):
@@ -191,25 +230,71 @@ def compare(found: dict[str, Stack], rounds: int, steps: int, robots: int = 1) -
         if ended and number > -3:
             for stack in found.values():
                 stack.reset()
-    resets: dict[str, list[float]] = {name: [] for name in found}
-    for _ in range(RESETS):
+    timed: dict[str, list[float]] = {name: [] for name in found}
+    for _ in range(resets):
         for name, stack in found.items():
             stack.run(2)
-            resets[name].append(stack.reset(None))
+            timed[name].append(stack.reset(None))
     bare, wall = (np.array(next(iter(times.values()))) for times in (taken, walls))
-    for name, times in taken.items():
-        ratio = np.sort(np.array(times) / bare)
+    costs = {}
+    for name in found:
+        used, passed = np.array(taken[name]), np.array(walls[name])
+        ratio = np.sort(used / bare)
         # Order statistics around the median: how many of n are below it is binomial.
         middle, away = len(ratio) / 2, 0.98 * np.sqrt(len(ratio))
         low, high = (ratio[int(np.clip(middle + off, 0, len(ratio) - 1))] for off in (-away, away))
-        told = f"{1e6 * np.median(times):9.0f} {np.median(ratio):6.2f}"
-        reset = 1e6 * np.median(resets[name])
-        line = f"  {name:44s} {told}  ({low:.2f} to {high:.2f}) {reset:9.0f}"
+        medians = [np.median(part) for part in (passed, passed / wall, passed - wall)]
+        reset = np.median(timed[name]) if resets else np.nan
+        costs[name] = Cost(*map(float, (np.median(used), np.median(ratio), low, high, *medians, reset)))
+    return costs
+
+
+def print_costs(costs: dict[str, Cost], robots: int = 1) -> None:
+    """Print rows of the table; of many robots in the time that passes as well."""
+    for name, cost in costs.items():
+        line = f"  {name:44s} {1e6 * cost.used:9.0f} {cost.ratio:6.2f}  ({cost.low:.2f} to {cost.high:.2f})"
+        if np.isfinite(cost.reset):
+            line += f" {1e6 * cost.reset:9.0f}"
         if robots > 1:
-            passed = np.array(walls[name])
-            added = 1e6 * np.median(passed - wall) / robots
-            line += f"   wall {np.median(passed / wall):5.2f} of bare, {added:6.1f} us a robot added"
+            line += (
+                f"   wall {cost.passed_ratio:5.2f} of bare, {1e6 * cost.added / robots:6.1f} us a robot added"
+            )
         print(line, flush=True)
+
+
+def memory_of(name: str, count: int) -> float:
+    """Return the largest memory in GB of this process, which steps robots with sensors and filter once."""
+    robot = ROBOTS[name]
+    bare = gym.make_vec(robot.env, count, "vector_entry_point", **robot.options)
+    stack = Stack(VectorSelfCalibration(VectorFootSensors(bare, robot.config), "moment"), True)
+    stack.reset()
+    stack.run(1)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+
+
+def save(folder: Path, name: str, heads: list[str], rows: list[list[str]]) -> None:
+    """Write a table that docs/fill_tables.py puts into a page, and how it was made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([heads, *rows])
+    made = {
+        "command": shlex.join(["python", *sys.argv]),
+        "software": f"surefoot {surefoot.__version__}, {cores()} cores, {processor()}, load {LOAD:.1f}",
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+    }
+    (folder / "made.json").write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+
+
+def processor() -> str:
+    """Return the name of the processor."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+LOAD = os.getloadavg()[0]
+"""How many processes wanted to run on the average of the minute before."""
 
 
 def print_shares(run: Callable[[], Any], deepest: int = 18) -> None:
@@ -234,12 +319,17 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=["moment"])
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--steps", type=int, default=20, help="steps of each stack in a round")
-    parser.add_argument("--many", nargs="*", type=int, default=[64], help="robots of vector environments")
-    parser.add_argument("--threads", nargs="+", type=int, default=[1, cores()], help="of vector environments")
+    parser.add_argument("--many", nargs="*", type=int, help="robots of vector environments, by default 64")
+    parser.add_argument("--threads", nargs="+", type=int, help="of these, by default 1, 2 and one a core")
+    parser.add_argument("--memory", type=int, default=0, help="measure the memory of so many robots")
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--launchers", action="store_true", help="also Gymnasium's, of many robots alone")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
+    parser.add_argument("--write", type=Path, help="folder for tables, of 64, 256, 1024 and 4096 robots")
     arguments = parser.parse_args()
+    counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
+    all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})
+    ones, more = [], []
 
     print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s} {'':14s} {'us/reset':>10s}")
     for name in () if arguments.launchers else arguments.robots:
@@ -250,15 +340,49 @@ def main() -> None:
             print(f"  {missing}")
             continue
         found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
-        compare(found, arguments.rounds, arguments.steps)
+        costs = compare(found, arguments.rounds, arguments.steps, RESETS)
+        print_costs(costs)
+        ones += [[name, *row_of_one(layer, cost)] for layer, cost in costs.items()]
         if arguments.shares:
             last = found[f"+ SelfCalibration({arguments.methods[-1]})"]
             print_shares(partial(last.run, 1000))
     of_batches = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
-    for name, count, threads in product(of_batches, arguments.many, arguments.threads):
+    for name, count, threads in product(of_batches, counts, all_threads):
         print(f"{name}, {count} robots, {threads} threads")
         rest = arguments.methods, arguments.faults, threads, arguments.launchers
-        compare(many(ROBOTS[name], count, *rest), max(20, arguments.rounds // 8), 5, count)
+        rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
+        costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
+        print_costs(costs, count)
+        bare, last = next(iter(costs.values())), list(costs.values())[-1]
+        more.append([name, f"{count:,}", str(threads), *row_of_many(bare, last, count)])
+    held = []
+    robots_held = arguments.memory or (4096 if arguments.write else 0)
+    for name in of_batches if robots_held else ():
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            size = pool.submit(memory_of, name, robots_held).result()
+        print(f"{name}, {robots_held} robots with sensors and calibration: {size:.2f} GB")
+        held.append([name, f"{robots_held:,}", f"{size:.2f}"])
+    if arguments.write:
+        save(arguments.write, "one", ["robot", "layers", "CPU µs a step", "of bare", "µs a reset"], ones)
+        save(arguments.write, "many", MANY_HEADS, more)
+        save(arguments.write, "memory", ["robot", "robots", "GB"], held)
+
+
+MANY_HEADS = [
+    "robot", "robots", "threads", "bare, ms", "wall time of bare", "µs a robot added", "CPU time of bare",
+]  # fmt: skip
+
+
+def row_of_one(layer: str, cost: Cost) -> list[str]:
+    """Return a row of the table of one robot."""
+    ratio = f"{cost.ratio:.2f} ({cost.low:.2f} to {cost.high:.2f})"
+    return [layer, f"{1e6 * cost.used:.0f}", ratio, f"{1e6 * cost.reset:.0f}"]
+
+
+def row_of_many(bare: Cost, cost: Cost, count: int) -> list[str]:
+    """Return a row of the table of many robots, with sensors and the last method."""
+    added = f"{1e6 * cost.added / count:.1f}"
+    return [f"{1e3 * bare.passed:.1f}", f"{cost.passed_ratio:.2f}", added, f"{cost.ratio:.2f}"]
 
 
 if __name__ == "__main__":

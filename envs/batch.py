@@ -1,11 +1,10 @@
 """Many robots of a task at once, stepped by MuJoCo's own threads.
 
-A robot's draws at an episode start come from an environment of its own. From there on all robots
-together are one more environment of the task: its functions serve arrays with the robots in front, and
-:class:`mujoco.batch.Batch` takes the place of ``mj_step``.
+A robot's draws at an episode start come from an environment of its own. From there on the task's functions
+are called for all robots at once, on a :class:`~surefoot.envs.biped.State` with these in front of each array,
+and :class:`mujoco.batch.Batch` takes the place of ``mj_step``.
 """
 
-from copy import copy
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -16,18 +15,18 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from surefoot.envs.biped import BipedEnv
+from surefoot.envs.biped import BipedEnv, State, effort
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.nao.balance import NaoBalanceEnv
 from surefoot.envs.nao.carry import NaoCarryEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.numbers import MANY
-from surefoot.envs.observation import Observation
+from surefoot.envs.observation import Look, Observation
 from surefoot.envs.options import check_render_mode
+from surefoot.native import cores
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that MuJoCo's next step depends on."""
 
 RECORD = ("sensordata", "qvel")
@@ -53,8 +52,9 @@ class BatchVectorEnv(SyncVectorEnv):
         **options: Of the task.
 
     Attributes:
-        robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
-        mean_truth: Means of the present truth (:func:`~surefoot.envs.instrumentation.means.mean_truth`).
+        state: Where all robots are in their episodes, with these in front of each array.
+        truth: The truth of their last step, likewise.
+        mean_truth: Means of it (:class:`~surefoot.envs.instrumentation.means.MeanTruth`).
         ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
@@ -82,15 +82,12 @@ class BatchVectorEnv(SyncVectorEnv):
         check_render_mode(options.get("render_mode"), ["rgb_array"])
         super().__init__([partial(task, **options)] * num_envs, autoreset_mode=autoreset_mode)
         self.ended: dict[int, SimpleNamespace] = {}
-        first = self.envs[0]
-        self._substeps, model = first._substeps, first.model
-        self._rows = np.empty((num_envs, self._substeps, model.nsensordata))
-        self._qvel = np.empty((num_envs, self._substeps, model.nv))
-        self.robots = copy(first)
-        self.robots._numbers = MANY
-        self.robots._observer = copy(first._observer)
-        self.robots._observer.numbers = MANY
-        self.robots._target = np.empty((num_envs, model.nu))
+        self._task, model = self.envs[0], self.envs[0].model
+        self._rows = np.empty((num_envs, self._task.substeps, model.nsensordata))
+        self._qvel = np.empty((num_envs, self._task.substeps, model.nv))
+        self._threads = threads or cores()
+        self.state: State | None = None
+        self._plans: list[Any] = [None] * num_envs
         self._batch = Batch(model, num_envs, threads)
         # A robot's pushes write into its own row of all robots' forces.
         self._pushed = [SimpleNamespace(xfrc_applied=force) for force in self._batch.xfrc_applied]
@@ -107,7 +104,17 @@ class BatchVectorEnv(SyncVectorEnv):
         mask = (options or {}).get("reset_mask")
         _, infos = super().reset(seed=seed, options=options)
         self._begin(np.ones(self.num_envs, dtype=bool) if mask is None else mask)
-        return self._observe()[0], infos
+        return self._look().observation, infos
+
+    @property
+    def command(self) -> Command:
+        """The robots' present commands to themselves, with these in front of each array."""
+        return self._present.command
+
+    @property
+    def _present(self) -> State:
+        assert self.state is not None
+        return self.state
 
     def step(
         self, actions: NDArray[np.float32]
@@ -122,8 +129,8 @@ class BatchVectorEnv(SyncVectorEnv):
             gymnasium.error.ResetNeeded: If the environment has not been reset, or, in the mode ``DISABLED``,
                 robots whose episode is over have not.
         """
-        robots, over, mode = self.robots, self._autoreset_envs, self.autoreset_mode
-        if robots._tick is None:
+        task, state, over, mode = self._task, self.state, self._autoreset_envs, self.autoreset_mode
+        if state is None:
             raise ResetNeeded("Call reset() before the first step().")
         if mode is AutoresetMode.DISABLED and over.any():
             raise ResetNeeded(
@@ -132,51 +139,47 @@ class BatchVectorEnv(SyncVectorEnv):
             )
         starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
         stepping = ~starting
-        residual = robots._check_action(actions, (self.num_envs,))
+        residual = task.check_action(actions, (self.num_envs,))
         prepares = np.array([env.prelude.playing for env in self.envs])
-        residual[(robots._tick < robots._quiet_ticks) & ~prepares] = 0.0
-        robots._tick += ~prepares
-        self._set_commands(..., robots._command(robots._tick))
+        residual[(state.tick < task.quiet_ticks) & ~prepares] = 0.0
+        state.tick[...] += ~prepares
+        self._set_commands(..., task.command_at(state.plan, state.tick))
         for i in np.flatnonzero(prepares & stepping).tolist():
             self._set_commands(i, self.envs[i].prelude.next())
-        targets = robots._targets(residual)
+        targets = task.targets(state, residual)
         self._disturb(stepping, prepares)
-        robots._target = targets[:, -1]
+        state.target[...] = targets[:, -1]
         who = None if stepping.all() else np.flatnonzero(stepping)
         if who is None:
             out = {"sensordata": self._rows, "qvel": self._qvel}
-            self._batch.rollout(self._substeps, targets, record=RECORD, out=out)
+            self._batch.rollout(task.substeps, targets, record=RECORD, out=out)
         else:
-            recorded = self._batch.rollout(self._substeps, targets[who], record=RECORD, ids=who)
+            recorded = self._batch.rollout(task.substeps, targets[who], record=RECORD, ids=who)
             self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
 
         if who is not None:
             self._restart(starting)
-        observation, pressed, truth = self._observe()
-        terms = robots._pay(pressed, residual)
+        look = self._look()
+        judged = [task.judge(seen) for seen in np.c_[look.seen, effort(residual)].tolist()]
+        terms = {name: np.array([paid[name] for paid, _ in judged]) for name in judged[0][0]}
         rewards = np.where(stepping, sum(terms.values()), 0.0)
-        terminated = robots._fallen() & stepping
-        truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)
+        terminated = np.array([fallen for _, fallen in judged]) & stepping
+        truncated = stepping & (task.last_tick is not None and self._present.tick >= task.last_tick)
         self._autoreset_envs = done = terminated | truncated
         infos: dict[str, Any] = {}
         self.ended = {}
         if mode is AutoresetMode.SAME_STEP and done.any():
             finals = np.full(self.num_envs, None)
             for i in np.flatnonzero(done).tolist():
-                finals[i] = {key: part[i].copy() for key, part in observation.items()}
+                finals[i] = {key: part[i].copy() for key, part in look.observation.items()}
                 self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
-            last = {"final_obs": finals, "final_info": _gather_infos(truth, terms, done, done)}
-            infos, stepping = _add_masks(last, done), ~done
+            told = _gather_infos(self.mean_truth, terms, done, done)
+            infos, stepping = _add_masks({"final_obs": finals, "final_info": told}, done), ~done
             self._restart(done)
-            observation, *_, truth = self._observe()
+            look = self._look()
         everyone = np.ones(self.num_envs, dtype=bool)
-        return (
-            observation,
-            rewards,
-            terminated,
-            truncated,
-            infos | _gather_infos(truth, terms, everyone, stepping),
-        )
+        infos |= _gather_infos(self.mean_truth, terms, everyone, stepping)
+        return look.observation, rewards, terminated, truncated, infos
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
@@ -196,23 +199,24 @@ class BatchVectorEnv(SyncVectorEnv):
 
     def _begin(self, starting: NDArray[np.bool_]) -> None:
         """Take over the robots whose own environments have just been reset."""
-        robots = self.robots
-        if robots._tick is None:
-            robots._tick = np.zeros(self.num_envs, dtype=np.int64)
-            robots.command = Command._make(np.array([part] * self.num_envs) for part in self.envs[0].command)
+        states = [env.state for env in self.envs]
+        if self.state is None:
+            command = Command._make(np.array([part] * self.num_envs) for part in states[0].command)
+            parts = (np.array([part] * self.num_envs) for part in states[0][3:])
+            self.state = State(None, np.zeros(self.num_envs, dtype=np.int64), command, *parts)
         for i in np.flatnonzero(starting).tolist():
             env = self.envs[i]
-            mujoco.mj_getState(env.model, env.data, self._batch.state[i], STATE)
+            mujoco.mj_getState(env.model, env.data, self._batch.state[i], PHYSICS)
             self._rows[i], self._qvel[i] = env.data.sensordata, env.data.qvel
-            robots._target[i], robots._tick[i] = env._target, 0
-            self._set_commands(i, env.command)
+            self.state.tick[i], self.state.target[i], self.state.cop_held[i] = 0, states[i].target, 0.0
+            self._set_commands(i, states[i].command)
+            self._plans[i] = states[i].plan
         self._batch.set_models([env.model for env in self.envs])
-        robots._join(self.envs)
-        robots._observer.reset(starting)
+        self.state = self.state._replace(plan=self._task.join(self._plans))
 
     def _set_commands(self, robots: Any, command: Command) -> None:
         rows: Any
-        for rows, part in zip(self.robots.command, command, strict=True):
+        for rows, part in zip(self.command, command, strict=True):
             rows[robots] = part
 
     def _disturb(self, stepping: NDArray[np.bool_], prepares: NDArray[np.bool_]) -> None:
@@ -221,37 +225,46 @@ class BatchVectorEnv(SyncVectorEnv):
         for env, pushed, tick, steps, prepare in zip(
             self.envs,
             self._pushed,
-            self.robots._tick.tolist(),
+            self._present.tick.tolist(),
             stepping.tolist(),
             prepares.tolist(),
             strict=True,
         ):
-            changed |= steps and env._disturb(pushed, tick, prepare)
+            changed |= steps and env.disturb(pushed, tick, prepare)
         if changed:
             self._batch.set_models([env.model for env in self.envs])
 
-    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-        observation, pressed, self.mean_truth = self.robots._observe(self._rows, self._qvel[:, -2])
-        seen = {key: observation[key] for key in self.single_observation_space}  # type: ignore
-        return seen, pressed, self.mean_truth
+    def _look(self) -> Look:
+        """Take in the robots' last control step."""
+        task, state = self._task, self._present
+        look = task.observer.look(self._rows, self._qvel[:, -2], state.command, state.cop_held, self._threads)
+        self.truth, self.mean_truth = task.read(self._rows), task.mean_truth(self._rows, self._threads)
+        correction = task.correct(self.truth, state.command)
+        self.state = state._replace(correction=correction, cop_held=look.cop_held)
+        keys: Any = self.single_observation_space
+        return look._replace(observation={key: look.observation[key] for key in keys})
 
     def _share(self) -> None:
         """Bring the robots' own environments to where the robots are now."""
-        robots = self.robots
-        if robots._tick is None:
+        if self.state is None:
             return
         for i, env in enumerate(self.envs):
             self._batch.get_data(i, env.data)
             mujoco.mj_forward(env.model, env.data)
-            env._tick, env._target = int(robots._tick[i]), robots._target[i].copy()
-            env.command, env.truth = self._command_of(i), self._truth_of(i)
+            env.state = env.state._replace(
+                tick=int(self.state.tick[i]),
+                target=self.state.target[i].copy(),
+                command=self._command_of(i),
+                cop_held=self.state.cop_held[i].copy(),
+            )
+            env.truth = self._truth_of(i)
 
     def _command_of(self, robot: int) -> Command:
-        commanded: Any = self.robots.command
+        commanded: Any = self.command
         return Command._make(part[robot].copy() for part in commanded)
 
     def _truth_of(self, robot: int) -> Any:
-        return self.envs[robot]._read(self._rows[robot].copy())
+        return self.envs[robot].read(self._rows[robot].copy())
 
 
 def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:

@@ -1,8 +1,13 @@
-"""A biped under position control that follows its own commands: the common part of all its tasks."""
+"""A biped under position control that follows its own commands: the common part of all its tasks.
+
+A task is a few functions of a robot's :class:`State`, which change nothing: :meth:`BipedEnv.command_at`,
+``targets``, ``look``, ``correct``, ``reward`` and ``fallen``. :class:`BipedEnv` calls them for one robot,
+:class:`~surefoot.envs.batch.BatchVectorEnv` for all of its robots, with these in front of each array.
+"""
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import mujoco
@@ -11,15 +16,48 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
-from surefoot.envs.instrumentation.means import mean_truth
-from surefoot.envs.numbers import ONE, Number, Numbers
-from surefoot.envs.observation import FeetObserver, Observation, Places
+from surefoot.envs.instrumentation.means import MeanTruth
+from surefoot.envs.observation import FeetObserver, Look, Observation, Places, Seen
 from surefoot.envs.options import check_action, positive
 from surefoot.envs.prelude import Player, Prelude
 
 
+class State(NamedTuple):
+    """Where a robot is in its episode, besides MuJoCo's own state; of many robots, with these in front.
+
+    Attributes:
+        plan: What the episode has drawn to be commanded; each task has its own kind.
+        tick: Control steps since the episode began.
+        command: The robot's present command to itself.
+        target: Targets of the motors at the end of the last step in rad, shape (..., M).
+        correction: What the next step adds to the leg motors' targets beside the residual in rad.
+        cop_held: The last valid centres of pressure (:class:`~surefoot.envs.observation.Look`).
+    """
+
+    plan: Any
+    tick: Any
+    command: Command
+    target: NDArray[np.float64]
+    correction: Any
+    cop_held: NDArray[np.float64]
+
+
+class Fall(NamedTuple):
+    """When a robot has fallen.
+
+    Attributes:
+        up: The vertical in the torso's axes while it stands, shape (3,).
+        lowest_up: Cosine of the largest angle between that and the present vertical.
+        lowest_height: Lowest height of the torso's origin in m.
+    """
+
+    up: tuple[float, float, float]
+    lowest_up: float
+    lowest_height: float
+
+
 class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """One robot, or all those of a :class:`~surefoot.envs.batch.BatchVectorEnv`, which arrays have in front.
+    """One robot and its task.
 
     Args:
         model: The robot, one motor a joint target.
@@ -28,9 +66,19 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         legs: Numbers of the motors of an action, the L leg motors.
         leg_motors: Their names.
         force_bound: Largest force of a cell that is shown, in N.
+        fall: When it has fallen.
         duration: Length of an episode in s, or ``None`` for no end.
         action_scale: The change of a target by a full action, in rad.
         prelude: The robot's motion before each episode, or the path of its file.
+
+    Attributes:
+        substeps: As given.
+        state: Where the robot is in its episode.
+        observer: Makes its observations.
+        mean_truth: Computes the truth for ``info``.
+        quiet_ticks: Control steps at an episode's beginning in which residuals are checked, and not applied.
+        last_tick: The tick at which an episode is truncated; None for never.
+        fastest: How far targets move in a step at most, in rad.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
@@ -39,19 +87,10 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     model: mujoco.MjModel
     data: mujoco.MjData
     truth: Any
-    command: Command
+    state: State
 
-    _numbers: Numbers = ONE
-    """Whether this is one robot, or many."""
-
-    _quiet_ticks = 0
-    """Control steps at the beginning of an episode in which residuals are checked, and not applied."""
-
-    _correction: Any = 0.0
-    """What is added to the targets of the leg motors beside the residual, in rad."""
-
-    _fastest: Any = np.inf
-    """How far targets move in a step at most, in rad."""
+    quiet_ticks = 0
+    fastest: Any = np.inf
 
     _neutral: str
     """What an action of zeros does, for messages."""
@@ -65,109 +104,104 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         legs: slice | NDArray[np.intp],
         leg_motors: Sequence[str],
         force_bound: float,
+        fall: Fall,
         duration: float | None,
         action_scale: float,
         prelude: Prelude | str | PathLike[str] | None,
     ) -> None:
         self.model, self.data = model, mujoco.MjData(model)
-        self._places, self._substeps, self._legs = places, substeps, legs
+        self.substeps, self._legs, self._fall = substeps, legs, fall
         self._leg_names = tuple(leg_motors)
         self._action_scale = positive("action_scale", action_scale)
-        self._steps = None if duration is None else max(round(positive("duration", duration) / self.dt), 1)
+        self.last_tick = None if duration is None else max(round(positive("duration", duration) / self.dt), 1)
         self.prelude = Player(prelude, [model.actuator(i).name for i in range(model.nu)], self.dt)
         limited = model.actuator_ctrllimited.astype(bool)
         self._low, self._high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         self._fraction = np.arange(1, substeps + 1)[:, None] / substeps
-        self._observer = FeetObserver(places, force_bound)
-        self.observation_space, self.state_layout = self._observer.space, self._observer.state_layout
+        self.observer, self.mean_truth = FeetObserver(places, force_bound), MeanTruth(places.feet)
+        self.observation_space, self.state_layout = self.observer.space, self.observer.state_layout
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._leg_names),), dtype=np.float32)
-        self._target: NDArray[np.float64]
-        self._row: Any
-        self._tick: Any = None
 
     @property
     def dt(self) -> float:
         """Duration of a step in s."""
-        return self._substeps * float(self.model.opt.timestep)
+        return self.substeps * float(self.model.opt.timestep)
 
-    def _command(self, tick: Any) -> Command:
-        """Return the command at control step ``tick`` of this episode, 0 at its start.
+    @property
+    def command(self) -> Command:
+        """The robot's present command to itself."""
+        return self.state.command
 
-        During a step the targets move to the ``joint_target`` of its end. The chance of an episode is
-        drawn in :meth:`_start`. Steps may exceed the pattern's length.
-        """
+    def draw(self, options: dict[str, Any]) -> Any:
+        """Draw an episode's plan, and what disturbs it; called at every reset, after seeding."""
+
+    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+        """Put the robot where an episode begins, with its first command and targets."""
         raise NotImplementedError
 
-    def _start(self, options: dict[str, Any]) -> None:
-        """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
-
-    def _place(self) -> None:
-        """Put the robot where an episode begins; its command is known."""
-        raise NotImplementedError
-
-    def _join(self, robots: Sequence[Any]) -> None:
-        """Take over the draws of robots' episodes, for :meth:`_command` to command all of them."""
-
-    def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
+    def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
         """Disturb one robot before the step that leads to ``tick``; return whether its model has changed."""
         return False
 
-    def _read(self, rows: NDArray[np.float64]) -> Any:
+    @staticmethod
+    def join(plans: Sequence[Any]) -> Any:
+        """Put plans of many robots into one."""
+        return plans[0]
+
+    def command_at(self, plan: Any, tick: Any) -> Command:
+        """Return the command at a control step of an episode, 0 at its start.
+
+        During a step the targets move to the ``joint_target`` of its end. Steps may exceed the plan's length.
+
+        Args:
+            plan: As drawn, or joined.
+            tick: A number, or one a robot, shape (N,).
+        """
+        raise NotImplementedError
+
+    def read(self, rows: NDArray[np.float64]) -> Any:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         raise NotImplementedError
 
-    def _pay(self, pressed: dict[str, Any], residual: NDArray[np.float64]) -> dict[str, Any]:
-        """Return the terms of a reward, each 0 where a simulation that blew up makes it no number."""
-        where = self._numbers.where
-        terms = self._reward(pressed, residual)
-        return {name: where(abs(term) < np.inf, term, 0.0) for name, term in terms.items()}
+    def correct(self, truth: Any, command: Command) -> Any:
+        """Return the ``correction`` of :class:`State` that a control step ends with."""
+        return 0.0
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        """Return the terms of a step's reward, which is their sum, by name."""
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward of one robot's step, which is their sum, by name."""
         raise NotImplementedError
 
-    def _fallen(self) -> Any:
-        """Return whether the robot has fallen."""
-        raise NotImplementedError
+    def fallen(self, seen: Seen) -> bool:
+        """Return whether one robot has fallen."""
+        fall = self._fall
+        up = seen.up_x * fall.up[0] + seen.up_y * fall.up[1] + seen.up_z * fall.up[2]
+        return not (up > fall.lowest_up and seen.height > fall.lowest_height)
 
-    def _reward_cop(self, pressed: dict[str, NDArray[np.float64]], width: float) -> Number:
-        """Return exp(-(e / width)^2), e the distance of the CoP from its reference in m; 0 without a CoP."""
-        m = self._numbers
-        (x, y), (reference_x, reference_y) = m.parts(pressed["cop_world"]), m.parts(self.command.cop)
-        x, y = x - reference_x, y - reference_y
-        return m.where(pressed["cop_valid"][..., 0], m.exp(-(x * x + y * y) / width**2), 0.0)
+    def check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
+        """Return residuals on the leg motors' targets as shares of ``action_scale``, shape (..., L).
 
-    def _effort(self, action: NDArray[np.float64]) -> Number:
-        """Return the cost of an action: -0.1 times its mean square."""
-        return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
-
-    def _check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
+        Raises:
+            ValueError: If the action has another shape or is not finite.
+        """
         return check_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
 
-    def _targets(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    def targets(self, state: State, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
-        target = self.command.joint_target.astype(np.float64)
-        target[..., self._legs] += self._action_scale * residual + self._correction
+        target = state.command.joint_target.astype(np.float64)
+        target[..., self._legs] += self._action_scale * residual + state.correction
         target = np.minimum(np.maximum(target, self._low), self._high)
-        move = np.minimum(np.maximum(target - self._target, -self._fastest), self._fastest)
-        targets: NDArray[np.float64] = self._target[..., None, :] + self._fraction * move[..., None, :]
+        move = np.minimum(np.maximum(target - state.target, -self.fastest), self.fastest)
+        targets: NDArray[np.float64] = state.target[..., None, :] + self._fraction * move[..., None, :]
         return targets
 
-    def _observe(
-        self, rows: NDArray[np.float64], qvel: NDArray[np.float64]
-    ) -> tuple[Observation, dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
-        """Take in a control step: sensor data, shape (..., S, columns), and ``qvel`` of its last row.
+    def judge(self, seen: Sequence[float]) -> tuple[dict[str, float], bool]:
+        """Return the terms of one robot's reward and whether it has fallen, of the numbers of :class:`Seen`.
 
-        Returns:
-            The observation and the centre of pressure of the last row, and the truth for ``info``.
+        A term is 0 where a simulation that blew up makes it no number.
         """
-        self.truth = self._read(rows)
-        last = rows[..., -1, :]
-        self._row = self._numbers.parts(last)
-        observation, pressed = self._observer.observe(last, self._row, qvel, self.command)
-        return observation, pressed, mean_truth(rows, self._places.feet, self._numbers)
+        own = Seen(*seen)
+        terms = {name: term if abs(term) < np.inf else 0.0 for name, term in self.reward(own).items()}
+        return terms, self.fallen(own)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -180,18 +214,16 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
-        self._start(options or {})
-        self._tick = 0
-        self.command = self._command(0)
-        self.prelude.begin(self.command)
-        self._target = np.clip(self.command.joint_target, self._low, self._high)
-        self.data.ctrl[:] = self._target
-        self._place()
+        plan = self.draw(options or {})
+        command = self.command_at(plan, 0)
+        self.prelude.begin(command)
+        target = np.clip(command.joint_target, self._low, self._high)
+        self.data.ctrl[:] = target
+        self.place(command, target)
         mujoco.mj_forward(self.model, self.data)
-        self._observer.reset()
-        rows = np.tile(self.data.sensordata, (self._substeps, 1))
-        observation, _, truth = self._observe(rows, self.data.qvel)
-        return observation, {"surefoot": {"truth": truth}}
+        rows = np.tile(self.data.sensordata, (self.substeps, 1))
+        look = self._end_step(State(plan, 0, command, target, 0.0, np.zeros((3, 2))), rows, self.data.qvel)
+        return look.observation, {"surefoot": {"truth": self.mean_truth(rows)}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Go on for one control step.
@@ -203,32 +235,45 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
             ValueError: If the action has another shape or is not finite.
             gymnasium.error.ResetNeeded: If the environment has not been reset.
         """
-        if self._tick is None:
+        if not hasattr(self, "state"):
             raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = self._check_action(action)
-        prepares = self.prelude.playing
-        if self._tick < self._quiet_ticks and not prepares:
+        residual, state = self.check_action(action), self.state
+        prepares, tick = self.prelude.playing, state.tick
+        if tick < self.quiet_ticks and not prepares:
             residual = np.zeros_like(residual)
-        if not prepares:
-            self._tick += 1
-        self.command = self.prelude.next() if prepares else self._command(self._tick)
-        targets = self._targets(residual)
+        if prepares:
+            state = state._replace(command=self.prelude.next())
+        else:
+            state = state._replace(tick=tick + 1, command=self.command_at(state.plan, tick + 1))
+        targets = self.targets(state, residual)
 
         model, data, mj_step = self.model, self.data, mujoco.mj_step
         sensordata, ctrl = data.sensordata, data.ctrl
-        rows = np.empty((self._substeps, model.nsensordata))
-        self._disturb(data, self._tick, prepares)
+        rows = np.empty((self.substeps, model.nsensordata))
+        self.disturb(data, state.tick, prepares)
         for row, substep_target in zip(rows[:-1], targets[:-1], strict=True):
             ctrl[:] = substep_target
             mj_step(model, data)
             row[:] = sensordata
         qvel = data.qvel.copy()
-        ctrl[:] = self._target = targets[-1]
+        ctrl[:] = targets[-1]
         mj_step(model, data)
         rows[-1] = sensordata
 
-        observation, pressed, truth = self._observe(rows, qvel)
-        terms = self._pay(pressed, residual)
-        truncated = self._steps is not None and self._tick >= self._steps
-        info = {"surefoot": {"truth": truth}, **terms}
-        return observation, sum(terms.values()), self._fallen(), truncated, info
+        look = self._end_step(state._replace(target=targets[-1]), rows, qvel)
+        terms, fallen = self.judge([*look.seen.tolist(), effort(residual).item()])
+        truncated = self.last_tick is not None and state.tick >= self.last_tick
+        info = {"surefoot": {"truth": self.mean_truth(rows)}, **terms}
+        return look.observation, sum(terms.values()), fallen, truncated, info
+
+    def _end_step(self, state: State, rows: NDArray[np.float64], qvel: NDArray[np.float64]) -> Look:
+        look = self.observer.look(rows, qvel, state.command, state.cop_held)
+        self.truth = self.read(rows)
+        correction = self.correct(self.truth, state.command)
+        self.state = state._replace(correction=correction, cop_held=look.cop_held)
+        return look
+
+
+def effort(residual: NDArray[np.float64]) -> Any:
+    """Return the reward of actions, -0.1 times their mean square, shape (...)."""
+    return -0.1 * np.vecdot(residual, residual) / residual.shape[-1]

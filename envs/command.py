@@ -1,11 +1,10 @@
 """The robot's command to itself at one control tick."""
 
+from math import atan2, cos, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from surefoot.envs.numbers import ONE, Number, Numbers
 
 
 class Command(NamedTuple):
@@ -38,29 +37,28 @@ class Command(NamedTuple):
     phase: float
 
 
-def command_state(command: Command, m: Numbers = ONE) -> list[Number]:
+def command_state(command: Command) -> list[float]:
     """Return the ten parts of the state that are commanded, from ``com_reference`` to ``phase``.
 
-    A command of many robots has them in front of each field. Places are in the level frame of the commanded
-    soles: its origin is midway between them, and its heading the mean of theirs.
+    Places are in the level frame of the commanded soles: its origin is midway between them, and its heading
+    the mean of theirs.
     """
-    soles = m.parts(command.position_sole)
-    left, right = m.parts(command.yaw_sole)
+    soles, (left, right) = command.position_sole.tolist(), command.yaw_sole.tolist()
     middle_x, middle_y = 0.5 * (soles[0][0] + soles[1][0]), 0.5 * (soles[0][1] + soles[1][1])
-    heading = m.atan2(m.sin(left) + m.sin(right), m.cos(left) + m.cos(right))
-    com, velocity, cop = m.parts(command.com), m.parts(command.com_velocity), m.parts(command.cop)
-    angle = 2.0 * np.pi * command.phase
+    heading = atan2(sin(left) + sin(right), cos(left) + cos(right))
+    com, velocity, cop = command.com.tolist(), command.com_velocity.tolist(), command.cop.tolist()
+    angle = 2.0 * pi * command.phase
     return [
-        *rotate_level(com[0] - middle_x, com[1] - middle_y, heading, m),
-        *rotate_level(velocity[0], velocity[1], heading, m),
-        *rotate_level(cop[0] - middle_x, cop[1] - middle_y, heading, m),
-        *m.parts(command.stance),
-        m.sin(angle),
-        m.cos(angle),
+        *rotate_level(com[0] - middle_x, com[1] - middle_y, heading),
+        *rotate_level(velocity[0], velocity[1], heading),
+        *rotate_level(cop[0] - middle_x, cop[1] - middle_y, heading),
+        *command.stance.tolist(),
+        sin(angle),
+        cos(angle),
     ]
 
 
-def rotate_level(x: Number, y: Number, heading: Number, m: Numbers = ONE) -> list[Number]:
+def rotate_level(x: float, y: float, heading: float) -> list[float]:
     """Return a vector of the world, turned about the vertical into a frame with a heading in rad."""
-    c, s = m.cos(heading), m.sin(heading)
+    c, s = cos(heading), sin(heading)
     return [c * x + s * y, c * y - s * x]

@@ -1,8 +1,11 @@
 """The observation of a robot on two feet that follows a pattern: its state and the forces under its feet.
 
-Everything is made from the last row of the control step's sensor data, for one robot or for many.
+Everything is made from the last row of the control step's sensor data. :func:`observe` is the specification,
+of one robot; :class:`FeetObserver` calls the library for one or many, with the same bits.
 """
 
+from collections.abc import Sequence
+from math import asin, atan2, exp
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -10,10 +13,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, rotate_level
-from surefoot.envs.instrumentation.means import FootPlaces
+from surefoot.envs.instrumentation.means import FootPlaces, places_record
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
-from surefoot.envs.numbers import ONE, Number, Numbers
+from surefoot.envs.native import Call, installed, record_at
+from surefoot.native import Library
 
+Floats = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 
 FORCE_BOUND: Final = 1000.0
@@ -21,6 +26,9 @@ FORCE_BOUND: Final = 1000.0
 
 COP_BOUND: Final = 1.0
 """Largest coordinate of a centre of pressure that is shown in m."""
+
+STATE: Final = 15
+"""Numbers of the state after angles and speeds of the joints."""
 
 
 class Places(NamedTuple):
@@ -31,6 +39,7 @@ class Places(NamedTuple):
         axes_torso: The torso's axes one after another (9).
         position_torso: Its origin (3).
         gyroscope: Its angular velocity in its own axes (3).
+        com_velocity: Velocity of the centre of mass in the world (3).
         joints: Angles of the J hinge joints.
         joint_dofs: Where their speeds are in ``qvel``.
     """
@@ -39,12 +48,64 @@ class Places(NamedTuple):
     axes_torso: int
     position_torso: int
     gyroscope: int
+    com_velocity: int
     joints: slice
     joint_dofs: NDArray[np.intp]
 
 
+class Seen(NamedTuple):
+    """The end of one robot's control step, as its reward and the end of its episode depend on it.
+
+    A centre of pressure that does not exist is at the origin.
+
+    Attributes:
+        cop_valid: Whether there is a centre of pressure, 0 or 1.
+        cop_error_x, cop_error_y: The centre of pressure less its reference, in the world, in m.
+        cop_error_forward, cop_error_left: The same with the true one in the level frame of the true soles
+            and its reference in that of the commanded soles.
+        velocity_error_forward, velocity_error_left: Velocity of the centre of mass less its reference,
+            likewise, in m/s.
+        up_x, up_y, up_z: The vertical in the torso's axes.
+        height: Height of the torso's origin in m.
+        effort: Reward of the action: -0.1 times its mean square.
+    """
+
+    cop_valid: float
+    cop_error_x: float
+    cop_error_y: float
+    cop_error_forward: float
+    cop_error_left: float
+    velocity_error_forward: float
+    velocity_error_left: float
+    up_x: float
+    up_y: float
+    up_z: float
+    height: float
+    effort: float
+
+
+def closeness(x: float, y: float, scale: float) -> float:
+    """Return 1 without an error (x, y), and 1/e for one as long as ``scale``."""
+    return exp(-(x * x + y * y) / scale**2)
+
+
+class Look(NamedTuple):
+    """What is made of the last row of a control step, of one robot or with many in front.
+
+    Attributes:
+        observation: The observation.
+        seen: The numbers of :class:`Seen`, but for the last, shape (..., 11).
+        cop_held: The last valid centres of pressure in m: of both feet in the level frame, and of each in its
+            sole's frame, shape (..., 3, 2).
+    """
+
+    observation: Observation
+    seen: Floats
+    cop_held: Floats
+
+
 class FeetObserver:
-    """Turns truth and command into an observation; holds the last valid centres of pressure.
+    """Turns truth and command into an observation.
 
     Args:
         places: Where things are in a row.
@@ -53,10 +114,7 @@ class FeetObserver:
     Attributes:
         space: The observation space.
         state_layout: Where each part lies in the state vector.
-        numbers: Whether it sees one robot, or many.
     """
-
-    numbers: Numbers = ONE
 
     def __init__(self, places: Places, force_bound: float) -> None:
         self._places = places
@@ -90,75 +148,174 @@ class FeetObserver:
                 "cop_valid": spaces.Box(0.0, 1.0, (3,), np.float32),
             }
         )
-        self._cop: list[list[Number]] = [[0.0, 0.0] for _ in range(3)]
+        self._calls: dict[tuple[int, ...], _Observe | None] = {}
 
-    def reset(self, robots: Any = True) -> None:
-        """Start with centres of pressure at the origin; of many robots, for those of a mask."""
-        where = self.numbers.where
-        self._cop = [[where(robots, 0.0, part) for part in place] for place in self._cop]
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Addresses are of no use elsewhere.
+        return FeetObserver, (self._places, self._force_bound)
 
-    def observe(
-        self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command
-    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
-        """Show the last row of a control step.
+    def look(self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int = 1) -> Look:
+        """Show the last row of a control step, of one robot or of many.
 
         Args:
-            last: The row, shape (..., columns).
-            row: Its parts.
-            qvel: MuJoCo's velocities at that instant, shape (..., nv).
+            rows: Sensor data, shape (..., S, columns).
+            qvel: MuJoCo's velocities at the instant of the last row, shape (..., nv).
             command: The robot's command at its end.
-
-        Returns:
-            The observation, and the centre of pressure of that instant, of which rewards are made:
-            ``cop_world`` (..., 2) m and ``cop_valid`` (..., 3).
+            cop_held: As of :class:`Look`, before this step.
+            threads: Threads that many robots are shared among.
         """
-        m, places = self.numbers, self._places.feet
-        feet = [
-            [*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]]
-            for i, j, k in zip(places.contact, places.position_sole, places.axes_sole, strict=True)
-        ]
-        wrench, common = ground_at_feet(feet, places.up)
-        (x, y), *cop_foot, valid = centres(wrench, common, places.flat, m)
-        middle_x, middle_y, heading = places.level(row, m)
-        level = rotate_level(x - middle_x, y - middle_y, heading, m)
-        for there, place, held in zip(valid, (level, *cop_foot), self._cop, strict=True):
-            held[0], held[1] = m.where(there, place[0], held[0]), m.where(there, place[1], held[1])
-
-        assert places.force_cell is not None
-        force_cell = places.force_cell(last, m.array(wrench).reshape(*last.shape[:-1], 12))
-        force = force_cell.astype(np.float32)
-        np.maximum(force, -self._force_bound, out=force)
-        np.minimum(force, self._force_bound, out=force)
-        return {
-            "state": self._state(last, row, qvel, command),
-            "foot_force": force,
-            "cop_foot": m.array([_clip_cop(place, m) for place in self._cop[1:]], dtype=np.float32),
-            "cop": m.array(_clip_cop(self._cop[0], m), dtype=np.float32),
-            "cop_valid": m.array(valid, dtype=np.float32),
-        }, {"cop_world": m.array([x, y]), "cop_valid": m.array(valid)}
-
-    def _state(
-        self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command
-    ) -> NDArray[np.float32]:
-        m, places, torso, gyro = self.numbers, self._places, self._places.axes_torso, self._places.gyroscope
-        x_up, y_up, z_up = row[torso + 2], row[torso + 5], row[torso + 8]
-        joints = places.joint_dofs.size
-        state = np.empty((*last.shape[:-1], self._high.size), dtype=np.float32)
-        state[..., :joints] = last[..., places.joints]
-        state[..., joints : 2 * joints] = qvel[..., places.joint_dofs]
-        state[..., 2 * joints :] = m.array(
-            [
-                m.atan2(y_up, z_up),
-                -m.asin(m.clip(x_up, -1.0, 1.0)),
-                *row[gyro : gyro + 3],
-                *command_state(command, m),
-            ]
-        )
+        key = *rows.shape, qvel.shape[-1]
+        if key not in self._calls:
+            library = installed()
+            self._calls[key] = None if library is None else _Observe(library, self._places, key)
+        native = self._calls[key]
+        if native is not None:
+            shown, wrench, seen, held = native(rows, qvel, command, cop_held, threads)
+        elif rows.ndim == 2:
+            shown, wrench, seen, held = observe(rows[-1], qvel, command, cop_held, self._places)
+        else:
+            parts: Any = command
+            commands = [Command._make(part[robot] for part in parts) for robot in range(len(rows))]
+            robots = zip(rows[:, -1], qvel, commands, cop_held, strict=True)
+            looks = [observe(*robot, self._places) for robot in robots]
+            shown = {name: np.array([look[0][name] for look in looks]) for name in looks[0][0]}
+            wrench, seen, held = (np.array([look[i] for look in looks]) for i in (1, 2, 3))
+        state = shown["state"]
         np.maximum(state, self._low, out=state)
         np.minimum(state, self._high, out=state)
-        return state
+        assert self._places.feet.force_cell is not None
+        force = self._places.feet.force_cell(rows[..., -1, :], wrench).astype(np.float32)
+        np.maximum(force, -self._force_bound, out=force)
+        np.minimum(force, self._force_bound, out=force)
+        parts = {"state": state, "foot_force": force, "cop_foot": shown["cop_foot"], "cop": shown["cop"]}
+        return Look(parts | {"cop_valid": shown["cop_valid"]}, seen, held)
 
 
-def _clip_cop(place: list[Number], m: Numbers) -> list[Number]:
-    """Bring the coordinates of a centre of pressure in m into their bounds."""
-    return [m.clip(part, -COP_BOUND, COP_BOUND) for part in place]
+def observe(
+    last: Floats, qvel: Floats, command: Command, cop_held: Floats, places: Places
+) -> tuple[Observation, Floats, Floats, Floats]:
+    """Show one robot, but for the forces of its cells; the state is not brought into its bounds.
+
+    Args:
+        last: The last row of a control step, shape (columns,).
+        qvel: MuJoCo's velocities at that instant, shape (nv,).
+        command: The robot's command.
+        cop_held: As of :class:`Look`, before this step.
+        places: Where things are in a row.
+
+    Returns:
+        The observation; wrenches at and in the soles' frames in N and N m, shape (12,); ``seen`` and
+        ``cop_held`` of :class:`Look`.
+    """
+    row = last.tolist()
+    wrench, common = ground_at_feet(places.feet.feet(row), places.feet.up)
+    ((x, y), *cop_foot), valid = centres(wrench, common, places.feet.flat)
+    middle_x, middle_y, heading = places.feet.level(row)
+    level = rotate_level(x - middle_x, y - middle_y, heading)
+    kept = cop_held.tolist()
+    held = [
+        place if there else old for there, place, old in zip(valid, (level, *cop_foot), kept, strict=True)
+    ]
+    shown = [[_clip(part, COP_BOUND) for part in place] for place in held]
+
+    at, joints = places.com_velocity, places.joint_dofs.size
+    velocity = rotate_level(row[at], row[at + 1], heading)
+    seen = [float(valid[0]), *_errors(command, (x, y), level, velocity)]
+    torso, gyro = places.axes_torso, places.gyroscope
+    up = row[torso + 2], row[torso + 5], row[torso + 8]
+    state = np.empty(2 * joints + STATE, dtype=np.float32)
+    state[:joints] = last[places.joints]
+    state[joints : 2 * joints] = qvel[places.joint_dofs]
+    tilt = atan2(up[1], up[2]), -asin(_clip(up[0], 1.0))
+    state[2 * joints :] = [*tilt, *row[gyro : gyro + 3], *command_state(command)]
+    return (
+        {
+            "state": state,
+            "cop_foot": np.array(shown[1:], dtype=np.float32),
+            "cop": np.array(shown[0], dtype=np.float32),
+            "cop_valid": np.array(valid, dtype=np.float32),
+        },
+        np.array(wrench).ravel(),
+        np.array([*seen, *up, row[places.position_torso + 2]]),
+        np.array(held),
+    )
+
+
+def _errors(
+    command: Command, cop: tuple[float, float], cop_level: Sequence[float], velocity_level: Sequence[float]
+) -> list[float]:
+    """Return how far a robot is off its command: the errors of :class:`Seen` in their order."""
+    (left_x, left_y, _), (right_x, right_y, _) = command.position_sole.tolist()
+    left, right = command.yaw_sole.tolist()
+    (vx, vy, _), (x, y) = command.com_velocity.tolist(), command.cop.tolist()
+    heading = 0.5 * (left + right)
+    velocity_plan = rotate_level(vx, vy, heading)
+    cop_plan = rotate_level(x - 0.5 * (left_x + right_x), y - 0.5 * (left_y + right_y), heading)
+    return [
+        cop[0] - x,
+        cop[1] - y,
+        *(true - planned for true, planned in zip(cop_level, cop_plan, strict=True)),
+        *(true - planned for true, planned in zip(velocity_level, velocity_plan, strict=True)),
+    ]
+
+
+def _clip(number: float, bound: float) -> float:
+    return min(max(number, -bound), bound)
+
+
+class _Observe:
+    """The library's :func:`observe` for robots of a kind.
+
+    Args:
+        library: The library.
+        places: Where things are in a row.
+        shape: Shape of the rows, and length of ``qvel``.
+    """
+
+    def __init__(self, library: Library, places: Places, shape: tuple[int, ...]) -> None:
+        *robots, substeps, columns, speeds = shape
+        feet, kept = places_record(library, places.feet, substeps, columns)
+        at, own = record_at(
+            library,
+            "places",
+            {
+                "feet": feet,
+                "joint_dofs": places.joint_dofs.astype(np.int32),
+                "cop_bound": COP_BOUND,
+                "joint_position": places.joints.start,
+                "joints": places.joint_dofs.size,
+                "speeds": speeds,
+                **{name: getattr(places, name) for name in _COLUMNS},
+            },
+        )
+        single, real = np.float32, np.float64
+        fields = {
+            "wrench": (real, (12,)), "held": (real, (3, 2)), "seen": (real, (len(Seen._fields) - 1,)),
+            "state": (single, (2 * places.joint_dofs.size + STATE,)), "cop_foot": (single, (2, 2)),
+            "cop": (single, (2,)), "cop_valid": (single, (3,)),
+        }  # fmt: skip
+        front = robots[0] if robots else None
+        self._call = Call(library, "surefoot_observe", "observation_room", at, fields, front)
+        planned = library.record(
+            "planned",
+            dict.fromkeys(("com", "com_velocity", "cop", "yaw_sole", "stance"), (2,))
+            | {"position_sole": (2, 2), "phase": ()},
+        )
+        assert planned is not None
+        self._kept, self._planned, self._front = (kept, own), planned, tuple(robots)
+
+    def __call__(
+        self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int
+    ) -> tuple[Any, Floats, Floats, Floats]:
+        planned = np.empty(self._front, self._planned)
+        for name in ("com", "com_velocity", "cop"):
+            planned[name] = getattr(command, name)[..., :2]
+        planned["position_sole"] = command.position_sole[..., :2]
+        for name in ("yaw_sole", "stance", "phase"):
+            planned[name] = getattr(command, name)
+        arrays = np.ascontiguousarray(rows), np.ascontiguousarray(qvel), planned, cop_held
+        results = self._call(*arrays, threads=threads)
+        return results, results["wrench"], results["seen"], results["held"]
+
+
+_COLUMNS = ("axes_torso", "position_torso", "gyroscope", "com_velocity")

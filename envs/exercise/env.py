@@ -11,16 +11,16 @@ import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
-from surefoot.envs.biped import BipedEnv
+from surefoot.envs.biped import BipedEnv, Fall
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
-from surefoot.envs.exercise.motion import Motion, plan_motion
+from surefoot.envs.exercise.motion import plan_motion
+from surefoot.envs.exercise.moves import Schedule
 from surefoot.envs.instrumentation.means import foot_places
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.numbers import Number
-from surefoot.envs.observation import FORCE_BOUND, Observation, Places
+from surefoot.envs.observation import FORCE_BOUND, Places, Seen, closeness
 from surefoot.envs.options import check_range, check_render_mode, positive
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import check_size
@@ -129,20 +129,26 @@ class ExerciseEnv(BipedEnv):
             )
         self.joint_names = self.drawing.joint_names
         self.leg_motor_names = tuple(model.actuator(i).name for i in prepared.leg_motors)
+        places = _places(self._instrumentation, model)
         super().__init__(
             model,
-            _places(self._instrumentation, model),
+            places,
             substeps=substeps,
             legs=prepared.leg_motors,
             leg_motors=self.leg_motor_names,
             force_bound=max(FORCE_BOUND, 10.0 * prepared.weight),
+            fall=Fall(
+                tuple(self.motion.up_torso.tolist()),
+                float(np.cos(FALLEN_TILT)),
+                FALLEN_HEIGHT * float(self.motion.qpos[2]),
+            ),
             duration=duration,
             action_scale=action_scale,
             prelude=prelude,
         )
         self._balance = AnkleBalance(prepared, self.motion)
         self._cop_width = COP_WIDTH * self.motion.height
-        self._first_height = float(self.motion.qpos[2])
+        self._joint_dofs = places.joint_dofs
         self.render_mode = render_mode
         check_size(model, width, height)
         self._size = width, height
@@ -154,51 +160,41 @@ class ExerciseEnv(BipedEnv):
         spec = None if isinstance(given.get("robot"), mujoco.MjSpec) else self.spec
         return vars(self) | {"_renderer": None, "spec": spec}
 
-    def _start(self, options: dict[str, Any]) -> None:
-        self.motion.begin(self.np_random, self._amplitude, self._tempo)
+    def draw(self, options: dict[str, Any]) -> Schedule:
+        """Draw the moves of an episode."""
+        return self.motion.draw(self.np_random, self._amplitude, self._tempo)
 
-    def _join(self, robots: Sequence[Any]) -> None:
-        self.motion = Motion.join([robot.motion for robot in robots])
+    @staticmethod
+    def join(plans: Sequence[Schedule]) -> Schedule:
+        """Put moves of many robots into one."""
+        return Schedule.join(plans)
 
-    def _command(self, tick: Any) -> Command:
-        return self.motion.command(tick * self.dt)
+    def command_at(self, plan: Schedule, tick: Any) -> Command:
+        """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
+        return self.motion.command(tick * self.dt, plan)
 
-    def _place(self) -> None:
+    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+        """Put the robot into its first posture."""
         model, data, rng = self.model, self.data, self.np_random
-        joints = self._places.joint_dofs
+        joints = self._joint_dofs
         data.qpos[:] = self.motion.qpos
         noise = np.zeros(model.nv)
         noise[joints] = rng.uniform(-self._joint_noise, self._joint_noise, joints.size)
         mujoco.mj_integratePos(model, data.qpos, noise, 1.0)
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
 
-    def _read(self, rows: NDArray[np.float64]) -> FeetTruth:
+    def read(self, rows: NDArray[np.float64]) -> FeetTruth:
+        """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return self._instrumentation.read_rows(self.model, rows)
 
-    def _observe(
-        self, rows: NDArray[np.float64], qvel: NDArray[np.float64]
-    ) -> tuple[Observation, dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
-        seen = super()._observe(rows, qvel)
-        # The ankles answer what the last step ended with.
-        self._correction = self._balance.correction(self.truth, self.command)
-        return seen
+    def correct(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
+        """Let the ankles answer what a step ended with."""
+        return self._balance.correction(truth, command)
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        return {
-            "reward_alive": 1.0,
-            "reward_cop": self._reward_cop(pressed, self._cop_width),
-            "reward_action": self._effort(action),
-        }
-
-    def _fallen(self) -> Any:
-        row, places, where = self._row, self._places, self._numbers.where
-        up_x, up_y, up_z = self.motion.up_torso.tolist()
-        axes, height = places.axes_torso, row[places.position_torso + 2]
-        up = row[axes + 2] * up_x + row[axes + 5] * up_y + row[axes + 8] * up_z
-        stands = where(up > np.cos(FALLEN_TILT), height > FALLEN_HEIGHT * self._first_height, False)
-        return where(stands, False, True)
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward, by name."""
+        cop = closeness(seen.cop_error_x, seen.cop_error_y, self._cop_width) if seen.cop_valid else 0.0
+        return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot: a frame (height, width, 3); nothing without a render mode."""
@@ -234,6 +230,7 @@ def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
         axes_torso=torso + TorsoColumns.axes.start,
         position_torso=torso + TorsoColumns.position.start,
         gyroscope=torso + TorsoColumns.gyroscope.start,
+        com_velocity=torso + TorsoColumns.com_velocity.start,
         joints=slice(joints, joints + len(layout.joint_names)),
         joint_dofs=np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names]),
     )

@@ -190,26 +190,6 @@ class Motion:
             f"{refusal} A keyframe 'home' with the feet closer together or the knees less straight may help."
         )
 
-    @classmethod
-    def join(cls, motions: Sequence["Motion"]) -> "Motion":
-        """Return the motion of many robots of one kind, each in its own episode."""
-        joined, plans = copy(motions[0]), [motion._schedule for motion in motions]
-        most = max(plan.end.size for plan in plans)
-
-        def rows(name: str, filled: float) -> NDArray[Any]:
-            moves: list[NDArray[Any]] = [getattr(plan, name) for plan in plans]
-            return np.array([np.pad(row, (0, most - row.size), constant_values=filled) for row in moves])
-
-        joined._schedule = Schedule(
-            end=rows("end", np.inf),
-            total=np.array([plan.total for plan in plans]),
-            path=rows("path", 0),
-            start=rows("start", 0.0),
-            way=rows("way", 0.0),
-            length=rows("length", 1.0),
-        )
-        return joined
-
     def shares(self, command: Command) -> NDArray[np.float64]:
         """Return how much of the weight each foot is to bear, shape (..., 2)."""
         return self._postures.shares(command.cop, command.position_sole[..., 2])
@@ -285,9 +265,9 @@ class Motion:
         self._paths[name] = Path(com, along, lift, rise, target, knots[0], knots[-1])
         return postures.get(1.0, qpos)
 
-    def begin(
+    def draw(
         self, rng: np.random.Generator, amplitude: tuple[float, float], tempo: tuple[float, float]
-    ) -> None:
+    ) -> Schedule:
         """Draw an episode: its tempo, which foot is lifted first, the sways' order and every extent.
 
         Args:
@@ -295,7 +275,7 @@ class Motion:
             amplitude: Least and largest share of a path that is used.
             tempo: Least and largest factor on all speeds.
         """
-        self._scale = self._unit / rng.uniform(*tempo)
+        unit = self._unit / rng.uniform(*tempo)
         first = int(rng.integers(2))
         sways = [(SWAYS[k // 2], 1.0 - 2.0 * (k % 2)) for k in rng.permutation(2 * len(SWAYS))]
         moves: list[Move] = []
@@ -317,7 +297,7 @@ class Motion:
         on_one_leg(1 - first, "pitch", "roll")
         for sway in sways[2:]:
             out_and_back(*sway)
-        self._plan_moves(moves)
+        return self._plan_moves(moves, unit)
 
     def prelude(self, names: Sequence[str], dt: float) -> Prelude:
         """Plan motions one after another.
@@ -337,22 +317,22 @@ class Motion:
                     f"The legs reach from {path.first:g} to {path.last:g} along '{move.path}', and a motion "
                     f"goes from {least:g} to {most:g}; give it a smaller extent."
                 )
-        self._scale = self._unit
-        self._plan_moves(moves)
-        total = self._schedule.total
+        schedule = self._plan_moves(moves, self._unit)
+        total = schedule.total
         rows = ceil(total / dt - 1e-9)
         times = np.minimum(dt * np.arange(1, rows + 1), total - 1e-9)
         rest = np.zeros(rows, dtype=bool)
-        ends = [end for end, move in zip(self._schedule.end, moves, strict=True) if move.ends]
+        ends = [end for end, move in zip(schedule.end, moves, strict=True) if move.ends]
         rest[np.minimum(np.searchsorted(times, ends), rows - 1)] = True
         model = self.robot.model
         motors = tuple(model.actuator(i).name for i in range(model.nu))
-        return Prelude.of_commands(dt, motors, [self.command(float(time)) for time in times], rest)
+        return Prelude.of_commands(dt, motors, [self.command(float(time), schedule) for time in times], rest)
 
-    def _plan_moves(self, moves: list[Move]) -> None:
-        length = self._scale * np.array([move.time for move in moves])
+    def _plan_moves(self, moves: list[Move], unit: float) -> Schedule:
+        """Plan moves one after another, of which a sway takes ``unit`` s."""
+        length = unit * np.array([move.time for move in moves])
         end = np.cumsum(length)
-        self._schedule = Schedule(
+        return Schedule(
             end=end,
             total=end[-1],
             path=np.array([self._number[move.path] for move in moves]),
@@ -361,9 +341,9 @@ class Motion:
             length=length,
         )
 
-    def command(self, time: Any) -> Command:
-        """Return the plan at a time in s after the episode start; of many robots at (N,) times."""
-        plan, table = self._schedule, self._table
+    def command(self, time: Any, plan: Schedule) -> Command:
+        """Return a plan's command at a time in s after the episode start; of many robots at (N,) times."""
+        table = self._table
         cycle = np.remainder(time, plan.total)
         k = (plan.end <= cycle[..., None]).sum(axis=-1)
         at = (k,) if plan.end.ndim == 1 else (np.arange(k.size), k)

@@ -1,5 +1,6 @@
 """The moves of an exercise, motions by their names, and the list of motions to choose among."""
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -51,6 +52,24 @@ class Schedule(NamedTuple):
     start: NDArray[np.float64]
     way: NDArray[np.float64]
     length: NDArray[np.float64]
+
+    @classmethod
+    def join(cls, plans: Sequence["Schedule"]) -> "Schedule":
+        """Put the moves of many robots into one; where some have fewer, nothing follows."""
+        most = max(plan.end.size for plan in plans)
+
+        def rows(name: str, filled: float) -> NDArray[Any]:
+            moves: list[NDArray[Any]] = [getattr(plan, name) for plan in plans]
+            return np.array([np.pad(row, (0, most - row.size), constant_values=filled) for row in moves])
+
+        return cls(
+            end=rows("end", np.inf),
+            total=np.array([plan.total for plan in plans]),
+            path=rows("path", 0),
+            start=rows("start", 0.0),
+            way=rows("way", 0.0),
+            length=rows("length", 1.0),
+        )
 
 
 def motions_of(name: str) -> list[Move]:

@@ -29,7 +29,6 @@ from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
 from surefoot.envs.gait.swing import check_roll
-from surefoot.envs.numbers import MANY, ONE, Numbers
 from surefoot.envs.robots.nao import nao_model
 
 LIFT_HEIGHT = 0.015
@@ -91,12 +90,12 @@ class Pattern:
         """Number of control steps."""
         return len(self.com)
 
-    def command(self, tick: Any, m: Numbers = ONE) -> Command:
+    def command(self, tick: Any) -> Command:
         """The robot's command at a control step; before the first and after the last, it stands there.
 
         Control steps of many robots, shape (N,), give a command with the robots in front of each field.
         """
-        k = m.clip(tick, 0, self.ticks - 1)
+        k = np.minimum(np.maximum(tick, 0), self.ticks - 1)
         return Command(
             joint_target=self.joint_target[k],
             com=self.com[k],
@@ -107,7 +106,7 @@ class Pattern:
             yaw_sole=self.yaw_sole[k],
             stance=self.stance[k],
             swing=~self.stance[k],
-            phase=m.parts(self.phase[k]),
+            phase=self.phase[k],
         )
 
 
@@ -123,9 +122,9 @@ class Patterns:
         which = [next(i for i, own in enumerate(self._distinct) if own is one) for one in patterns]
         self._which = np.array(which), np.arange(len(patterns))
 
-    def command(self, ticks: NDArray[np.int_], m: Numbers = MANY) -> Command:
+    def command(self, ticks: NDArray[np.int_]) -> Command:
         """The robots' commands at a control step each; see :meth:`Pattern.command`."""
-        commands = [pattern.command(ticks, m) for pattern in self._distinct]
+        commands = [pattern.command(ticks) for pattern in self._distinct]
         return Command(*(np.array(parts)[self._which] for parts in zip(*commands, strict=True)))
 
 

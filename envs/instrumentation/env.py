@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.feet import check_names
 from surefoot.envs.instrumentation.made import make
-from surefoot.envs.instrumentation.means import foot_places, mean_truth
+from surefoot.envs.instrumentation.means import MeanTruth, foot_places
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
 from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
@@ -168,7 +168,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
-        self._places = foot_places(self.truth.layout)
+        self._mean_truth = MeanTruth(foot_places(self.truth.layout))
         self.tells = True
 
     def __getstate__(self) -> dict[str, Any]:
@@ -225,7 +225,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return observation, reward, terminated, truncated, self._with_truth(info)
 
     def _with_truth(self, info: dict[str, Any]) -> dict[str, Any]:
-        told = {"truth": mean_truth(self.truth.rows, self._places)} if self.tells else None
+        told = {"truth": self._mean_truth(self.truth.rows)} if self.tells else None
         return info if told is None else {**info, "surefoot": told}
 
     def _refuse_another(self) -> None:

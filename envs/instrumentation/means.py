@@ -1,8 +1,13 @@
-"""Means over a control step of the feet's loads, as ideal cells give them: the truth in ``info``."""
+"""Means over a control step of the feet's loads, as ideal cells give them: the truth in ``info``.
+
+:func:`mean_truth` is the specification, of one robot. :class:`MeanTruth` calls the library for one or many,
+with the same bits.
+"""
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from itertools import chain
+from math import atan2
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +16,8 @@ from numpy.typing import NDArray
 from surefoot.envs.command import rotate_level
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
 from surefoot.envs.instrumentation.truth import centres
-from surefoot.envs.numbers import ONE, Number, Numbers
+from surefoot.envs.native import Call, installed, record_at
+from surefoot.native import Library
 
 Array = NDArray[np.float64]
 
@@ -40,29 +46,26 @@ class FootPlaces(NamedTuple):
     force_cell: Callable[[Array, Array], Array] | None
     flat: tuple[bool, ...]
 
-    def level(self, row: Any, m: Numbers = ONE) -> tuple[Number, Number, Number]:
+    def level(self, row: Sequence[float]) -> tuple[float, float, float]:
         """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
         x = y = along = across = 0.0
         for at, axes in zip(self.position_sole, self.axes_sole, strict=True):
             x, y = x + row[at], y + row[at + 1]
             along, across = along + row[axes], across + row[axes + 1]
         share = 1.0 / len(self.position_sole)
-        return share * x, share * y, m.atan2(across, along)
+        return share * x, share * y, atan2(across, along)
+
+    def feet(self, row: Sequence[float]) -> list[list[float]]:
+        """Take the 21 numbers of each foot after its ankle out of a row, (F, 21)."""
+        starts = zip(self.contact, self.position_sole, self.axes_sole, strict=True)
+        return [[*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]] for i, j, k in starts]
 
 
-@cache
-def _columns(places: FootPlaces) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the columns of each foot that :func:`_add_up` takes, shape (F, 21), and of its ankle, (F, 6)."""
-    starts = zip(places.contact, places.position_sole, places.axes_sole, strict=True)
-    feet = [[*range(i, i + 9), *range(j, j + 3), *range(k, k + 9)] for i, j, k in starts]
-    return np.array(feet, dtype=np.intp), np.array(places.ankle, dtype=np.intp)[:, None] + np.arange(6)
-
-
-def _add_up(substeps: Sequence[Any]) -> tuple[list[Number], Number, Number]:
+def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, float]:
     """Add up one foot's loads in all substeps, of 21 numbers each.
 
     It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which explains them, and
-    :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop, which is several times faster.
+    :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop.
 
     Returns:
         The wrench at and in the sole's frame, and the moments about the world's x and y at the height of the
@@ -86,55 +89,114 @@ def _add_up(substeps: Sequence[Any]) -> tuple[list[Number], Number, Number]:
     return [a, b, c, d, e, f], x, y
 
 
-def mean_truth(rows: Array, places: FootPlaces, m: Numbers = ONE) -> dict[str, NDArray[Any]]:
+def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
     """Compute the truth of a control step for ``info``: means over its substeps, as ideal cells give them.
 
     Args:
-        rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
+        rows: Sensor data of S substeps, shape (S, columns).
         places: The meaning of the columns.
-        m: Whether there is one robot, or many.
 
     Returns:
-        Arrays of their own: ``force_cell`` (..., 4 F) N where all feet have an area; ``vgrf`` (..., F) N;
-        ``cop_world`` (..., 2) m, ``cop_foot`` (..., F, 2) m in the soles' frames and ``cop``
-        (..., 2) m in the level frame midway between them; ``cop_valid`` (..., 1 + F), which of these there
-        are, the common one first (the others are 0); ``com`` (..., 3) m; ``wrench_sole`` and
-        ``wrench_ankle`` (..., F, 6) N and N m.
+        Arrays of their own: ``force_cell`` (4 F) N where all feet have an area; ``vgrf`` (F) N; ``cop_world``
+        (2) m, ``cop_foot`` (F, 2) m in the soles' frames and ``cop`` (2) m in the level frame midway between
+        them; ``cop_valid`` (1 + F), which of these there are, the common one first (the others are 0);
+        ``com`` (3) m; ``wrench_sole`` and ``wrench_ankle`` (F, 6) N and N m.
     """
-    feet, share = len(places.contact), 1.0 / rows.shape[-2]
+    share = 1.0 / len(rows)
     up = places.up * share
-    of_feet, of_ankles = _columns(places)
-    row = np.add.reduce(rows, axis=-2) * share
-    own, wrench = m.parts(row), []
+    row = np.add.reduce(rows) * share
+    own, wrench = row.tolist(), []
     moment_x = moment_y = load = 0.0
-    # Foot by foot: of one robot (F, S, 21), of many with them last.
-    for substeps in m.parts(rows.take(of_feet, axis=-1).swapaxes(-2, -3)):
+    for substeps in zip(*map(places.feet, rows.tolist()), strict=True):
         felt, x, y = _add_up(substeps)
         wrench.append([up * part for part in felt])
         moment_x, moment_y = moment_x + up * x, moment_y + up * y
     vgrf = [0.0 + places.up * own[at + 2] for at in places.contact]
     for part in vgrf:
         load = load + part
-    (x, y), *cop_foot, valid = centres(wrench, (load, moment_x, moment_y), places.flat, m)
-    middle_x, middle_y, heading = places.level(own, m)
-    level = [m.where(valid[0], p, 0.0) for p in rotate_level(x - middle_x, y - middle_y, heading, m)]
-    # One array is faster than many.
-    numbers = m.array([*vgrf, x, y, *level, *chain.from_iterable(cop_foot), *chain.from_iterable(wrench)])
-    split = 3 * feet + 4
-    wrench_sole = numbers[..., split:].reshape(*row.shape[:-1], feet, 6)
+    ((x, y), *cop_foot), valid = centres(wrench, (load, moment_x, moment_y), places.flat)
+    middle_x, middle_y, heading = places.level(own)
+    level = rotate_level(x - middle_x, y - middle_y, heading) if valid[0] else [0.0, 0.0]
     truth = {
-        "vgrf": numbers[..., :feet],
-        "cop_world": numbers[..., feet : feet + 2],
-        "cop": numbers[..., feet + 2 : feet + 4],
-        "cop_foot": numbers[..., feet + 4 : split].reshape(*row.shape[:-1], feet, 2),
-        "cop_valid": m.array(valid),
-        "com": row[..., places.com : places.com + 3],
-        "wrench_sole": wrench_sole,
-        "wrench_ankle": -row.take(of_ankles, axis=-1),
+        "vgrf": np.array(vgrf),
+        "cop_world": np.array([x, y]),
+        "cop": np.array(level),
+        "cop_foot": np.array(cop_foot),
+        "cop_valid": np.array(valid),
+        "com": row[places.com : places.com + 3],
+        "wrench_sole": np.array(wrench),
+        "wrench_ankle": np.array([-row[at : at + 6] for at in places.ankle]),
     }
     if places.force_cell is not None:
-        truth["force_cell"] = places.force_cell(row, wrench_sole.reshape(*row.shape[:-1], -1))
+        truth["force_cell"] = places.force_cell(row, np.array([*chain.from_iterable(wrench)]))
     return truth
+
+
+class MeanTruth:
+    """Computes :func:`mean_truth` of one robot or of many: by the library where there is one.
+
+    Args:
+        places: The meaning of the columns.
+    """
+
+    def __init__(self, places: FootPlaces) -> None:
+        self._places = places
+        self._calls: dict[tuple[int, ...], tuple[Call, Any] | None] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Addresses are of no use elsewhere.
+        return MeanTruth, (self._places,)
+
+    def __call__(self, rows: Array, threads: int = 1) -> dict[str, NDArray[Any]]:
+        """Compute the truth of a control step.
+
+        Args:
+            rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
+            threads: Threads that many robots are shared among.
+        """
+        if rows.shape not in self._calls:
+            library = installed()
+            self._calls[rows.shape] = None if library is None else self._call(library, *rows.shape)
+        found = self._calls[rows.shape]
+        if found is None:
+            return mean_truth(rows, self._places) if rows.ndim == 2 else self._of_each(rows)
+        results = found[0](np.ascontiguousarray(rows), threads=threads)
+        truth = {name: results[name] for name in _TOLD}
+        if self._places.force_cell is not None:
+            wrench = results["wrench_sole"].reshape(*rows.shape[:-2], -1)
+            truth["force_cell"] = self._places.force_cell(results["row"], wrench)
+        return truth
+
+    def _of_each(self, rows: Array) -> dict[str, NDArray[Any]]:
+        each = [mean_truth(own, self._places) for own in rows]
+        return {name: np.array([truth[name] for truth in each]) for name in each[0]}
+
+    def _call(self, library: Library, *shape: int) -> tuple[Call, Any]:
+        """Return the library's function for rows of a shape, and what it needs to be kept."""
+        *robots, substeps, columns = shape
+        feet = len(self._places.contact)
+        at, kept = places_record(library, self._places, substeps, columns)
+        real = np.float64
+        fields = {
+            "row": (real, (columns,)), "vgrf": (real, (feet,)), "cop_world": (real, (2,)),
+            "cop": (real, (2,)), "cop_foot": (real, (feet, 2)), "com": (real, (3,)),
+            "wrench_sole": (real, (feet, 6)), "wrench_ankle": (real, (feet, 6)),
+            "cop_valid": (np.bool_, (1 + feet,)),
+        }  # fmt: skip
+        many = robots[0] if robots else None
+        return Call(library, "surefoot_mean_truth", "truth_room", at, fields, many), kept
+
+
+_TOLD = ("vgrf", "cop_world", "cop", "cop_foot", "cop_valid", "com", "wrench_sole", "wrench_ankle")
+"""The library's results that are told; of the mean row only what is made of it."""
+
+
+def places_record(library: Library, places: FootPlaces, substeps: int, columns: int) -> tuple[int, Any]:
+    """Make the library's record of places in rows; results as of :func:`record_at`."""
+    whole = ("ankle", "contact", "position_sole", "axes_sole", "flat")
+    arrays = {name: np.array(getattr(places, name), dtype=np.int32) for name in whole}
+    sizes = {"feet": len(places.contact), "rows": substeps, "columns": columns}
+    return record_at(library, "foot_places", {**arrays, **sizes, "up": places.up, "com": places.com})
 
 
 def _force_of_wrench(shares: Array, row: Array, wrench: Array) -> Array:

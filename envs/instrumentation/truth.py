@@ -11,13 +11,12 @@ share the ground's force, and their centre of pressure is that of the contacts.
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
-from surefoot.envs.numbers import ONE, Number, Numbers
 
 Array = NDArray[np.float64]
 
@@ -232,7 +231,7 @@ _UP = np.array([-1.0] * 6 + [1.0] * 3)
 """Turns force and torque of a contact sensor on the ground into those on the robot."""
 
 
-def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
+def wrench_at_sole(foot: Sequence[float], up: float) -> list[float]:
     """Return the ground's wrench on one foot at and in its sole frame in N and N m, 6 numbers.
 
     Args:
@@ -254,7 +253,7 @@ def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
     ]
 
 
-def ground_at_feet(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[list[Number]], list[Number]]:
+def ground_at_feet(feet: Sequence[Sequence[float]], up: float) -> tuple[list[list[float]], list[float]]:
     """Find the ground's load on the feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
 
     Returns:
@@ -271,26 +270,24 @@ def ground_at_feet(feet: Sequence[Sequence[Number]], up: float) -> tuple[list[li
 
 
 def centres(
-    wrench: Sequence[Sequence[Number]], common: Sequence[Number], flat: Sequence[bool], m: Numbers = ONE
-) -> list[Any]:
+    wrench: Sequence[Sequence[float]], common: Sequence[float], flat: Sequence[bool]
+) -> tuple[list[list[float]], list[bool]]:
     """Find the centres of pressure of :func:`ground_at_feet` feet.
 
     Args:
         wrench: Wrenches at the soles, (F, 6).
         common: Load and moments of all feet together, (3).
         flat: Which feet have an area, (F).
-        m: Whether there is one robot, or many.
 
     Returns:
         The centre of all feet in the world and those of each foot in its sole's frame in m, 0 where there is
-        none, (1 + F, 2); last, which of these there are, (1 + F).
+        none, (1 + F, 2); and which of these there are, (1 + F).
     """
     found, valid = [], []
     for (fz, mx, my), area in zip((common, *(foot[2:5] for foot in wrench)), (True, *flat), strict=True):
-        valid.append(enough := (fz > CONTACT_FORCE) & area)
-        safe = m.where(enough, fz, 1.0)
-        found.append([m.where(enough, -my / safe, 0.0), m.where(enough, mx / safe, 0.0)])
-    return [*found, valid]
+        valid.append(enough := area and fz > CONTACT_FORCE)
+        found.append([-my / fz, mx / fz] if enough else [0.0, 0.0])
+    return found, valid
 
 
 def _rotation(axes: Array) -> Array:

@@ -1,18 +1,17 @@
 """The robot balances with a load that it does not know and that only its feet can measure."""
 
 from collections.abc import Sequence
-from copy import copy
-from math import pi
-from typing import Any
+from math import cos, exp, hypot, pi, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command, rotate_level
+from surefoot.envs.command import Command
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
-from surefoot.envs.numbers import MANY, ONE, Number, Numbers
+from surefoot.envs.observation import Seen
 from surefoot.envs.options import check_range, numbers_of
 
 COP_SCALE = 0.015
@@ -103,57 +102,47 @@ class NaoBalanceEnv(NaoStandEnv):
         self._share = check_range("sway_share", sway_share)
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
-        self._quiet_ticks = self._surprise.stand_ticks
+        self.quiet_ticks = self._surprise.stand_ticks
         self._gravity = -float(self.model.opt.gravity[2])
 
-    def _start(self, options: dict[str, Any]) -> None:
-        self._random_sway = RandomSway(self._bounds, self._share, self.stand_time, self.np_random)
+    def draw(self, options: dict[str, Any]) -> "RandomSway":
+        """Draw the sway and the payload."""
+        sway = RandomSway.draw(self._bounds, self._share, self.stand_time, self.np_random)
         self._surprise.draw(self._payload, self.np_random)
+        return sway
 
-    def _join(self, robots: Sequence[Any]) -> None:
-        self._random_sway = RandomSway.join([robot._random_sway for robot in robots])
+    @staticmethod
+    def join(plans: Sequence["RandomSway"]) -> "RandomSways":
+        """Put sways of many robots into one."""
+        return RandomSways(tuple(plans))
 
-    def _command(self, tick: Any) -> Command:
-        m = self._numbers
-        if m is ONE and tick <= self._quiet_ticks:
+    def command_at(self, plan: "RandomSway | RandomSways", tick: Any) -> Command:
+        """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
+        if np.ndim(tick):
+            tick = np.where(tick > self.quiet_ticks, tick, 0)
+        elif tick <= self.quiet_ticks:
             return self._still
-        time = m.where(tick > self._quiet_ticks, tick, 0) * CONTROL_STEP
-        (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(time, m)
-        follow_x, follow_y = self._follow
-        x, y, z = self._com.tolist()
-        x, y = x + forward, y + left
-        height = z / self._gravity
+        motion = np.array(plan.at(tick * CONTROL_STEP))
+        place = motion[..., 0, :]
+        parts = np.zeros((*motion.shape[:-1], 3))
+        parts[..., :2] = motion
+        parts[..., 0, :] += self._com
+        com, velocity, acceleration = parts[..., 0, :], parts[..., 1, :], parts[..., 2, :]
+        forward, left = self._follow
         return self._still._replace(
-            joint_target=self._lean(forward / follow_x, left / follow_y),
-            com=m.array((x, y, z)),
-            com_velocity=m.array((*speed, 0.0)),
-            com_acceleration=m.array((bend_x, bend_y, 0.0)),
-            cop=m.array((x - height * bend_x, y - height * bend_y)),
+            joint_target=self._lean(place[..., 0] / forward, place[..., 1] / left),
+            com=com,
+            com_velocity=velocity,
+            com_acceleration=acceleration,
+            cop=com[..., :2] - self._com[2] / self._gravity * acceleration[..., :2],
         )
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        m, error = self._numbers, self._cop_error(pressed["cop_world"]) / COP_SCALE
-        return {
-            "reward_alive": 1.0,
-            "reward_cop": m.where(pressed["cop_valid"][..., 0], 2.0 * m.exp(-error * error), 0.0),
-            "reward_action": self._effort(action),
-        }
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward, by name."""
+        error = hypot(seen.cop_error_forward, seen.cop_error_left) / COP_SCALE
+        cop = 2.0 * exp(-error * error) if seen.cop_valid else 0.0
+        return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
 
-    def _cop_error(self, cop_world: NDArray[np.float64]) -> Number:
-        """Distance between a centre of pressure and the commanded one, both as the soles see them, in m."""
-        m = self._numbers
-        (x, y), (planned_x, planned_y) = m.parts(cop_world), m.parts(self.command.cop)
-        middle_x, middle_y, heading = self._places.feet.level(self._row, m)
-        left, right = m.parts(self.command.position_sole)
-        x, y = rotate_level(x - middle_x, y - middle_y, heading, m)
-        planned_x, planned_y = planned_x - 0.5 * (left[0] + right[0]), planned_y - 0.5 * (left[1] + right[1])
-        return m.hypot(x - planned_x, y - planned_y)
-
-
-Pair = tuple[Number, Number]
-"""Something forward and to the left."""
 
 SHORTEST_PERIOD = 3.0
 
@@ -167,54 +156,76 @@ FADE_TIME = 2.0
 """How long in s a sway takes to reach its full size."""
 
 
-class RandomSway:
+class RandomSway(NamedTuple):
     r"""A sum of sines with random shares, periods and phases, faded in after a quiet stand.
 
     With the smooth step :math:`f(\tau) = 10\tau^3 - 15\tau^4 + 6\tau^5` over the time :math:`\tau` since the
     stand, in shares of the fade, and sines :math:`g`, the sway :math:`f g` and its first two derivatives are
     continuous; the amplitudes of an axis add up to at most its bound.
 
-    Args:
-        amplitude: Bounds (forward, left) in m.
-        share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
+    Attributes:
+        waves: Amplitude in m, rate in rad/s and phase in rad of the sines forward and to the left, (2, 3, 3).
         stand_time: How long it is still first, in s.
-        rng: Draws everything.
     """
 
-    def __init__(self, amplitude: Pair, share: Pair, stand_time: float, rng: np.random.Generator) -> None:
+    waves: Sequence[Sequence[Sequence[float]]]
+    stand_time: float
+
+    @classmethod
+    def draw(
+        cls,
+        amplitude: tuple[float, float],
+        share: tuple[float, float],
+        stand_time: float,
+        rng: np.random.Generator,
+    ) -> "RandomSway":
+        """Draw a sway.
+
+        Args:
+            amplitude: Bounds (forward, left) in m.
+            share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
+            stand_time: How long it is still first, in s.
+            rng: Draws everything.
+        """
         shares = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(*share, (2, 1))
         rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
         phase = rng.uniform(-pi, pi, (2, WAVES))
-        self._waves: Any = np.stack([shares * np.array(amplitude)[:, None], rate, phase], axis=-1).tolist()
-        self._stand_time = stand_time
+        waves = np.stack([shares * np.array(amplitude)[:, None], rate, phase], axis=-1)
+        return cls(waves.tolist(), stand_time)
 
-    @classmethod
-    def join(cls, sways: Sequence["RandomSway"]) -> "RandomSway":
-        """Return the sways of many robots, which were still for the same time."""
-        joined = copy(sways[0])
-        joined._waves = MANY.parts(np.array([sway._waves for sway in sways]))
-        return joined
-
-    def at(self, time: Number, m: Numbers = ONE) -> tuple[Pair, Pair, Pair]:
+    def at(self, time: float) -> list[tuple[float, ...]]:
         """Return the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
-        moved = time - self._stand_time
-        fade, rise, bend = _fade(m.clip(moved / FADE_TIME, 0.0, 1.0))
+        moved = time - self.stand_time
+        fade, rise, bend = _fade(min(max(moved / FADE_TIME, 0.0), 1.0))
         motions = []
-        for waves in self._waves:
+        for waves in self.waves:
             wave = slope = curve = 0.0
             for size, rate, phase in waves:
-                sine, cosine = m.sin(rate * moved + phase), m.cos(rate * moved + phase)
+                sine, cosine = sin(rate * moved + phase), cos(rate * moved + phase)
                 wave += size * sine
                 slope += size * cosine * rate
                 curve -= size * sine * (rate * rate)
             motions.append(
                 (fade * wave, rise * wave + fade * slope, bend * wave + 2.0 * rise * slope + fade * curve)
             )
-        forward, left = motions
-        return (forward[0], left[0]), (forward[1], left[1]), (forward[2], left[2])
+        return list(zip(*motions, strict=True))
 
 
-def _fade(since: Number) -> tuple[Number, Number, Number]:
+class RandomSways(NamedTuple):
+    """The sways of N robots.
+
+    Attributes:
+        sways: One a robot.
+    """
+
+    sways: Sequence[RandomSway]
+
+    def at(self, times: NDArray[np.float64]) -> list[list[tuple[float, ...]]]:
+        """Return the motion of each at a time of its own, (N, 3, 2); see :meth:`RandomSway.at`."""
+        return [sway.at(time) for sway, time in zip(self.sways, times.tolist(), strict=True)]
+
+
+def _fade(since: float) -> tuple[float, float, float]:
     """The smooth step at a share of the fade, and its first two derivatives in time in 1/s and 1/s^2."""
     fade = since * since * since * (10.0 - 15.0 * since + 6.0 * since * since)
     rise = 30.0 * since * since * (1.0 - since) * (1.0 - since) / FADE_TIME

@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surefoot.envs.gait.footsteps import GaitTiming, check_gait
-from surefoot.envs.gait.pattern import plan_walk
+from surefoot.envs.gait.pattern import Pattern, plan_walk
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.walk import NaoPatternEnv
-from surefoot.envs.numbers import Number
+from surefoot.envs.observation import Seen
 from surefoot.envs.options import numbers_of, positive
 
 PAYLOAD_BOXES = (((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10)),)
@@ -114,15 +111,16 @@ class NaoCarryEnv(NaoPatternEnv):
         self._plan_time = positive("duration", duration) + end
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
-        self._quiet_ticks = self._surprise.stand_ticks
+        self.quiet_ticks = self._surprise.stand_ticks
 
-    def _start(self, options: dict[str, Any]) -> None:
+    def draw(self, options: dict[str, Any]) -> Pattern:
+        """Draw the speed and the payload."""
         speed = self._speeds[self.np_random.integers(len(self._speeds))]
         self.pattern = plan_walk(speed, 0.0, self._plan_time, timing=self._timing)
         self._surprise.draw(self._payload, self.np_random)
+        return self.pattern
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        paid = super()._reward(pressed, action)
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward, by name."""
+        paid = super().reward(seen)
         return paid | {"reward_cop": COP_WEIGHT * paid["reward_cop"]}

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.biped import BipedEnv
+from surefoot.envs.biped import BipedEnv, Fall
+from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
 from surefoot.envs.nao.disturbances import Payload, Pushes
 from surefoot.envs.nao.truth import Truth, TruthChannels
-from surefoot.envs.numbers import Number
-from surefoot.envs.observation import FORCE_BOUND, Observation
+from surefoot.envs.observation import FORCE_BOUND, Observation, Seen, closeness
 from surefoot.envs.options import (
     check_range,
     check_render_mode,
@@ -216,6 +216,7 @@ class NaoEnv(BipedEnv):
             legs=slice(0, len(LEG_MOTORS)),
             leg_motors=LEG_MOTORS,
             force_bound=FORCE_BOUND,
+            fall=Fall((0.0, 0.0, 1.0), float(np.cos(FALLEN_TILT)), FALLEN_HEIGHT),
             duration=duration,
             action_scale=action_scale,
             prelude=prelude,
@@ -230,9 +231,8 @@ class NaoEnv(BipedEnv):
         self._payload = Payload(model, payload, CONTROL_STEP)
         self._pushes = Pushes(model, push_impulse, push_interval, CONTROL_STEP)
         self._motor_of_joint = motor_of_joint(model)
-        self._fastest = model.actuator_user[:, 0] * CONTROL_STEP
+        self.fastest = model.actuator_user[:, 0] * CONTROL_STEP
         self._torso = model.body("torso").id
-        self._lowest_torso_z = float(np.cos(FALLEN_TILT))
         self.render_mode = render_mode
         self.markers: list[Marker] = []
 
@@ -241,35 +241,28 @@ class NaoEnv(BipedEnv):
         """The drawing by the robot's maker: nao.xml without an episode's changes."""
         return draw_nao()
 
-    def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
+    def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
+        """Push the robot, and hand it its payload, as drawn."""
         if not prepares:
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
 
-    def _read(self, rows: NDArray[np.float64]) -> Truth:
+    def read(self, rows: NDArray[np.float64]) -> Truth:
+        """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return Truth(rows, self.channels)
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        return {
-            "reward_alive": 1.0,
-            "reward_cop": self._reward_cop(pressed, COP_SCALE),
-            "reward_action": self._effort(action),
-        }
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward, by name."""
+        cop = closeness(seen.cop_error_x, seen.cop_error_y, COP_SCALE) if seen.cop_valid else 0.0
+        return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
 
-    def _fallen(self) -> Any:
-        row, channels, where = self._row, self.channels, self._numbers.where
-        upright = row[channels.axes_torso.stop - 1] > self._lowest_torso_z
-        high = row[channels.position_torso.stop - 1] > FALLEN_HEIGHT
-        return where(high, where(upright, False, True), True)
-
-    def _place(self) -> None:
+    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+        """Put the robot onto its footprints."""
         model, data, rng = self.model, self.data, self.np_random
         model.pair_friction[:, :2] = rng.uniform(*self._friction)
-        noise = rng.uniform(-self._joint_noise, self._joint_noise, self._target.size)
-        data.qpos[7:] = (self._target + noise)[self._motor_of_joint]
-        place_on_ground(model, data, self.command.position_sole, self.command.yaw_sole)
+        noise = rng.uniform(-self._joint_noise, self._joint_noise, target.size)
+        data.qpos[7:] = (target + noise)[self._motor_of_joint]
+        place_on_ground(model, data, command.position_sole, command.yaw_sole)
         data.qpos[2] -= self._sink
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
         self._pushes.reset(rng)

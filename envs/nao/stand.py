@@ -1,7 +1,7 @@
 """The robot stands still, or sways."""
 
 from collections.abc import Sequence
-from math import cos, pi
+from math import cos, pi, sin
 from typing import Any
 
 import mujoco
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
-from surefoot.envs.numbers import Number
 from surefoot.envs.options import numbers_of, positive
 from surefoot.envs.robots.nao import FEET, place_on_ground
 
@@ -77,32 +76,36 @@ class NaoStandEnv(NaoEnv):
         soles = np.array([data.site(f"{foot}_sole").xpos for foot in FEET])
         return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
 
-    def _lean(self, forward: Number, left: Number) -> NDArray[np.float64]:
+    def _lean(self, forward: Any, left: Any) -> NDArray[np.float64]:
         pitch, roll = np.multiply.outer(forward / self._height, self._swaying[0]), self._swaying[1]
         posture: NDArray[np.float64] = self._posture + pitch + np.multiply.outer(left / self._height, roll)
         return posture
 
-    def _sine(self, tick: Any) -> tuple[Number, Number, Number]:
+    def _sine(self, tick: int) -> tuple[float, float, float]:
         """A sine that fades in over its first period, with its first two derivatives in time."""
-        m, rate, time = self._numbers, self._rate, tick * CONTROL_STEP
-        sine, cosine = m.sin(rate * time), m.cos(rate * time)
+        rate, time = self._rate, tick * CONTROL_STEP
+        sine, cosine = sin(rate * time), cos(rate * time)
         half = 0.5 * rate
         # After a whole period of the sine the fade is complete, half of one of its own.
-        turn = m.clip(half * time, 0.0, pi)
-        fade = 0.5 - 0.5 * m.cos(turn)
-        slope = m.where(turn < pi, 0.5 * half * m.sin(turn), 0.0)
-        curve = m.where(turn < pi, 0.5 * half * half * m.cos(turn), 0.0)
+        turn = min(half * time, pi)
+        fade = 0.5 - 0.5 * cos(turn)
+        slope = 0.5 * half * sin(turn) if turn < pi else 0.0
+        curve = 0.5 * half * half * cos(turn) if turn < pi else 0.0
         return (
             fade * sine,
             slope * sine + fade * rate * cosine,
             curve * sine + 2.0 * slope * rate * cosine - fade * rate * rate * sine,
         )
 
-    def _command(self, tick: Any) -> Command:
+    def command_at(self, plan: Any, tick: Any) -> Command:
+        """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
         return self._sample(tick) if any(self._sway) else self._still
 
     def _sample(self, tick: Any) -> Command:
-        where, speed, acceleration = self._sine(tick)
+        ticks = np.ravel(tick).tolist()
+        where, speed, acceleration = np.array([self._sine(one) for one in ticks]).T.reshape(
+            3, *np.shape(tick)
+        )
         outer = np.multiply.outer
         forward, left = self._sway
         sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])

@@ -86,6 +86,7 @@ class TruthChannels:
             axes_torso=self.axes_torso.start,
             position_torso=self.position_torso.start,
             gyroscope=self.gyroscope.start,
+            com_velocity=self.com_velocity.start,
             joints=self.joint_position,
             joint_dofs=np.array([model.joint(name).dofadr[0] for name in joints]),
         )

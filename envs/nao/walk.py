@@ -1,18 +1,16 @@
 """The robot walks."""
 
 from collections.abc import Sequence
+from math import acos, exp
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from surefoot.envs.command import Command, rotate_level
+from surefoot.envs.command import Command
 from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.pattern import Pattern, Patterns, plan_route, plan_walk
 from surefoot.envs.gait.route import parse_route
 from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.nao.env import COP_SCALE, NaoEnv
-from surefoot.envs.numbers import Number, Numbers
+from surefoot.envs.observation import Seen, closeness
 from surefoot.envs.options import number_of
 
 VELOCITY_SCALE = 0.1
@@ -33,50 +31,37 @@ class NaoPatternEnv(NaoEnv):
         cop_scale: Error of the centre of pressure in m at which its reward has fallen to 1/e.
     """
 
-    pattern: Pattern | Patterns
+    pattern: Pattern
     cop_scale = COP_SCALE
 
-    def _join(self, robots: Sequence[Any]) -> None:
-        self.pattern = Patterns([robot.pattern for robot in robots])
+    def draw(self, options: dict[str, Any]) -> Pattern:
+        """Return the plan, which is the same in all episodes."""
+        return self.pattern
 
-    def _command(self, tick: Any) -> Command:
-        return self.pattern.command(tick, self._numbers)
+    @staticmethod
+    def join(plans: Sequence[Pattern]) -> Patterns:
+        """Put plans of many robots into one."""
+        return Patterns(plans)
 
-    def _reward(
-        self, pressed: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
-    ) -> dict[str, Number]:
-        m, row, where, command = self._numbers, self._row, self.channels, self.command
-        x, y, heading = self._places.feet.level(row, m)
-        (left_x, left_y, _), (right_x, right_y, _) = m.parts(command.position_sole)
-        left, right = m.parts(command.yaw_sole)
-        planned_heading = 0.5 * (left + right)
+    def command_at(self, plan: Pattern | Patterns, tick: Any) -> Command:
+        """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
+        return plan.command(tick)
 
-        start = where.com_velocity.start
-        velocity = rotate_level(row[start], row[start + 1], heading, m)
-        planned_vx, planned_vy, _ = m.parts(command.com_velocity)
-        planned_velocity = rotate_level(planned_vx, planned_vy, planned_heading, m)
-        cop_x, cop_y = m.parts(pressed["cop_world"])
-        cop = rotate_level(cop_x - x, cop_y - y, heading, m)
-        planned_x, planned_y = m.parts(command.cop)
-        planned_cop = rotate_level(
-            planned_x - 0.5 * (left_x + right_x), planned_y - 0.5 * (left_y + right_y), planned_heading, m
+    def reward(self, seen: Seen) -> dict[str, float]:
+        """Return the terms of the reward, by name."""
+        tilt = acos(min(max(seen.up_z, -1.0), 1.0)) / TILT_SCALE
+        cop = (
+            closeness(seen.cop_error_forward, seen.cop_error_left, self.cop_scale) if seen.cop_valid else 0.0
         )
-        tilt = m.acos(m.clip(row[where.axes_torso.stop - 1], -1.0, 1.0)) / TILT_SCALE
         return {
             "reward_alive": 1.0,
-            "reward_progress": _closeness(velocity, planned_velocity, VELOCITY_SCALE, m),
-            "reward_upright": m.exp(-tilt * tilt),
-            "reward_cop": m.where(
-                pressed["cop_valid"][..., 0], _closeness(cop, planned_cop, self.cop_scale, m), 0.0
+            "reward_progress": closeness(
+                seen.velocity_error_forward, seen.velocity_error_left, VELOCITY_SCALE
             ),
-            "reward_action": self._effort(action),
+            "reward_upright": exp(-tilt * tilt),
+            "reward_cop": cop,
+            "reward_action": seen.effort,
         }
-
-
-def _closeness(one: list[Number], other: list[Number], scale: float, m: Numbers) -> Number:
-    """1 for places that are the same, 1/e for ones that are ``scale`` apart."""
-    x, y = one[0] - other[0], one[1] - other[1]
-    return m.exp(-(x * x + y * y) / scale**2)
 
 
 class NaoWalkEnv(NaoPatternEnv):

@@ -4,7 +4,7 @@ if(NOT TARGET surefoot::surefoot)
   add_library(surefoot::surefoot INTERFACE IMPORTED)
   get_filename_component(_surefoot_packages "${CMAKE_CURRENT_LIST_DIR}/.." REALPATH)
   # Packages lie in the package of a wheel, and beside it in a checkout.
-  foreach(_surefoot_package calibration sensors)
+  foreach(_surefoot_package calibration envs sensors)
     foreach(_surefoot_root "${_surefoot_packages}" "${_surefoot_packages}/..")
       if(EXISTS "${_surefoot_root}/${_surefoot_package}/native/library.c")
         set_property(TARGET surefoot::surefoot APPEND PROPERTY

@@ -86,7 +86,7 @@ def test_robots_do_what_they_do_alone(task, mode):
             own = copy.unwrapped
             for name in ("qpos", "qvel", "xfrc_applied"):
                 _same(getattr(own.data, name), getattr(batch._batch, name)[i], name)
-            _same(own.truth.rows, batch.robots.truth.rows[i], "rows")
+            _same(own.truth.rows, batch.truth.rows[i], "rows")
     assert begun >= 3
     _same(copies.get_attr("command"), batch.get_attr("command"), "command")
     # A reset of some robots leaves the others where they are.
@@ -132,7 +132,7 @@ def test_the_number_of_threads_changes_nothing():
 
 @pytest.mark.slow
 def test_a_prelude_is_played_before_each_episode():
-    commands = [NaoStandEnv(sway=(0.02, 0.0))._command(tick) for tick in range(40)]
+    commands = [NaoStandEnv(sway=(0.02, 0.0)).command_at(None, tick) for tick in range(40)]
     one = NaoStandEnv()
     prelude = surefoot.envs.Prelude.of_commands(
         one.dt, one.motor_names, commands, np.zeros(len(commands), dtype=bool)

@@ -107,7 +107,7 @@ def test_the_plan_is_smooth_and_obeys_the_pendulum(env):
     step = 1e-4
     times = np.linspace(0.1, 25.0, 200)
     for time in times:
-        before, now, after = (env.motion.command(time + k * step) for k in (-1, 0, 1))
+        before, now, after = (env.motion.command(time + k * step, env.state.plan) for k in (-1, 0, 1))
         np.testing.assert_allclose((after.com - before.com) / (2 * step), now.com_velocity, atol=1e-5)
         change = (after.com_velocity - before.com_velocity) / (2 * step)
         np.testing.assert_allclose(change, now.com_acceleration, atol=1e-3)

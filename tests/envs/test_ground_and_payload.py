@@ -94,7 +94,7 @@ def test_a_payload_appears_at_its_time_and_weighs_what_it_weighs():
     expected = 0.4 * (torso + POSITION_PAYLOAD_TORSO - com[159]) / 5.70535
     np.testing.assert_allclose(com[160] - com[159], expected, atol=3e-4)
     # What the robot commands itself knows nothing of it.
-    np.testing.assert_array_equal(env.command.com, NaoStandEnv()._command(400).com)
+    np.testing.assert_array_equal(env.command.com, NaoStandEnv().command_at(None, 400).com)
 
 
 def test_a_payload_is_put_down_at_the_reset_bit_for_bit():

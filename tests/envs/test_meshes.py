@@ -140,7 +140,7 @@ def test_an_exercise_is_planned_once_and_each_robot_has_a_model_of_its_own():
     assert one.motion is not other.motion
     for env in (one, other):
         env.reset(seed=4)
-    other.motion.begin(np.random.default_rng(9), (0.7, 1.0), (0.9, 1.1))
+    other.motion.draw(np.random.default_rng(9), (0.7, 1.0), (0.9, 1.1))
     fresh = ExerciseEnv("nao")
     fresh.reset(seed=4)
     for _ in range(20):

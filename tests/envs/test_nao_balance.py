@@ -7,9 +7,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
+from surefoot.envs.biped import effort
 from surefoot.envs.nao.balance import FADE_TIME, LARGEST_SWAY, NaoBalanceEnv, RandomSway
 from surefoot.envs.nao.disturbances import Payload
 from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.envs.observation import Seen
 from surefoot.envs.robots.nao import load_nao_spec
 
 ZERO = np.zeros(11, dtype=np.float32)
@@ -40,7 +42,7 @@ def test_an_episode_is_its_seed():
 
 
 def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():
-    sway = RandomSway((0.02, 0.03), (0.5, 1.0), 1.0, np.random.default_rng(0))
+    sway = RandomSway.draw((0.02, 0.03), (0.5, 1.0), 1.0, np.random.default_rng(0))
     for part in sway.at(1.0):
         np.testing.assert_array_equal(part, 0.0)
     step = 1e-4
@@ -60,7 +62,7 @@ def test_the_hard_version_draws_heavier_loads_in_wider_places():
         env.reset(seed=seed)
         masses.append(env._payload.mass)
         places.append(env._payload.position)
-        sways.append(np.sum(env._random_sway._waves, axis=1)[:, 0])
+        sways.append(np.sum(env.state.plan.waves, axis=1)[:, 0])
     assert 1.0 <= min(masses) < max(masses) <= 1.4
     assert 0.15 < np.abs(places).max() <= 0.2
     assert (0.8 * np.array((0.065, 0.045)) <= sways).all()
@@ -111,21 +113,12 @@ def test_nobody_acts_and_nothing_comes_during_the_quiet_stand():
 
 def test_ten_millimetres_clearly_cost():
     env = NaoBalanceEnv(stand_time=0.0, **CALM)
-    run(env, 0, 20)
-    near = env.command.cop + env.truth.position_sole[-1, :, :2].mean(axis=0)
-    near = near - env.command.position_sole[:, :2].mean(axis=0)
-    paid = [
-        env._reward({"cop_world": near + np.array([off, 0.0]), "cop_valid": np.array([True])}, np.zeros(11))[
-            "reward_cop"
-        ]
-        for off in (0.0, 0.01)
-    ]
+    seen = Seen(*np.zeros(len(Seen._fields)))._replace(cop_valid=1.0)
+    paid = [env.reward(seen._replace(cop_error_forward=off))["reward_cop"] for off in (0.0, 0.01)]
     assert paid[0] == pytest.approx(2.0, abs=1e-3)
     assert paid[0] - paid[1] > 0.7
-    assert env._reward({"cop_world": near, "cop_valid": np.array([False])}, np.zeros(11))["reward_cop"] == 0.0
-    assert env._reward({"cop_world": near, "cop_valid": np.array([True])}, np.ones(11))[
-        "reward_action"
-    ] == pytest.approx(-0.1)
+    assert env.reward(seen._replace(cop_valid=0.0))["reward_cop"] == 0.0
+    assert env.reward(seen._replace(effort=effort(np.ones(11))))["reward_action"] == pytest.approx(-0.1)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,10 @@ SERVES = {
         "python -c 'from surefoot.sensors.native import installed; assert installed()'",
         "python -c 'import surefoot.controllers'",
     ],
-    "sim": ["python -c 'import surefoot; surefoot.wrappers.FootSensors; surefoot.envs.NaoWalkEnv().reset()'"],
+    "sim": [
+        "python -c 'import surefoot; surefoot.wrappers.FootSensors; surefoot.envs.NaoWalkEnv().reset()'",
+        "python -c 'from surefoot.envs.native import installed; assert installed()'",
+    ],
     "icub": ["python -c 'from surefoot.envs.leg_rig import icub; icub.load_icub_leg_spec().compile()'"],
     "robots": ["python -c 'from surefoot import envs; envs.load_robot_spec(\"g1\").compile()'"],
     "rl": ["python -c 'import surefoot.wrappers.vector.sb3, moviepy'"],

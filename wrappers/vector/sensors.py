@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.envs.instrumentation.means import mean_truth
-from surefoot.envs.numbers import MANY
+from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
 from surefoot.robot.sensing.condition import Faults
 from surefoot.robot.sensing.equipment import Equipment
@@ -129,6 +128,7 @@ class BatchSensors:
         if not isinstance(seed, Sequence) and seed is not None:
             each = [seed + robot for robot in range(count)]  # one number counts up, as Gymnasium has it
         self._key = self._attribute("row_key")[0]
+        self._mean_truth = MeanTruth(places_of(self._key))
         self.begin(rows, mask, each, asked)
 
     def step(self, rows: Floats, starting: Mask | None = None, fell: Mask | None = None) -> None:
@@ -189,7 +189,7 @@ class BatchSensors:
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """The truth: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
-        return mean_truth(self._substeps(self._rows), places_of(self._key), MANY) | self.true_conditions()
+        return self._mean_truth(self._substeps(self._rows), self.threads) | self.true_conditions()
 
     def true_conditions(self) -> dict[str, NDArray[Any]]:
         """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""

@@ -168,14 +168,14 @@ class VectorTruthRow(AnyVectorWrapper):
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
         batch: Any = env.unwrapped
-        self._batch, self._robots = batch, batch.robots
+        self._batch = batch
         self._row = TruthRow(batch.envs[0])
         self.single_observation_space = self._row.observation_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     @property
     def mean_truth(self) -> dict[str, NDArray[Any]]:
-        """Means of the rows, as :func:`~surefoot.envs.instrumentation.means.mean_truth` makes them."""
+        """Means of the rows, as :class:`~surefoot.envs.instrumentation.means.MeanTruth` makes them."""
         truth: dict[str, NDArray[Any]] = self._batch.mean_truth
         return truth
 
@@ -186,8 +186,8 @@ class VectorTruthRow(AnyVectorWrapper):
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset all robots, or those of ``options["reset_mask"]``."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._row.begin(self._robots)
-        return self._row.show(observations, self._robots), _without_truth(infos)
+        self._row.begin(self._batch)
+        return self._row.show(observations, self._batch), _without_truth(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step all robots."""
@@ -198,7 +198,7 @@ class VectorTruthRow(AnyVectorWrapper):
             for robot, ended in self._batch.ended.items():
                 finals[robot] = self._row.show(finals[robot], ended)
             infos |= {"final_obs": finals, "final_info": _without_truth(infos["final_info"])}
-        return self._row.show(observations, self._robots), *paid, infos
+        return self._row.show(observations, self._batch), *paid, infos
 
 
 def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,86 @@
+"""The compiled truth and observation of robots: their functions, and calls of these."""
+
+import ctypes
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.native import ADDRESS, Library, Native, Sources, call_for_many
+
+NATIVE = Native(
+    Sources(Path(__file__).parent),
+    {
+        "surefoot_mean_truth": (None, (*(ADDRESS,) * 5, ctypes.c_int)),
+        "surefoot_observe": (None, (*(ADDRESS,) * 8, ctypes.c_int)),
+    },
+    ("surefoot_mean_truth", "surefoot_observe"),
+)
+
+
+def installed() -> Library | None:
+    """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
+    return NATIVE.installed()
+
+
+def record_at(library: Library, name: str, values: Mapping[str, Any]) -> tuple[int, Any]:
+    """Make one of the library's constant records, in which arrays stand by their addresses.
+
+    Returns:
+        Where it lies, and all that must be kept as long as it is used.
+    """
+    arrays = {field: value for field, value in values.items() if isinstance(value, np.ndarray)}
+    record = library.record_of(
+        name, {**values, **{field: array.ctypes.data for field, array in arrays.items()}}
+    )
+    assert record is not None
+    return record.ctypes.data, (record, arrays)
+
+
+class Call:
+    """A function of the library for N robots, which fills arrays that are fresh at each call.
+
+    Args:
+        library: The library.
+        function: The function's name.
+        room: The record that says where in the results each array begins.
+        constants: Address of the record that it takes first.
+        fields: The results: dtype and shape of one robot's.
+        robots: Number of robots N, which arrays have in front; ``None`` for a single one.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        function: str,
+        room: str,
+        constants: int,
+        fields: Mapping[str, tuple[Any, tuple[int, ...]]],
+        robots: int | None,
+    ) -> None:
+        front = () if robots is None else (robots,)
+        self._results = np.dtype([(name, dtype, (*front, *shape)) for name, (dtype, shape) in fields.items()])
+        places = self._results.fields
+        assert places is not None
+        at, self._kept = record_at(library, room, {name: places[name][1] for name in fields})
+        self._function = partial(getattr(library.functions, function), constants, at)
+        self._robots = np.arange(robots or 1, dtype=np.int32)
+        self._first = self._robots.ctypes.data
+
+    def __call__(self, *inputs: NDArray[Any], threads: int = 1) -> NDArray[Any]:
+        """Fill a fresh record of all results.
+
+        Args:
+            inputs: Contiguous arrays with the robots in front.
+            threads: As of :func:`~surefoot.native.call_for_many`.
+        """
+        results = np.empty((), self._results)
+        addresses = [array.ctypes.data for array in (*inputs, results)]
+        if len(self._robots) == 1:
+            self._function(*addresses, self._first, 1)
+        else:
+            call_for_many(partial(self._function, *addresses), (self._robots,), threads)
+        return results
