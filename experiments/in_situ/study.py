@@ -90,11 +90,11 @@ def run_in_situ_study(options: InSituStudyOptions) -> InSituStudyResults:
     """Do everything but the page, and save it; StudyError if the folder is in use or the disk full."""
     results = InSituStudyResults(options)
     stages = study_cases(options)
-    cases = [case for listed in stages.values() for case in listed]
+    cases = [case for of_stage in stages.values() for case in of_stage]
     store = Store(options.out / "results")
     with store.open_for(), runner(options.jobs, results.seconds) as run:
-        for stage, cases in stages.items():
-            run.run(stage, cases, store)
+        for stage, listed in stages.items():
+            run.run(stage, listed, store)
     for name in (*FRAMES, "shown"):
         setattr(results, name, store.rows(name, cases))
     results.failures = store.failures(cases)
