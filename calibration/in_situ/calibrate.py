@@ -40,8 +40,6 @@ from surefoot.calibration.in_situ.solve import Fitted, minima
 from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures, check_gauges
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
-__all__ = ["calibrate_in_situ"]
-
 Vector = NDArray[np.float64]
 
 

@@ -43,8 +43,6 @@ from surefoot.calibration.in_situ.solve import (
     whiten_residuals,
 )
 
-__all__ = ["Evidence", "name_cause"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -15,16 +15,6 @@ from surefoot.calibration.in_situ.model import DIRECT
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = [
-    "BENT_CURE",
-    "TOO_FAST",
-    "check_bending",
-    "check_sets",
-    "check_within",
-    "measure_bending",
-    "squares",
-]
-
 _UNITS = {
     1.0: "g (1 g = 9.80665 m/s^2)",
     1e3: "thousandths of g",

@@ -32,8 +32,6 @@ from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.linear import orthonormal, triangle
 from surefoot.calibration.in_situ.model import DIRECT, signals
 
-__all__ = ["UNUSED", "CompressedSet", "add_signals", "compress", "means"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
@@ -58,6 +56,9 @@ _ROUNDS = 12
 
 _SETTLED = 1e-3
 """... until they change by less than this."""
+
+_LOOKED = 10_000
+"""Samples of a set, or up to twice as many, that say what most agree on."""
 
 _ROWS, _ROWS_MOVING = 2000, 200
 """Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
@@ -162,21 +163,25 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     their own median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the
     readings.
     """
-    weight = np.ones(len(columns))
     limit = float(chdtri(raw.shape[1], _GATE))
-    spread = np.std(raw, axis=0)
+    stride = max(len(raw) // _LOOKED, 1)
+    some, readings = columns[::stride], raw[::stride]
+    weight = np.ones(len(some))
+    spread = np.std(readings, axis=0)
     floor = _FLOOR * spread + np.finfo(float).tiny
-    distance = np.zeros(len(columns))
     for i in range(_ROUNDS):
-        root = weight[:, None]
-        residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
-        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
-        distance = np.sum((residual / deviation) ** 2, axis=1)
+        weighted = weight[:, None] * some
+        map_ = np.linalg.solve(weighted.T @ some, weighted.T @ readings)
+        left = readings - some @ map_
+        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(left), axis=0), floor)
+        distance = np.sum((left / deviation) ** 2, axis=1)
         if i == 0 and not (distance > limit).any():
             break
         before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
         if np.max(np.abs(weight - before)) < _SETTLED:
             break
+    residual = left if stride == 1 else raw - columns @ map_
+    distance = np.sum((residual / deviation) ** 2, axis=1)
     return np.asarray((distance > limit) & (np.abs(residual) > _SLIGHT * spread).any(axis=1))
 
 

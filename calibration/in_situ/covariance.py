@@ -25,19 +25,6 @@ from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATI
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Solution, loop_shares, transforms
 
-__all__ = [
-    "DataShare",
-    "OpenErrors",
-    "answer_of",
-    "answer_root",
-    "data_share",
-    "disagreement",
-    "invert_response",
-    "slope_doubts",
-    "slow_turn",
-    "unknowns_root",
-]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -40,17 +40,6 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.kalman import kalman_step
 
-__all__ = [
-    "GOALS",
-    "ExcitationPlan",
-    "ExcitationPrior",
-    "MassCandidate",
-    "PlannedPose",
-    "plan_excitation",
-    "prior_from_factory",
-    "prior_from_fit",
-]
-
 Matrix = NDArray[np.float64]
 
 _RESPONSE = slice(0, RELATIVE_ERRORS)

@@ -14,8 +14,6 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.calibration.state import LARGEST
 from surefoot.files import read_json
 
-__all__ = ["ErrorColumns", "FitColumns", "InSituFit", "Limb", "check_calibrated", "error_covariance"]
-
 Matrix = NDArray[np.float64]
 
 

@@ -51,8 +51,6 @@ from surefoot.calibration.in_situ.solve import (
     transforms,
 )
 
-__all__ = ["fit_hysteresis", "shows_loops"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.compress import means
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
-from surefoot.calibration.in_situ.data import InSituSet, shift
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
@@ -51,17 +51,6 @@ from surefoot.calibration.in_situ.model import (
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, project, transforms
 from surefoot.calibration.reference import GRAVITY
-
-__all__ = [
-    "DelayLeft",
-    "Sphere",
-    "errors_of_imu",
-    "fit_sphere",
-    "guess_delay",
-    "level",
-    "likeliest_delay",
-    "shift",
-]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -342,9 +331,10 @@ def guess_delay(sets: Sequence[InSituSet], moving: bool) -> float:
     """Return by how much gravity is late in s, by each set's own map; zero unless it explains much."""
     if any(data.time is None or len(data.raw) < 8 * _DRIFT for data in sets):
         return 0.0
+    rows = [_thin_rows(data, moving) for data in sets]
     delay, before, after = 0.0, np.inf, np.inf
     for i in range(_STEPS):
-        left, along, square = np.array([_slope(shift(data, delay), moving) for data in sets]).sum(axis=0)
+        left, along, square = np.array([_slope(*one, delay) for one in rows]).sum(axis=0)
         before, after = (left if i == 0 else before), left
         step = float(along / max(square, np.finfo(float).tiny))
         if not np.isfinite(step) or abs(delay + step) > limits.LATEST:
@@ -427,14 +417,24 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
     return DelayLeft(along / square, float(np.hypot(square**-0.5, _LAW * like / whole)))
 
 
-def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:
-    """Return the square that a set's linear fit leaves, and its products with B dg/dt and of that alone."""
+def _thin_rows(data: InSituSet, moving: bool) -> tuple[Vector, Matrix, Matrix]:
+    """Return times, shape (m,), signals and readings of a set as means over windows."""
     assert data.time is not None
     u = signals(data, moving)
     whole = np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1)
-    width = max(int(np.sum(whole)) // _ROWS, 1)
-    rows = means(np.column_stack([data.time, u, data.raw])[whole], width)
-    time, u, raw = rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
+    rows = np.column_stack([data.time, u, data.raw])[whole]
+    rows = means(rows, max(len(rows) // _ROWS, 1))
+    return rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
+
+
+def _slope(time: Vector, u: Matrix, raw: Matrix, delay: float) -> tuple[float, float, float]:
+    """Return the square that a set's linear fit leaves, and its products with B du/dt and of that alone.
+
+    The signals are taken as they were read later by the delay; the ends drop out.
+    """
+    kept = (time + delay >= time[0]) & (time + delay <= time[-1])
+    u = np.stack([np.interp(time[kept] + delay, time, one) for one in u.T], axis=1)
+    time, raw = time[kept], raw[kept]
     share = (time - time[0]) / max(float(time[-1] - time[0]), np.finfo(float).tiny)
     offset = np.cos(np.pi * share[:, None] * np.arange(_DRIFT))
     left, back = orthonormal(np.concatenate([u, offset], axis=1), 1e-9)

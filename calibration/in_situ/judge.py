@@ -27,18 +27,6 @@ from surefoot.calibration.in_situ.solve import Solution, expand, project, transf
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = [
-    "DataRank",
-    "check_answer",
-    "check_axes",
-    "check_limb",
-    "check_masses",
-    "check_rotation",
-    "check_scale",
-    "data_rank",
-    "slope_by_added",
-]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

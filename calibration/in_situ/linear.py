@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ROUNDING", "of_unit_length", "orthonormal", "triangle"]
-
 Matrix = NDArray[np.float64]
 
 ROUNDING = 1e-13

@@ -29,8 +29,6 @@ from surefoot.calibration.in_situ.problem import Maker, Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve, transforms
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = ["COMMON", "KEPT", "Leaning", "check_factory", "lean", "mean_of", "prior_of"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

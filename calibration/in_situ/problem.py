@@ -27,8 +27,6 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 
-__all__ = ["Maker", "Problem", "pool_noise", "problem_of", "starts", "weigh_hanging", "whiten_channels"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -38,8 +38,6 @@ from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, tra
 from surefoot.calibration.in_situ.temperature import find_drift
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["Solved", "fit_of", "refuse_fit"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -28,23 +28,6 @@ from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
 from surefoot.calibration.in_situ.problem import Problem, whiten_channels
 
-__all__ = [
-    "Fitted",
-    "Solution",
-    "beside_channels",
-    "beside_loads",
-    "criterion",
-    "deviance",
-    "expand",
-    "follow",
-    "loop_shares",
-    "minima",
-    "project",
-    "solve",
-    "transforms",
-    "whiten_residuals",
-]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -26,8 +26,6 @@ from surefoot.calibration.in_situ.solve import (
     transforms,
 )
 
-__all__ = ["add_gains", "centre_temperatures", "check_gauges", "find_drift"]
-
 Matrix = NDArray[np.float64]
 
 _ROUNDS = 2
