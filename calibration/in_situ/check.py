@@ -188,13 +188,11 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     """Return which samples were left out, and which sets no rigid limb explains."""
     found = []
     for data, part in zip(sets, parts, strict=True):
-        share, limit = float(np.mean(part.rejected)), limits.REJECTED
-        if data.moves:
-            limit = limits.REJECTED_MOVING
+        rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
+        share = float(np.mean(rejected))
         if share > limit:
             reason = (
-                f"'{data.name}': {share:.0%} of the samples disagree with all others"
-                f"{_span(data, part.rejected)}."
+                f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
             )
             cure = (
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
@@ -203,8 +201,8 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
             found.append(Finding("outliers", reason, cure, share, limit, contradicts=True))
         elif share > limits.STRAY:
             reason = (
-                f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
-                f"{_span(data, part.rejected)}: something may have touched the limb."
+                f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
+                f"{_span(data, rejected)}: something may have touched the limb."
             )
             found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
         left = _residual_share(data, part)
@@ -268,7 +266,7 @@ def measure_bending(part: CompressedSet) -> float:
         return 0.0
     g = part.source.signals[:, DIRECT]
     products = squares(g)
-    columns = part.colour.weigh(np.column_stack([np.ones(len(g)), g / GRAVITY, products]), part.spacing)
+    columns = part.weigh(np.column_stack([np.ones(len(g)), g / GRAVITY, products]))
     basis = np.linalg.qr(np.column_stack([part.score[:, np.any(part.score, axis=0)], columns]))[0]
     basis = basis[:, -products.shape[1] :]
     explained = float(np.sum((basis.T @ part.residual) ** 2))
@@ -283,8 +281,8 @@ def measure_bending(part: CompressedSet) -> float:
 
 def _find_residual(data: InSituSet, part: CompressedSet, share: float) -> Finding:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
-    worst = np.zeros_like(part.used)
-    worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True
+    worst = np.zeros_like(part.source.used)
+    worst[part.source.places.astype(int)[size > _WORST * np.median(size)]] = True
     reason = (
         f"'{data.name}': {share:.1%} of the readings' spread follows gravity in no linear way"
         f"{_span(data, worst)}."

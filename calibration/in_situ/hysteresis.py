@@ -37,23 +37,19 @@ from scipy.signal import lfilter
 
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ.colour import motion_frequency
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import (
-    Fitted,
     Solution,
     beside_channels,
     beside_loads,
     criterion,
     follow,
-    loop_shares,
-    transforms,
 )
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
-
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
 """Half-widths of the plays, as shares of the largest amplitude."""
@@ -104,58 +100,51 @@ _STEP = 1e-6
 _Law = Callable[[Sequence[Matrix]], list[Matrix]]
 """Signals that lag behind the loads of each set, (n_j, a) each."""
 
-_Make = Callable[[Problem, Solution], Problem]
-"""Makes the problem with hysteresis whose loads are those of a fit."""
 
-
-def fit_hysteresis(
-    sets: Sequence[InSituSet], plain: Fitted, options: InSituOptions
-) -> tuple[Fitted, list[Fitted]]:
+def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:
     """Fit hysteresis by each law; none where few rows show it.
 
     Returns:
         The likeliest fit, which is the plain one where no law explains enough, and the fits with loops,
         worth it or not: a late clock is judged beside them.
     """
-    problem = plain[0]
-    if not shows_loops(problem):
+    if not shows_loops(plain.problem):
         return plain, [plain]
-    backlash = _lag_with_backlash(sets, problem, options)
-    makes = [_lag_loads(sets, problem, options, _plays), backlash, _lag_channels(sets, problem, options)]
-    tried = {make: fitted for make in makes if (fitted := _try(make, plain)) is not None}
+    at = _Motion.of(sets, plain.problem)
+    tried = [_try(make, plain) for make in (at.lag_loads(_plays), at.lag_with_backlash, at.lag_channels)]
+    backlash = tried[1]
+    found = [fit for fit in tried if fit is not None]
     # A signal that leads the load is no hysteresis but two clocks that disagree.
-    lagging = [fitted for fitted in tried.values() if _lags(fitted)]
-    best = min([plain, *lagging], key=lambda fitted: criterion(*fitted))
+    best = min([plain, *filter(_lags, found)], key=criterion)
     if all(data.time is not None for data in sets):
-        law = partial(_creeps, steps=[_step(data) for data in sets])
-        creep = _try(_lag_loads(sets, problem, options, law, _SHARE_STD / len(_CREEPING)), plain)
+        creep = _try(at.lag_loads(partial(_creeps, steps=at.steps), _SHARE_STD / len(_CREEPING)), plain)
         # Creep follows loops of another make as well: it must explain clearly more than they do.
-        if creep is not None and _lags(creep) and np.max(loop_shares(*creep)) <= _MOST_CREEP:
-            before = criterion(*plain)
-            if before - criterion(*best) < _NEARLY * (before - criterion(*creep)):
+        if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
+            before = criterion(plain)
+            if before - criterion(best) < _NEARLY * (before - criterion(creep)):
                 best = creep
-    if best is tried.get(backlash):
-        best = _refine(best, backlash)
-    return best, list(tried.values()) or [plain]
+    if best is backlash:
+        best = _refine(best, at.lag_with_backlash)
+    return best, found or [plain]
 
 
-def _try(make: _Make, fitted: Fitted, rounds: int = _ROUNDS) -> Fitted | None:
+def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int = _ROUNDS) -> Solution | None:
     """Fit a law; None where that leads nowhere, as where sets contradict each other."""
     with suppress(np.linalg.LinAlgError):
-        return follow(make, *fitted, rounds)
+        return follow(make, fit, rounds)
     return None
 
 
-def _refine(fitted: Fitted, make: _Make) -> Fitted:
+def _refine(fit: Solution, make: Callable[[Solution], Problem]) -> Solution:
     """Follow the loads until the fit settles; the likeliest on the way, as a step may be too long."""
-    best, lowest, last = fitted, criterion(*fitted), np.inf
+    best, lowest, last = fit, criterion(fit), np.inf
     for _ in range(_REFINED):
-        finer = _try(make, fitted, 1)
+        finer = _try(make, fit, 1)
         if finer is None:
             break
-        fitted, value = finer, criterion(*finer)
+        fit, value = finer, criterion(finer)
         if value < lowest:
-            best, lowest = fitted, value
+            best, lowest = fit, value
         if abs(value - last) < 2.0 * _SETTLED:
             break
         last = value
@@ -167,43 +156,94 @@ def shows_loops(problem: Problem) -> bool:
     return sum(part.rows for part in problem.sets) >= _ROWS_EACH * problem.inputs * len(problem.sets)
 
 
-def _lags(fitted: Fitted) -> bool:
-    shares = loop_shares(*fitted)
-    return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
+def _lags(fit: Solution) -> bool:
+    return bool(np.max(fit.shares) > 0.0 and np.min(fit.shares) > -_LEADS * np.max(fit.shares))
 
 
-def _lag_loads(
-    sets: Sequence[InSituSet], plain: Problem, options: InSituOptions, law: _Law, std: float = _SHARE_STD
-) -> _Make:
-    def make(problem: Problem, solution: Solution) -> Problem:
-        loads = _loads(sets, problem, solution)
-        return beside_loads(plain, _sample_rows(sets, plain, _out_of_phase(law(loads), loads)), std, options)
+class _Motion(NamedTuple):
+    """Steps in which the loads of sets are followed, and the problems with lags behind these loads."""
 
-    return make
+    plain: Problem
+    signals: list[Matrix]
+    """Of each set, smoothed, (n_j, s)."""
+    strides: list[int]
+    """Samples in a step."""
+    steps: list[float]
+    """Time of a step in s; NaN without times."""
 
+    @classmethod
+    def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
+        """Take so many steps that a play, which only follows between turning points, is seen."""
+        strides = [max(len(data.raw) // _STEPS, 1) for data in sets]
+        steps = [
+            stride * (np.nan if data.time is None else float(np.median(np.diff(data.time))))
+            for data, stride in zip(sets, strides, strict=True)
+        ]
+        paths = [_path(data, plain.moving, stride) for data, stride in zip(sets, strides, strict=True)]
+        return cls(plain, paths, strides, steps)
 
-def _lag_with_backlash(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
-    def make(problem: Problem, solution: Solution) -> Problem:
-        loads = _loads(sets, problem, solution)
+    def loads(self, fit: Solution) -> list[Matrix]:
+        """Return wrenches of the limb and the added mass by a fit, (n_j, 6) each."""
+        return [u @ T[:, : u.shape[1]].T for u, T in zip(self.signals, fit.loads, strict=True)]
+
+    def rows(self, lags: Sequence[Matrix]) -> list[Matrix]:
+        """Return lags at the rows of the compressed sets, (m_j, a) each."""
+        found = []
+        for stride, part, lag in zip(self.strides, self.plain.sets, lags, strict=True):
+            places = stride * np.arange(len(lag))
+            found.append(np.stack([np.interp(part.source.places, places, one) for one in lag.T], axis=1))
+        return found
+
+    def lag_loads(self, law: _Law, std: float = _SHARE_STD) -> Callable[[Solution], Problem]:
+        """Let the loads of the axes lag by a law, with shares of an expected size."""
+
+        def make(fit: Solution) -> Problem:
+            loads = self.loads(fit)
+            return beside_loads(self.plain, self.rows(_out_of_phase(law(loads), loads)), std)
+
+        return make
+
+    def lag_channels(self, fit: Solution) -> Problem:
+        """Let the loads of the channels lag."""
+        loads = [load @ fit.A.T for load in self.loads(fit)]
+        return beside_channels(self.plain, self.rows(_out_of_phase(_plays(loads), loads)))
+
+    def lag_with_backlash(self, fit: Solution) -> Problem:
+        """Let the loads of the axes lag by the one width that a share says itself."""
+        loads = self.loads(fit)
         shares, half = np.zeros(AXES), np.full((AXES, 1), _NARROW)
-        if problem is not plain:
-            shares = loop_shares(problem, solution)
+        if fit.problem.hysteresis:
+            shares = fit.shares
             half = np.clip(0.5 * shares, _HALF_WIDTHS[-1], _HALF_WIDTHS[0])[:, None]
 
         def lag(loads: Sequence[Matrix]) -> list[Matrix]:
             return _out_of_phase(_play_sums(loads, half, 0.5 / half), loads)
 
-        turns = [_turn(load, body) for load, body in zip(loads, solution.limb + problem.added, strict=True)]
+        bodies = fit.limb + fit.problem.added
+        turns = [_turn(load, body) for load, body in zip(loads, bodies, strict=True)]
         near = lag([load + _STEP * turn.load for load, turn in zip(loads, turns, strict=True)])
         columns = [
             np.column_stack([((there - here) / _STEP)[:, _TORQUES] * turn.per_moment, here])
             for there, here, turn in zip(near, lag(loads), turns, strict=True)
         ]
-        slopes = np.zeros((len(_TORQUES), AXES, plain.parameters))
+        slopes = np.zeros((len(_TORQUES), AXES, self.plain.parameters))
         slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
-        return beside_loads(plain, _sample_rows(sets, plain, columns), _SHARE_STD, options, slopes)
+        return beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
 
-    return make
+
+def _path(data: InSituSet, moving: bool, stride: int) -> Matrix:
+    """Return every so many signals, (n, s); the last one is held in gaps.
+
+    They are smoothed where a few samples are a small part of a turn of the limb: plays that follow noise
+    would be signals with less of it, and a loop in nothing but noise.
+    """
+    u = signals(data, moving, stride)
+    whole = np.isfinite(u).all(axis=1)
+    latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
+    latest[latest < 0] = int(np.argmax(whole))
+    u = u[latest]
+    turns = motion_frequency(u[:, DIRECT], 1.0)
+    return savitzky_golay(u, _CUBIC) if turns * _CUBIC < _PART and len(u) > _CUBIC else u
 
 
 _TORQUES, _MOMENTS = np.array([3, 3, 4, 4, 5, 5]), np.array([2, 3, 1, 3, 1, 2])
@@ -227,56 +267,6 @@ def _turn(load: Matrix, body: Vector) -> _Turn:
     torque = np.einsum("ana->na", np.cross(across[:, None], load[:, :3]))
     added = np.concatenate([np.zeros_like(torque), size / body[MASS] * torque], axis=1)
     return _Turn(added, across[_TORQUES - 3, _MOMENTS - 1] / size)
-
-
-def _lag_channels(sets: Sequence[InSituSet], plain: Problem, options: InSituOptions) -> _Make:
-    def make(problem: Problem, solution: Solution) -> Problem:
-        loads = [load @ solution.A.T for load in _loads(sets, problem, solution)]
-        lags = _out_of_phase(_plays(loads), loads)
-        return beside_channels(plain, _sample_rows(sets, plain, lags), options)
-
-    return make
-
-
-def _stride(data: InSituSet) -> int:
-    return max(len(data.raw) // _STEPS, 1)
-
-
-def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
-    """Return wrenches of the limb and the added mass, (n_j, 6) each; the last one is held in gaps.
-
-    Between turning points a play only follows, so that few samples of a slow sweep are enough. They are
-    smoothed: plays that follow noise would be signals with less of it, and a loop in nothing but noise.
-    """
-    loads = []
-    for j, data in enumerate(sets):
-        u = signals(data, problem.moving, _stride(data))
-        whole = np.isfinite(u).all(axis=1)
-        latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
-        latest[latest < 0] = int(np.argmax(whole))
-        transform = transforms(problem, solution)[j, :AXES, : u.shape[1]]
-        loads.append(_smooth(u[latest]) @ transform.T)
-    return loads
-
-
-def _smooth(u: Matrix) -> Matrix:
-    """Return signals as cubics over a few samples, where these are a small part of a turn of the limb."""
-    turns = motion_frequency(u[:, DIRECT], 1.0)
-    return savitzky_golay(u, _CUBIC) if turns * _CUBIC < _PART and len(u) > _CUBIC else u
-
-
-def _sample_rows(sets: Sequence[InSituSet], problem: Problem, lags: Sequence[Matrix]) -> list[Matrix]:
-    """Return lags at the rows of the compressed sets, (m_j, a) each."""
-    found = []
-    for data, part, lag in zip(sets, problem.sets, lags, strict=True):
-        places = _stride(data) * np.arange(len(lag))
-        found.append(np.stack([np.interp(part.index, places, one) for one in lag.T], axis=1))
-    return found
-
-
-def _step(data: InSituSet) -> float:
-    """Return the time between steps in which a set's loads are followed, in s."""
-    return _stride(data) * float(np.median(np.diff(np.asarray(data.time))))
 
 
 def _plays(loads: Sequence[Matrix]) -> list[Matrix]:

@@ -30,11 +30,10 @@ from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
-from surefoot.calibration.in_situ.compress import means
+from surefoot.calibration.in_situ.compress import means, orthonormal
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -48,8 +47,7 @@ from surefoot.calibration.in_situ.model import (
     signals,
     transform_basis,
 )
-from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, project, transforms
+from surefoot.calibration.in_situ.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
 
 Matrix = NDArray[np.float64]
@@ -264,7 +262,7 @@ _COLUMNS = 1 + 3 + 6 + 1
 
 
 def errors_of_imu(
-    sets: Sequence[InSituSet], problem: Problem, solution: Solution, sphere: Sphere, delay_std: float
+    sets: Sequence[InSituSet], solution: Solution, sphere: Sphere, delay_std: float
 ) -> OpenErrors:
     """Collect the errors that turning, a delay and the accelerometer's bias may have added.
 
@@ -273,7 +271,7 @@ def errors_of_imu(
     postures that were held, and, but for the added mass's, for a limb whose motion was recorded. Then the
     delay, and the bias along each axis.
     """
-    limb = solution.limb[:STATIC]
+    problem, limb = solution.problem, solution.limb[:STATIC]
     com = limb[MOMENT] / limb[MASS]
     reach = _REACH * float(np.linalg.norm(com))
     bare = inertial_parameters(float(limb[MASS]), com, True)
@@ -298,10 +296,12 @@ def errors_of_imu(
             (size * (u @ entry.T) for size, entry in zip(inertia * _ROUND, basis[INERTIA], strict=True)),
             (delay_std * _weight_of(body, np.gradient(moved.gravity, np.asarray(moved.time), axis=0)),),
         )
-        rows = np.stack([np.interp(part.index, places, one) for wrench in added for one in wrench.T], axis=1)
+        rows = np.stack(
+            [np.interp(part.source.places, places, one) for wrench in added for one in wrench.T], axis=1
+        )
         rows *= part.source.weight[:, None]
         of_offset = (part.end.weights @ rows).reshape(-1, AXES).T
-        seen = part.whiten @ (part.score.T @ part.colour.weigh(rows, part.spacing))
+        seen = part.whiten @ (part.score.T @ part.weigh(rows))
         found.append(np.moveaxis(seen.reshape(len(seen), -1, AXES) @ white, 1, 2))
     of_bias = _weight_of(body, np.asarray(np.linalg.cholesky(sphere.covariance).T * sphere.scale)).T
     offset = solution.A @ np.concatenate([of_offset, of_bias], axis=1)
@@ -367,41 +367,35 @@ class DelayLeft(NamedTuple):
         return 0.5 * (self.delay / self.std) ** 2
 
 
-def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Fitted]) -> DelayLeft:
+def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Solution]) -> DelayLeft:
     """Return the delay beside the fit that would be the likeliest with it.
 
     Delays and loops cancel each other, so that the fit without the delay is no guide.
 
     Args:
         sets: As they were fitted, each with times.
-        fits: Problems with loops of hysteresis by each law, and their solutions.
+        fits: With loops of hysteresis by each law.
     """
-    tried = [(criterion(*one), _delay_left(sets, *one)) for one in fits]
+    tried = [(criterion(one), _delay_left(sets, one)) for one in fits]
     return min(tried, key=lambda one: one[0] - 2.0 * one[1].nats * (one[1].delay > 0.0))[1]
 
 
-def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> DelayLeft:
-    """Return the delay that a fit leaves, with all of its unknowns free to follow.
-
-    Args:
-        sets: As they were fitted, each with times.
-        problem: The problem.
-        solution: Its solution.
-    """
+def _delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
+    """Return the delay that a fit leaves, with all of its unknowns free to follow."""
+    problem = solution.problem
     between, along, square, like, whole = [], 0.0, 1e-300, 0.0, 1e-300
-    predicted = solution.response @ transforms(problem, solution)
-    for data, part, B in zip(sets, problem.sets, predicted, strict=True):
+    for data, part, B in zip(sets, problem.sets, solution.predicted, strict=True):
         source = part.source
-        at = np.interp(part.index, np.arange(len(data.raw)), np.asarray(data.time))
+        at = np.interp(source.places, np.arange(len(data.raw)), np.asarray(data.time))
         rate = np.gradient(source.signals[:, problem.motion], at, axis=0) @ B[:, problem.motion].T
         loops = source.signals[:, problem.of_lags] @ B[:, problem.of_lags].T
         columns = np.column_stack([rate, loops]) * source.weight[:, None]
-        columns = part.colour.weigh(np.column_stack([source.weight, columns]), part.spacing)
+        columns = part.weigh(np.column_stack([source.weight, columns]))
         mean, columns = columns[:, 0], columns[:, 1:]
         late, loops = np.hsplit(columns - np.outer(mean, mean @ columns) / (mean @ mean), 2)
         seen = part.score.T @ late
         between.append(part.whiten @ seen @ problem.whitening.T)
-        power = np.sqrt(part.colour.power_after(part.rows, part.spacing))[:, None]
+        power = np.sqrt(part.power)[:, None]
         within, left, late, loops = (
             dct(one, norm="ortho", axis=0) / power @ problem.whitening.T
             for one in (late - part.score @ seen, part.residual, late, loops)
@@ -409,8 +403,8 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
         along, square = along + float(np.sum(within * left)), square + float(np.sum(within**2))
         like, whole = like + float(np.sum(late * loops)), whole + float(np.sum(late**2))
     # Sets that contradict each other say little of a clock.
-    believed = 1.0 / disagreement(problem, solution)[:, None]
-    free = project(solution, np.stack(between).reshape(-1, 1))[: solution.residual.size]
+    believed = 1.0 / disagreement(solution)[:, None]
+    free = solution.project(np.stack(between).reshape(-1, 1))[: solution.residual.size]
     free = free.reshape(solution.residual.shape) * believed
     along -= float(np.sum(free * solution.residual * believed))
     square += float(np.sum(free**2))

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES
-from surefoot.calibration.in_situ.problem import Problem, whiten_channels
+from surefoot.calibration.in_situ.problem import Problem, whitening_of
 from surefoot.calibration.in_situ.solve import (
     Solution,
     beside_channels,
@@ -23,7 +23,6 @@ from surefoot.calibration.in_situ.solve import (
     criterion,
     follow,
     solve,
-    transforms,
 )
 
 Matrix = NDArray[np.float64]
@@ -107,7 +106,7 @@ def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
     A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
     but the coefficients of sets disagree. The temperature is the last signal of the sets.
     """
-    root = whiten_channels(parts)
+    root = whitening_of(parts)
     own = np.array([part.response[:, -1] for part in parts])
     gram = np.array([part.gram[-1, -1] for part in parts])
     square = np.array([part.uu[-1, -1] ** 2 for part in parts])
@@ -130,37 +129,25 @@ def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
     )
 
 
-def add_gains(
-    problem: Problem, solution: Solution, options: InSituOptions
-) -> tuple[Problem, Solution] | None:
-    """Return the problem with gains of the axes by temperature, and its solution; None if not worth it.
+def add_gains(plain: Solution) -> Solution:
+    """Return a fit with gains of the axes by temperature, or the plain one where they are not worth it.
 
-    Args:
-        problem: With the temperature as a signal, without hysteresis.
-        solution: Its solution.
-        options: Of the fit.
+    The plain one has the temperature as a signal, without hysteresis.
     """
 
-    def warm(at: Problem, found: Solution) -> Problem:
-        return beside_loads(problem, _warm_loads(problem, transforms(at, found)), _GAIN_STD, options)
+    def warm(fit: Solution) -> Problem:
+        return beside_loads(plain.problem, _warm_loads(plain.problem, fit), _GAIN_STD)
 
-    fitted, found = follow(warm, problem, solution, _ROUNDS)
-    if criterion(fitted, found) >= criterion(problem, solution):
-        return None
-    return replace(fitted, gains=AXES), found
+    fitted = follow(warm, plain, _ROUNDS)
+    if criterion(fitted) >= criterion(plain):
+        return plain
+    return replace(fitted, problem=replace(fitted.problem, gains=AXES))
 
 
-def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -> list[Finding]:
-    """Return a warning where gains go with the temperature otherwise than axis by axis.
-
-    Args:
-        problem: With the temperature as a signal; with gains of the axes and hysteresis if they are worth it.
-        solution: Its solution.
-        options: Of the fit.
-    """
-    warm = [load @ solution.A.T for load in _warm_loads(problem, transforms(problem, solution))]
-    freer = beside_channels(problem, warm, options)
-    if criterion(freer, solve(freer, [solution.outer])) >= criterion(problem, solution):
+def check_gauges(fit: Solution) -> list[Finding]:
+    """Return a warning where gains go with the temperature otherwise than axis by axis."""
+    freer = beside_channels(fit.problem, [load @ fit.A.T for load in _warm_loads(fit.problem, fit)])
+    if criterion(solve(freer, [fit.outer])) >= criterion(fit):
         return []
     words = (
         "The gains of single channels follow the temperature, each its own way, where the fit has one an "
@@ -169,11 +156,11 @@ def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -
     return [Finding("temperature", words, refuses=False)]
 
 
-def _warm_loads(problem: Problem, T: NDArray[np.float64]) -> list[Matrix]:
-    """Return the temperature times the load by each set's transform at the rows of each set, (m, 6) each."""
+def _warm_loads(problem: Problem, fit: Solution) -> list[Matrix]:
+    """Return the temperature times the load by a fit at the rows of a problem's sets, (m, 6) each."""
     inputs, found = problem.basis.shape[2], []
-    for part, transform in zip(problem.sets, T[:, :AXES, :inputs], strict=True):
+    for part, T in zip(problem.sets, fit.loads, strict=True):
         signals = part.source.signals
         kelvin = signals[:, inputs, None]  # the first signal behind those of the loads
-        found.append(kelvin * (signals[:, :inputs] @ transform.T))
+        found.append(kelvin * (signals[:, :inputs] @ T[:, :inputs].T))
     return found
