@@ -28,16 +28,15 @@ from surefoot.calibration.in_situ.causes import Evidence, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
+from surefoot.calibration.in_situ.effects import add_gains, centre_temperatures, check_gauges, fit_hysteresis
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.hysteresis import fit_hysteresis
 from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
-from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures, check_gauges
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 Vector = NDArray[np.float64]
@@ -241,15 +240,14 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     if worst is None:
         return findings
     try:
-        named = name_cause(worst, _gather_evidence(solved), drift)
+        named = name_cause(worst, _gather_evidence(solved.task, solved.sets), drift)
     except np.linalg.LinAlgError:
         named = worst
     return [named if one is worst else one for one in findings]
 
 
-def _gather_evidence(solved: Solved) -> Evidence:
+def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     """Fit without hysteresis, with all samples where many disagree, to judge causes by."""
-    task, sets = solved.task, solved.sets
     warms = all(data.temperature is not None for data in sets)
     problem, first = _pose(task, sets, task.options, warms)
     if max(float(np.mean(part.source.rejected)) for part in problem.sets) > limits.FEW_REJECTED:

@@ -152,10 +152,9 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    left = [whiten_residuals(cause.solution) for cause in tried]
-    values = [deviance(cause.solution.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
-    share = _independent(left[int(np.argmin(values))])
-    rows = sum(map(len, left[0]))
+    values = [deviance(cause.solution) for cause in tried]
+    left = whiten_residuals(tried[int(np.argmin(values))].solution)
+    share, rows = _independent(left), sum(map(len, left))
     # The best of n alternatives gains 2 log n by chance.
     scores = np.array(
         [
@@ -264,7 +263,10 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _try_masses(evidence: Evidence) -> Iterator[Cause]:
-    """Yield, for each set, another mass at the place that was given, and the mass at another place."""
+    """Yield, for each set, another mass at the place that was given, and the mass at another place.
+
+    Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach.
+    """
     count, added = len(evidence.sets), evidence.problem.added
     for j, data in enumerate(evidence.sets):
         given, place, name = data.added_mass, data.added_com, data.name

@@ -116,29 +116,35 @@ def _check_length(data: InSituSet, length: float, spread: float) -> list[Finding
 def _check_channels(data: InSituSet, options: InSituOptions) -> list[Finding]:
     """Return which channels are dead, saturated or clipped."""
     found = []
-    low, high = options.code_range or (-np.inf, np.inf)
-    for channel, of_channel in enumerate(data.raw.T):
-        at, counts = f"'{data.name}': channel {channel}", of_channel[np.isfinite(of_channel)]
-        if np.ptp(counts) == 0.0:
-            reason = f"{at} reads {counts[0]:g} throughout."
+    lowest, highest = np.nanmin(data.raw, axis=0), np.nanmax(data.raw, axis=0)
+    for channel, counts in enumerate(data.raw.T):
+        at = f"'{data.name}': channel {channel}"
+        if lowest[channel] == highest[channel]:
+            reason = f"{at} reads {lowest[channel]:g} throughout."
             cure = "Check its wiring and that the sensor was switched on."
             found.append(Finding("dead channel", reason, cure))
-        stuck = float(np.mean((counts <= low) | (counts >= high)))
-        if stuck > limits.SATURATED:
-            reason = f"{at} is saturated in {stuck:.1%} of the samples (at or beyond {low:g} or {high:g})."
-            cure = "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
-            found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
-        for sign in (1.0, -1.0):
-            found += _check_end(data, at, of_channel, sign)
+        if options.code_range is not None:
+            low, high = options.code_range
+            stuck = float(np.mean(((counts <= low) | (counts >= high))[np.isfinite(counts)]))
+            if stuck > limits.SATURATED:
+                reason = (
+                    f"{at} is saturated in {stuck:.1%} of the samples (at or beyond {low:g} or {high:g})."
+                )
+                cure = (
+                    "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
+                )
+                found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
+        for end, sign in ((highest[channel], 1.0), (lowest[channel], -1.0)):
+            held = counts == end
+            if np.sum(held) >= limits.TIES:
+                found += _check_end(data, at, counts, held, sign)
     return found
 
 
-def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: float) -> list[Finding]:
+def _check_end(
+    data: InSituSet, at: str, counts: NDArray[np.float64], held: NDArray[np.bool_], sign: float
+) -> list[Finding]:
     """Return a finding if a channel stays at its highest or lowest reading while its load goes on."""
-    end = sign * np.nanmax(sign * counts)
-    held = counts == end
-    if np.sum(held) < limits.TIES:
-        return []
     values, times = np.unique(sign * counts[np.isfinite(counts)], return_counts=True)
     if len(values) <= _NEXT or times[-1] <= limits.TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
         return []
@@ -151,8 +157,8 @@ def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: floa
     if beyond <= np.std(left[others]) + values[-1] - values[-2]:
         return []
     reason = (
-        f"{at} is clipped: {times[-1]} samples read exactly {end:g}{_span(data, held)}, none reads beyond, "
-        "and gravity went on turning."
+        f"{at} is clipped: {times[-1]} samples read exactly {sign * values[-1]:g}{_span(data, held)}, none "
+        "reads beyond, and gravity went on turning."
     )
     cure = (
         "Take the load off, set the hardware's offset again, or lower the gain: a clipped reading shows "

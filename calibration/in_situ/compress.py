@@ -83,7 +83,7 @@ _SETTLED = 1e-3
 _LOOKED = 10_000
 """Samples of a set, or up to twice as many, that say what most agree on."""
 
-_ROWS, _ROWS_MOVING = 2000, 200
+_ROWS, _ROWS_MOVING = 1000, 200
 """Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
 
 _WITHIN, _WITHIN_MOVING = 1e-3, 0.1

@@ -19,9 +19,9 @@ from surefoot.calibration.in_situ.covariance import (
     unknowns_root,
 )
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
+from surefoot.calibration.in_situ.effects import find_drift, shows_loops
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.hysteresis import shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
@@ -35,7 +35,6 @@ from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_o
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Solution, solve
-from surefoot.calibration.in_situ.temperature import find_drift
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 Matrix = NDArray[np.float64]

@@ -23,7 +23,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import CompressedSet, add_signals, orthonormal
+from surefoot.calibration.in_situ.compress import add_signals, orthonormal
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
 from surefoot.calibration.in_situ.problem import Problem
 
@@ -372,28 +372,24 @@ def beside_channels(plain: Problem, columns: Sequence[Matrix]) -> Problem:
 
 def criterion(solution: Solution) -> float:
     """Return minus twice the log-likelihood, with Schwarz's penalty for free parameters (1978)."""
-    left = whiten_residuals(solution)
-    return deviance(solution.problem.sets, left) + float(
-        solution.jacobian.shape[1] * np.log(sum(map(len, left)))
-    )
+    rows = sum(part.rows for part in solution.problem.sets)
+    return deviance(solution) + float(solution.jacobian.shape[1] * np.log(rows))
 
 
-def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
-    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+def deviance(solution: Solution) -> float:
+    """Return minus twice the log-likelihood of the sets' rows at the channels' likeliest covariance.
 
     In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
-    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
-
-    Args:
-        parts: The sets, with n rows of k channels in all.
-        left: Whitened residuals of a fit, as :func:`whiten_residuals` returns them.
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|
+    for n rows of k channels.
     """
-    rows, channels = sum(map(len, left)), left[0].shape[1]
-    scatter = sum(one.T @ one for one in left)
+    left = np.concatenate(whiten_residuals(solution))
+    rows, channels = left.shape
+    scatter = left.T @ left
     size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
     logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
-    of_colour = channels * sum(part.log_colour for part in parts)
+    of_colour = channels * sum(part.log_colour for part in solution.problem.sets)
     value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
     return value if np.isfinite(value) else np.inf
 
