@@ -31,7 +31,7 @@ from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLim
 from surefoot.calibration.in_situ.effects import add_gains, centre_temperatures, check_gauges, fit_hysteresis
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
+from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
@@ -45,8 +45,8 @@ _AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
 off by 5 to 20 %."""
 
-_DELAYS = 5
-"""Fits at most until the delay of an IMU has settled."""
+_DELAYS, _SETTLED = 6, 1e-4
+"""Fits at most until the delay of an IMU has settled, and its last step in s."""
 
 _DRIFTS = ("slow turning", "drift by temperature")
 """Findings that a drift may explain."""
@@ -143,7 +143,7 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
     sphere = fit_sphere(task.sets)
     sets, reference, said = centre_temperatures(level(task.sets, sphere))
     findings = sphere.findings(task.moving) + said
-    delay, std = guess_delay(sets, task.moving), 0.0
+    delay, std = 0.0, 0.0
     for _ in range(_DELAYS):
         late = tuple(shift(data, delay) for data in sets)
         members, fits, found = _fit(task, late, warms=reference is not None)
@@ -152,7 +152,8 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
         left = likeliest_delay(late, fits)
         then, std = max(delay + left.delay, 0.0), left.std
         worth = left.nats > 0.5 * np.log(sum(part.rows for part in fits[0].problem.sets))
-        if not worth or abs(then - delay) < limits.LATE or then > limits.LATEST:
+        step = max(std, _SETTLED) if delay else limits.LATE
+        if not worth or abs(then - delay) < step or then > limits.LATEST:
             break
         delay = then
     findings += found

@@ -1,8 +1,8 @@
 r"""Effects of a sensor beside its response, as signals of a linear fit: hysteresis and temperature.
 
-**Hysteresis.** The spring element of a sensor lags behind its load, as wide a loop over a large swing as over a small one in
-proportion (Prandtl and Ishlinskii); or one as wide over any swing, as a joint with backlash does. Its
-reading is the load and a share s of
+**Hysteresis.** The spring element of a sensor lags behind its load, as wide a loop over a large swing as over
+a small one in proportion (Prandtl and Ishlinskii); or one as wide over any swing, as a joint with backlash
+does. Its reading is the load and a share s of
 
 .. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
 

@@ -11,10 +11,9 @@ treated as rest, move the answer by a vector each; the squares of all are part o
 (:func:`errors_of_imu`).
 
 Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column :math:`A T \dot u`
-of readings more. Two looks find d: one at each set's own linear map, which large delays and fast motion show
-at once, and one beside all else that a fit explains. The second is needed where a sensor has hysteresis,
-since its readings lag as well: the effect of a late IMU cancels part of a loop, and the rest looks like a
-narrow one. The two differ after each turn of the limb, where a delay acts at once and a loop grows.
+of readings more, which is looked for beside all else that a fit explains. Where a sensor has hysteresis its
+readings lag as well: the effect of a late IMU cancels part of a loop, and the rest looks like a narrow one.
+The two differ after each turn of the limb, where a delay acts at once and a loop grows.
 """
 
 from collections.abc import Sequence
@@ -30,7 +29,6 @@ from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
-from surefoot.calibration.in_situ.compress import means, orthonormal
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
@@ -314,37 +312,6 @@ def _weight_of(body: Vector, gravity: Matrix) -> Matrix:
     return np.concatenate([body[MASS] * gravity, np.cross(body[MOMENT], gravity)], axis=1)
 
 
-_ROWS = 1500
-"""Rows of a set in which a delay is looked for."""
-
-_DRIFT = 6
-"""Cosines over a set's time that an offset may follow meanwhile."""
-
-_STEPS, _SETTLED = 6, 1e-4
-"""Steps at most, and the last one in s."""
-
-_EXPLAINS = 0.5
-"""Share of the residual's square that a delay leaves at most: a turned IMU or hysteresis leave more."""
-
-
-def guess_delay(sets: Sequence[InSituSet], moving: bool) -> float:
-    """Return by how much gravity is late in s, by each set's own map; zero unless it explains much."""
-    if any(data.time is None or len(data.raw) < 8 * _DRIFT for data in sets):
-        return 0.0
-    rows = [_thin_rows(data, moving) for data in sets]
-    delay, before, after = 0.0, np.inf, np.inf
-    for i in range(_STEPS):
-        left, along, square = np.array([_slope(*one, delay) for one in rows]).sum(axis=0)
-        before, after = (left if i == 0 else before), left
-        step = float(along / max(square, np.finfo(float).tiny))
-        if not np.isfinite(step) or abs(delay + step) > limits.LATEST:
-            return 0.0
-        if abs(step) < (_SETTLED if delay else limits.LATE):
-            break
-        delay += step
-    return delay if delay >= limits.LATE and after <= _EXPLAINS * before else 0.0
-
-
 _LAW = 0.1
 """Share of the delay that loops look like by which a law of hysteresis other than the fit's may feign one:
 thresholds of ratio 3 in the place of 2 feign a tenth."""
@@ -409,35 +376,3 @@ def _delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
     along -= float(np.sum(free * solution.residual * believed))
     square += float(np.sum(free**2))
     return DelayLeft(along / square, float(np.hypot(square**-0.5, _LAW * like / whole)))
-
-
-def _thin_rows(data: InSituSet, moving: bool) -> tuple[Vector, Matrix, Matrix]:
-    """Return times, shape (m,), signals and readings of a set as means over windows."""
-    assert data.time is not None
-    u = signals(data, moving)
-    whole = np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1)
-    rows = np.column_stack([data.time, u, data.raw])[whole]
-    rows = means(rows, max(len(rows) // _ROWS, 1))
-    return rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
-
-
-def _slope(time: Vector, u: Matrix, raw: Matrix, delay: float) -> tuple[float, float, float]:
-    """Return the square that a set's linear fit leaves, and its products with B du/dt and of that alone.
-
-    The signals are taken as they were read later by the delay; the ends drop out.
-    """
-    kept = (time + delay >= time[0]) & (time + delay <= time[-1])
-    u = np.stack([np.interp(time[kept] + delay, time, one) for one in u.T], axis=1)
-    time, raw = time[kept], raw[kept]
-    share = (time - time[0]) / max(float(time[-1] - time[0]), np.finfo(float).tiny)
-    offset = np.cos(np.pi * share[:, None] * np.arange(_DRIFT))
-    left, back = orthonormal(np.concatenate([u, offset], axis=1), 1e-9)
-    residual = raw - left @ (left.T @ raw)
-    rate = np.gradient(u, time, axis=0) @ (back @ (left.T @ raw))[: u.shape[1]]
-    rate -= left @ (left.T @ rate)
-    noise = np.linalg.pinv(residual.T @ residual / len(raw), rcond=1e-9, hermitian=True)
-    return (
-        float(np.sum(residual**2 / np.maximum(np.var(raw, axis=0), np.finfo(float).tiny))),
-        float(np.sum((rate @ noise) * residual)),
-        float(np.sum((rate @ noise) * rate)),
-    )

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.findings import Finding, decide
-from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level
+from surefoot.calibration.in_situ.imu import fit_sphere, level
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 FULL_SCALE = np.array([130.0, 130.0, 400.0, 10.0, 10.0, 10.0])
@@ -177,7 +177,6 @@ def test_a_late_imu_is_shifted_and_answered(late):
 
 def test_clocks_that_agree_are_left_alone():
     sets = tuple(swinging_sets(np.random.default_rng(90), 0.0))
-    assert guess_delay(sets, moving=True) == 0.0
     assert calibrate_in_situ(sets).delay == 0.0
 
 
