@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ.check import BENT_CURE, squares
-from surefoot.calibration.in_situ.compress import orthonormal
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.judge import turns_of

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import skew
+from surefoot.calibration.arrays import ROUNDING, skew, triangle
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import ROUNDING, CompressedSet, triangle
+from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns

@@ -359,25 +359,21 @@ def centre_temperatures(
             "was left out; let the sensor warm or cool while the limb turns several times."
         )
     if words:
-        left_out = Finding("temperature", words, refuses=False)
-        return tuple(replace(data, temperature=None) for data in sets), None, [left_out]
+        return tuple(replace(data, temperature=None) for data in sets), None, _warn(words)
+    if all(data.time is not None for data in sets):
+        left = _measure_rest(sets, lambda data: np.asarray(data.time), common=True)
+        if left < limits.NOT_GRAVITY:
+            words = (
+                f"The temperature went with time: one slope leaves {left:.0%} of its spread, so that its "
+                "coefficient may be that of a drift (matrix and limb do not lean on which it is). Let the "
+                "sensor warm in one set and cool in another."
+            )
     centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
-    return tuple(centred), mean, _check_time(sets)
+    return tuple(centred), mean, _warn(words)
 
 
-def _check_time(sets: Sequence[InSituSet]) -> list[Finding]:
-    """Return a warning if the temperature rose, or fell, with time in all sets alike."""
-    if any(data.time is None for data in sets):
-        return []
-    left = _measure_rest(sets, lambda data: np.asarray(data.time)[:, None], common=True)
-    if left >= limits.NOT_GRAVITY:
-        return []
-    words = (
-        f"The temperature went with time: one slope leaves {left:.0%} of its spread, so that its coefficient "
-        "may be that of a drift (matrix and limb do not lean on which it is). Let the sensor warm in one set "
-        "and cool in another."
-    )
-    return [Finding("temperature", words, refuses=False)]
+def _warn(words: str) -> list[Finding]:
+    return [Finding("temperature", words, refuses=False)] if words else []
 
 
 def _measure_rest(
@@ -449,11 +445,10 @@ def check_gauges(fit: Solution) -> list[Finding]:
     freer = beside_channels(fit.problem, [load @ fit.A.T for load in _warm_loads(fit.problem, fit)])
     if criterion(solve(freer, [fit.outer])) >= criterion(fit):
         return []
-    words = (
+    return _warn(
         "The gains of single channels follow the temperature, each its own way, where the fit has one an "
         "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated."
     )
-    return [Finding("temperature", words, refuses=False)]
 
 
 def _warm_loads(problem: Problem, fit: Solution) -> list[Matrix]:

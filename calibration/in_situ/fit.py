@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.calibration.state import LARGEST
@@ -27,9 +28,7 @@ class FitColumns(NamedTuple):
     @classmethod
     def of(cls, channels: int) -> "FitColumns":
         """Return the places for a sensor of k channels."""
-        offset = AXES * channels
-        limb = offset + channels
-        return cls(slice(0, offset), slice(offset, limb), slice(limb, limb + STATIC))
+        return cls(*in_a_row(AXES * channels, channels, STATIC))
 
     def row(self, axis: int) -> slice:
         """Return the places of one row of C."""
@@ -38,19 +37,16 @@ class FitColumns(NamedTuple):
 
 
 class ErrorColumns(NamedTuple):
-    """Places of a calibration's errors: the offset's, D row by row, the limb's, and those by hysteresis."""
+    """Places of a calibration's errors: the offset's, D row by row, and the limb's."""
 
     offset: slice
     response: slice
     limb: slice
-    lag: slice
 
     @classmethod
     def of(cls, channels: int) -> "ErrorColumns":
         """Return the places for a sensor of k channels."""
-        limb = channels + RELATIVE_ERRORS
-        lag = limb + STATIC
-        return cls(slice(0, channels), slice(channels, limb), slice(limb, lag), slice(lag, lag + AXES))
+        return cls(*in_a_row(channels, RELATIVE_ERRORS, STATIC))
 
 
 @dataclass(frozen=True, eq=False)

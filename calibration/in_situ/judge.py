@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import of_unit_length
 from surefoot.calibration.in_situ.covariance import invert_response
 from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.findings import Finding

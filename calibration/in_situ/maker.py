@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
@@ -185,14 +185,6 @@ _LOADED = 0.1
 _POUND = 0.45359237
 """In kg."""
 
-_UNITS = {
-    "masses are in lb, and kg are expected": 1.0 / _POUND,
-    "masses in kg were taken for lb and converted": _POUND,
-    "masses are in grams": 1e3,
-    "units of the factory matrix are kgf": GRAVITY,
-}
-"""Factors of known loads over those that a factory matrix shows, by wrong units."""
-
 
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
@@ -253,12 +245,13 @@ def _check_units(shown: Matrix, expected: Matrix, weight: Matrix) -> list[Findin
     """Return whether loads that a matrix shows, shape (6, n), are those that hang there in another unit."""
     scale, common = _scale(shown, expected, weight)
     off = abs(float(np.log(max(scale, _NO_LOAD))))
-    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
+    units = {words: force for words, (force, torque) in _OF_ROWS.items() if force == torque > 0.0}
+    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in units.items()}
     unit = min(near, key=near.__getitem__)
     nearer = common and near[unit] < off
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
     if nearer:
-        shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
+        shows += f" Likeliest: {unit}, which leaves {scale * units[unit]:.3g} times."
     check = (
         "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
         "those of the masses (kg)."
@@ -328,6 +321,7 @@ _OF_ROWS = {
     "the factory's forces are negated": (-1.0, 1.0),
     "masses are in grams": (1e3, 1e3),
     "masses are in lb, and kg are expected": (1.0 / _POUND, 1.0 / _POUND),
+    "masses in kg were taken for lb and converted": (_POUND, _POUND),
     "places are in mm, and m are expected": (1.0, 1e3),
     "places are in cm, and m are expected": (1.0, 1e2),
     "units of the factory's torques are N mm": (1.0, 1e-3),

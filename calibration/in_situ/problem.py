@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.compress import CompressedSet, of_unit_length
+from surefoot.calibration.arrays import of_unit_length
+from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Task
 from surefoot.calibration.in_situ.model import (
     AXES,

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ.check import check_bending
-from surefoot.calibration.in_situ.compress import compress, of_unit_length
+from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
     OpenErrors,

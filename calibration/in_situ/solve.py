@@ -22,8 +22,8 @@ from scipy.fft import dct, idct
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import add_signals, orthonormal
+from surefoot.calibration.arrays import orthonormal, skew
+from surefoot.calibration.in_situ.compress import add_signals
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
 from surefoot.calibration.in_situ.problem import Problem
 
