@@ -286,13 +286,15 @@ def errors_of_imu(
         felt = unknown * reach * _measure_turning(moved, np.arange(len(places)))
         u = np.nan_to_num(signals(moved, moving=True))
         u[:, DIRECT] = 0.0
+        # Without times nothing is known of a delay, and its deviation is zero.
+        change = np.gradient(moved.gravity, 1.0 if moved.time is None else moved.time, axis=0)
         inertia = unknown * limb[MASS] * com @ com * _ROD + compact_inertia(data.added_mass)
         # One after the other: all of a long set at once take more memory than the set.
         added = chain(
             (u @ np.einsum("p,pws->ws", unknown * body, basis).T,),
             (_weight_of(body, a) for a in np.moveaxis(felt, 2, 0)),
             (size * (u @ entry.T) for size, entry in zip(inertia * _ROUND, basis[INERTIA], strict=True)),
-            (delay_std * _weight_of(body, np.gradient(moved.gravity, np.asarray(moved.time), axis=0)),),
+            (delay_std * _weight_of(body, change),),
         )
         rows = np.stack(
             [np.interp(part.source.places, places, one) for wrench in added for one in wrench.T], axis=1
