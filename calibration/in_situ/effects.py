@@ -14,19 +14,17 @@ Left out, this makes the limb too light by as much. The term in :math:`\kappa` l
 x over the data; it only sets the swing at which the matrix holds, that of the data.
 
 Glue and metal creep besides: after a step they go on giving way for seconds and minutes, by about as much in
-each octave of time. Then p is the sum of the past loads by filters of the first order, less
-:math:`\kappa x` as well.
+each octave of time. Then p is the sum of the past loads by filters of the first order, less :math:`\kappa x`.
 
-The lagging signal follows from the fit's own loads, so that a fit is made again. Backlash is narrow: an error
-of the limb's first moment moves the times at which a torque turns by as much as it is wide. How it moves them
-is part of the fit (:func:`_turn`), which goes on until it settles. With one width, and without that, a limb
-of 5 kg beside backlash of 1 % came out up to 1.4 % off, at a squared error of 6 times the covariance (NEES).
+The lagging signal follows from the fit's own loads, so that a fit is made again until it settles. Backlash is
+narrow: an error of the limb's first moment moves the times at which a torque turns by as much as it is wide.
+How it moves them is part of the fit (:func:`_turn`): without that, a limb of 5 kg beside backlash of 1 % came
+out up to 1.4 % off, at a squared error of 6 times the covariance (NEES).
 
 Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
 
-**Temperature** acts on the readings directly and, times the load of each axis, on the gains, where they are
-worth it.
+**Temperature** acts on the readings and, times the load of each axis, on the gains, where it is worth it.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,15 +81,12 @@ _SHARE_STD = 0.05
 _LEADS = 0.3
 """A share this far below zero, as a part of the largest, is no hysteresis."""
 
-_STEPS = 1500
-"""Steps in which a set's plays are followed, if its limb turns slowly."""
+_STEPS, _BLOCK = 1500, 250
+"""Steps in which a set's plays are followed, if its limb turns slowly, and those that are held at once."""
 
 _CUBIC, _PART = 7, 0.1
 """Samples over which loads are smoothed by cubics, if they are no more than this part of a period: noise of
 0.1 m/s^2 showed loops in 10 of 12 sound logs without, and in none with."""
-
-_BLOCK = 250
-"""Steps whose plays are held at once."""
 
 _ROWS_EACH = 10
 """Rows that a set must have on average for each input of the response: few rows show loops in any noise."""
@@ -183,12 +178,9 @@ class _Motion(NamedTuple):
     def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
         """Take so many steps that a play, which only follows between turning points, is seen."""
         strides = [max(len(data.raw) // _STEPS, 1) for data in sets]
-        steps = [
-            stride * (np.nan if data.time is None else float(np.median(np.diff(data.time))))
-            for data, stride in zip(sets, strides, strict=True)
-        ]
+        times = [np.nan if data.time is None else float(np.median(np.diff(data.time))) for data in sets]
         paths = [_path(data, plain.moving, stride) for data, stride in zip(sets, strides, strict=True)]
-        return cls(plain, paths, strides, steps)
+        return cls(plain, paths, strides, [n * dt for n, dt in zip(strides, times, strict=True)])
 
     def loads(self, fit: Solution) -> list[Matrix]:
         """Return wrenches of the limb and the added mass by a fit, (n_j, 6) each."""
@@ -327,9 +319,6 @@ def _out_of_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> list[Ma
     return [signal - signal.mean(axis=0) for signal in signals]
 
 
-_ROUNDS = 2
-"""Fits of the gains, as the loads come from the fit itself."""
-
 _GAIN_STD = 0.005
 """Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
 
@@ -414,15 +403,15 @@ def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
     if worth @ np.sum(off**2, axis=1) < limits.COEFFICIENTS**2 * freedom:
         return None
     channel = int(np.argmax(np.ptp(own, axis=0)))
-    low, high = np.min(own[:, channel]), np.max(own[:, channel])
-    return Finding(
-        "drift by temperature",
+    reason = (
         "The offset drifted as the temperature changed: single sets show coefficients of channel "
-        f"{channel} from {low:.3g} to {high:.3g} counts/K.",
-        "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
-        "without it.",
-        refuses=False,
+        f"{channel} from {np.min(own[:, channel]):.3g} to {np.max(own[:, channel]):.3g} counts/K."
     )
+    cure = (
+        "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
+        "without it."
+    )
+    return Finding("drift by temperature", reason, cure, refuses=False)
 
 
 def add_gains(plain: Solution) -> Solution:
@@ -434,7 +423,7 @@ def add_gains(plain: Solution) -> Solution:
     def warm(fit: Solution) -> Problem:
         return beside_loads(plain.problem, _warm_loads(plain.problem, fit), _GAIN_STD)
 
-    fitted = follow(warm, plain, _ROUNDS)
+    fitted = follow(warm, plain, 2)
     if criterion(fitted) >= criterion(plain):
         return plain
     return replace(fitted, problem=replace(fitted.problem, gains=AXES))

@@ -213,21 +213,21 @@ def _stats(solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitSta
 
 def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
     """Return a fit whose values are NaN, with the reasons."""
-
-    def unknown(*shape: int) -> Matrix:
-        return np.full(shape, np.nan)
-
     k, count = sets[0].channels, len(sets)
     size = FitColumns.of(k).limb.stop
     nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
+    shapes = {
+        "matrix": (AXES, k),
+        "offset": (k,),
+        "offsets": (count, k),
+        "response": (k, AXES),
+        "covariance": (size, size),
+        "noise": (k, k),
+        "affine_residual": (count,),
+    }
     return InSituFit(
-        matrix=unknown(AXES, k),
-        offset=unknown(k),
-        offsets=unknown(count, k),
-        response=unknown(k, AXES),
-        limb=Limb(np.nan, unknown(3)),
-        covariance=unknown(size, size),
-        noise=unknown(k, k),
+        **{name: np.full(shape, np.nan) for name, shape in shapes.items()},
+        limb=Limb(np.nan, np.full(3, np.nan)),
         temperature_coefficient=None,
         rotation=np.eye(3),
         result=FitResult.REFUSED,
@@ -235,7 +235,6 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
         warnings=(),
         stats=nothing,
         set_stats=(nothing,) * count,
-        affine_residual=unknown(count),
         set_names=tuple(data.name for data in sets),
     )
 
