@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,7 +217,7 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
     k, count = sets[0].channels, len(sets)
     size = FitColumns.of(k).limb.stop
     nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
-    shapes = {
+    shapes: dict[str, tuple[int, ...]] = {
         "matrix": (AXES, k),
         "offset": (k,),
         "offsets": (count, k),
@@ -225,8 +226,9 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
         "noise": (k, k),
         "affine_residual": (count,),
     }
+    unknown: dict[str, Any] = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
     return InSituFit(
-        **{name: np.full(shape, np.nan) for name, shape in shapes.items()},
+        **unknown,
         limb=Limb(np.nan, np.full(3, np.nan)),
         temperature_coefficient=None,
         rotation=np.eye(3),
