@@ -47,20 +47,16 @@ class Maker(NamedTuple):
     def errors(self, whitening: Matrix, inputs: int) -> Matrix:
         """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
         inverse = np.linalg.pinv(self.response) @ np.linalg.inv(whitening)
-        R = np.zeros((AXES, AXES, len(whitening), inputs))
-        for j in range(AXES):
-            R[:, j, :, j] = inverse
-        return R.reshape(AXES**2, -1)
+        R = np.einsum("ic,jn->ijcn", inverse, np.eye(AXES, inputs))
+        return np.asarray(R.reshape(AXES**2, -1))
 
     def rows(self, whitening: Matrix, inputs: int) -> tuple[Matrix, Vector]:
         """Return rows by (W A row by row), shape (m, k inputs), of deviation one, and their right side."""
-        channels = len(whitening)
         beside = np.linalg.svd(self.response)[0][:, AXES:].T @ np.linalg.inv(whitening)
-        more = np.zeros((len(beside), AXES, channels, inputs))
-        for j in range(AXES):
-            more[:, j, :, j] = beside / (self.beyond * np.linalg.norm(self.response[:, j]))
+        share = 1.0 / (self.beyond * np.linalg.norm(self.response, axis=0))
+        more = np.einsum("bc,jn->bjcn", beside, share[:, None] * np.eye(AXES, inputs))
         rows = self.errors(whitening, inputs) / self.std.reshape(-1, 1)
-        rows = np.concatenate([rows, more.reshape(len(beside) * AXES, channels * inputs)])
+        rows = np.concatenate([rows, more.reshape(-1, rows.shape[1])])
         right = np.zeros(len(rows))
         right[: AXES**2] = np.eye(AXES).ravel() / self.std.ravel()
         return rows, right
