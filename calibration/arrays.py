@@ -13,6 +13,10 @@ MAD_TO_STD = 1.4826
 """Standard deviations in a median absolute deviation of normal noise."""
 
 
+ROUNDING = 1e-13
+"""Singular values at or below this share of the largest, for columns of unit length, are rounding."""
+
+
 def in_a_row(*widths: int) -> Iterator[slice]:
     """Yield the slices of parts of these widths, side by side.
 
@@ -28,3 +32,28 @@ def skew(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return [v]x, shape (3, 3): [v]x a = v x a."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def of_unit_length(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return columns over their lengths, and the lengths; one for a column of zeros."""
+    size = np.linalg.norm(columns, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    return columns / size, size
+
+
+def orthonormal(
+    columns: NDArray[np.float64], rounding: float = ROUNDING
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return an orthonormal basis of columns X, shape (n, p), and X^+ by that basis, shape (c, p)."""
+    unit, size = of_unit_length(columns)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    seen = singular > rounding * singular[0]
+    return left[:, seen], right[seen].T / singular[seen] / size[:, None]
+
+
+def triangle(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
+    width = columns.shape[1]
+    if len(columns) < width:
+        columns = np.concatenate([columns, np.zeros((width - len(columns), width))])
+    return np.asarray(np.linalg.qr(columns, mode="r"))

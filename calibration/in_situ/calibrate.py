@@ -28,29 +28,25 @@ from surefoot.calibration.in_situ.causes import Evidence, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
+from surefoot.calibration.in_situ.effects import add_gains, centre_temperatures, check_gauges, fit_hysteresis
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.hysteresis import fit_hysteresis
-from surefoot.calibration.in_situ.imu import fit_sphere, guess_delay, level, likeliest_delay
+from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
-from surefoot.calibration.in_situ.problem import Problem, pool_noise, problem_of, starts
+from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
-from surefoot.calibration.in_situ.solve import Fitted, minima
-from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures, check_gauges
+from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
-__all__ = ["calibrate_in_situ"]
-
 Vector = NDArray[np.float64]
-
 
 _AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
 off by 5 to 20 %."""
 
-_DELAYS = 5
-"""Fits at most until the delay of an IMU has settled."""
+_DELAYS, _SETTLED = 6, 1e-4
+"""Fits at most until the delay of an IMU has settled, and its last step in s."""
 
 _DRIFTS = ("slow turning", "drift by temperature")
 """Findings that a drift may explain."""
@@ -115,20 +111,14 @@ def _linear_algebra() -> ThreadpoolController:
 def _answer(task: Task, accept: str) -> InSituFit:
     """Return the answer, or a fit of NaN with the reason why there is none."""
     try:
-        door = check_sets(task.sets, task.options, leaning=task.factory is not None)
-        first = decide(door, accept)
-        if first.refused:
-            return refuse_fit(task.sets, first.refused)
-        solved = _solve(task, door)
-        fit = fit_of(solved)
+        findings = check_sets(task.sets, task.options, leaning=task.factory is not None)
+        if refused := decide(findings, accept).refused:
+            return refuse_fit(task.sets, refused)
+        solved, found = _solve(task)
+        fit, said = fit_of(solved)
     except (CalibrationRefused, np.linalg.LinAlgError) as error:
         return refuse_fit(task.sets, (_explain_error(error, accept),))
-    findings = solved.findings
-    drift = next((one for one in findings if one.name in _DRIFTS), None)
-    worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
-    if worst is not None:
-        findings[findings.index(worst)] = _name_cause(worst, solved, drift)
-    decision = decide(findings, accept)
+    decision = decide(_name_causes(findings + found + said, solved), accept)
     if decision.refused:
         return refuse_fit(task.sets, decision.refused)
     fit = replace(fit, warnings=decision.warnings, refusals=decision.passed)
@@ -148,76 +138,81 @@ def _explain_error(error: CalibrationRefused | np.linalg.LinAlgError, accept: st
     )
 
 
-def _solve(task: Task, findings: list[Finding]) -> Solved:
-    """Return the solutions of a task with all that they are to explain; findings go on."""
+def _solve(task: Task) -> tuple[Solved, list[Finding]]:
+    """Return the solutions of a task with all that they are to explain, and findings."""
     sphere = fit_sphere(task.sets)
-    findings += sphere.findings(task.moving)
     sets, reference, said = centre_temperatures(level(task.sets, sphere))
-    findings += said
-    delay, std = guess_delay(sets, task.moving), 0.0
+    findings = sphere.findings(task.moving) + said
+    delay, std = 0.0, 0.0
     for _ in range(_DELAYS):
-        late, found = tuple(shift(data, delay) for data in sets), list[Finding]()
-        members, determined, fits = _fit(task, late, reference, found)
+        late = tuple(shift(data, delay) for data in sets)
+        members, fits, found = _fit(task, late, warms=reference is not None)
         if not task.timed:
             break
         left = likeliest_delay(late, fits)
         then, std = max(delay + left.delay, 0.0), left.std
-        worth = left.nats > 0.5 * np.log(sum(part.rows for part in fits[0][0].sets))
-        if not worth or abs(then - delay) < limits.LATE or then > limits.LATEST:
+        worth = left.nats > 0.5 * np.log(sum(part.rows for part in fits[0].problem.sets))
+        step = max(std, _SETTLED) if delay else limits.LATE
+        if not worth or abs(then - delay) < step or then > limits.LATEST:
             break
         delay = then
     findings += found
     if delay:
         words = f"The IMU is late by {1e3 * delay:.1f} ms against the readings: it was shifted by that."
         findings.append(Finding("clock", words, value=delay, limit=limits.LATE, refuses=False))
-    solved = Solved(task, late, sphere, delay, std, members, determined, reference, findings)
-    findings += check_within(late, solved.problem.sets)
-    return solved
+    findings += check_within(late, members[0].solution.problem.sets)
+    return Solved(task, late, sphere, delay, std, members, reference), findings
 
 
 def _fit(
-    task: Task, sets: tuple[InSituSet, ...], reference: float | None, findings: list[Finding]
-) -> tuple[list[Leaning], bool, list[Fitted]]:
-    """Return the fits by the likely sizes of the maker's errors, whether the data determine them, and others.
+    task: Task, sets: tuple[InSituSet, ...], warms: bool
+) -> tuple[list[Leaning], list[Solution], list[Finding]]:
+    """Return the fits by the likely sizes of the maker's errors, those with loops, and findings.
 
-    The last are with loops of hysteresis, also where they are not worth it; without where few rows show them.
+    Loops of hysteresis are fitted also where they are not worth it, and not where few rows show them.
     """
-    options, warms = task.options, reference is not None
-    parts = compress(sets, options, task.moving, warms)
-    problem = problem_of(task, parts, warms)
+    problem, first = _pose(task, sets, task.options, warms)
     if task.mode != "free":
-        problem = replace(problem, maker=prior_of(task, pool_noise(parts)))
-    first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
+        problem = replace(problem, maker=prior_of(task, problem.noise))
     rank = data_rank(problem, first[0])
     determined = not rank.missing
     if not determined and problem.maker is None:
         raise rank.refusal(problem)
-    findings += _contradicting_factory(task, problem, determined=determined)
-    members = _lean(task, problem, first, findings)
-    chosen = members[0].problem, members[0].solution
-    if warms and determined:
-        chosen = add_gains(*chosen, options) or chosen
+    findings = _contradicting_factory(task, problem, determined=determined)
+    members, said = _lean(task, problem, first)
+    findings += said
+    plain = members[0].solution
+    chosen = add_gains(plain) if warms and determined else plain
     fits = [chosen]
-    if options.hysteresis:
-        chosen, fits = fit_hysteresis(sets, chosen, options)
-    if chosen[0] is not members[0].problem:
-        members = _lean(task, replace(chosen[0], maker=problem.maker), [chosen[1].outer], findings)
+    if task.options.hysteresis:
+        chosen, fits = fit_hysteresis(sets, chosen)
+    if chosen is not plain:
+        members, said = _lean(task, replace(chosen.problem, maker=problem.maker), [chosen.outer])
+        findings += said
     if warms and determined:
-        findings += check_gauges(members[0].problem, members[0].solution, options)
+        findings += check_gauges(members[0].solution)
     if not determined:
         findings.append(Finding("rank", rank.warning(), refuses=False))
-    return members, determined, fits
+    return members, fits, findings
 
 
-def _lean(task: Task, problem: Problem, first: list[Vector], findings: list[Finding]) -> list[Leaning]:
-    """Return the fits by the likely sizes of the maker's errors."""
+def _pose(
+    task: Task, sets: tuple[InSituSet, ...], options: InSituOptions, warms: bool
+) -> tuple[Problem, list[Vector]]:
+    """Return the problem of sets, without a maker's prior, and outer unknowns to start from."""
+    problem = problem_of(task, compress(sets, options, task.moving, warms), warms)
+    return problem, starts(problem, task.factory, problem.limb if task.limb is not None else None)
+
+
+def _lean(task: Task, problem: Problem, first: list[Vector]) -> tuple[list[Leaning], list[Finding]]:
+    """Return the fits by the likely sizes of the maker's errors, and findings."""
     if task.mode == "keep":
         assert problem.maker is not None
         held = replace(problem, maker=problem.maker._replace(std=KEPT * problem.maker.std))
-        return lean(held, first, stated=True)
+        return lean(held, first, stated=True), []
     found = minima(problem, first)
-    findings += check_rotation(found)
-    return lean(problem, [found[0].outer], stated=task.options.factory_std is not None)
+    members = lean(problem, [found[0].outer], stated=task.options.factory_std is not None)
+    return members, check_rotation(found)
 
 
 def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) -> list[Finding]:
@@ -230,35 +225,34 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
         minima(free, starts(free, None, None)),
         key=lambda one: float(np.sum((problem.whitening @ (one.A - response)) ** 2)),
     )
-    noise = pool_noise(problem.sets)
-    found = check_factory(
-        task.factory, replace(problem, maker=prior_of(task, noise)), by_data, determined=determined
-    )
+    with_maker = replace(problem, maker=prior_of(task, problem.noise))
+    found = check_factory(task.factory, with_maker, by_data, determined=determined)
     if any(one.refuses for one in found) and determined:
         # Sets that contradict each other without the matrix say nothing of it.
-        doubted = check_masses(free, by_data, noise)
+        doubted = check_masses(by_data)
         found = doubted + found if any(one.refuses for one in doubted) else found
     return found
 
 
-def _name_cause(symptom: Finding, solved: Solved, drift: Finding | None) -> Finding:
-    """Return a symptom with its likeliest cause."""
+def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
+    """Return findings, the worst contradiction with its likeliest cause."""
+    drift = next((one for one in findings if one.name in _DRIFTS), None)
+    worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
+    if worst is None:
+        return findings
     try:
-        return name_cause(symptom, _gather_evidence(solved.task, solved.sets), drift)
+        named = name_cause(worst, _gather_evidence(solved.task, solved.sets), drift)
     except np.linalg.LinAlgError:
-        return symptom
+        named = worst
+    return [named if one is worst else one for one in findings]
 
 
 def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     """Fit without hysteresis, with all samples where many disagree, to judge causes by."""
-    options = task.options
-    with_temperature = all(data.temperature is not None for data in sets)
-    parts = compress(sets, options, task.moving, with_temperature)
-    if max(float(np.mean(part.rejected)) for part in parts) > limits.FEW_REJECTED:
-        options = replace(options, robust=False)
-        parts = compress(sets, options, task.moving, with_temperature)
-    problem = problem_of(task, parts, with_temperature)
-    first = starts(problem, task.factory, problem.limb if task.limb is not None else None)
+    warms = all(data.temperature is not None for data in sets)
+    problem, first = _pose(task, sets, task.options, warms)
+    if max(float(np.mean(part.source.rejected)) for part in problem.sets) > limits.FEW_REJECTED:
+        problem, first = _pose(task, sets, replace(task.options, robust=False), warms)
     if data_rank(problem, first[0]).missing:
-        problem = replace(problem, maker=prior_of(task, pool_noise(parts), _AGED))
-    return Evidence(sets, problem, minima(problem, first)[0], options)
+        problem = replace(problem, maker=prior_of(task, problem.noise, _AGED))
+    return Evidence(sets, minima(problem, first)[0])

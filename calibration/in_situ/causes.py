@@ -6,7 +6,7 @@ colour of the noise that it leaves. Rows that still hang together count as fewer
 n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -16,34 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ.check import BENT_CURE, squares
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.judge import slope_by_added
-from surefoot.calibration.in_situ.linear import orthonormal
-from surefoot.calibration.in_situ.model import (
-    AXES,
-    INERTIA,
-    MASS,
-    MOMENT,
-    inertia_matrix,
-    inertial_parameters,
-    limb_parameters,
-    signals,
-)
+from surefoot.calibration.in_situ.judge import turns_of
+from surefoot.calibration.in_situ.model import INERTIA, MASS, MOMENT, inertia_matrix, limb_parameters, signals
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
     Solution,
     beside_channels,
     deviance,
     minima,
-    project,
     solve,
-    transforms,
     whiten_residuals,
 )
-
-__all__ = ["Evidence", "name_cause"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -61,13 +48,10 @@ _SHORTEST = 3
 """Rows that a touch must last."""
 
 _STEPS = 8
-"""Gauss-Newton steps of a fit of the added masses."""
+"""Steps at most by which a turn of the IMU is found ..."""
 
 _SETTLED = 1e-4
-"""Change of it, in m or as a share, that ends them."""
-
-_DIFFERENCE = 1e-5
-"""By how much it is changed to see its effect."""
+"""... and the last of them in rad."""
 
 _TURNS = 4
 """Turns by right angles from which an IMU's is searched, beside none."""
@@ -88,22 +72,27 @@ class Evidence:
 
     Attributes:
         sets: The sets.
-        problem: Of the fit, without hysteresis.
-        solution: Its solution.
-        options: Of the fit.
+        solution: Of the problem without hysteresis.
     """
 
     sets: tuple[InSituSet, ...]
-    problem: Problem
     solution: Solution
-    options: InSituOptions
+
+    @property
+    def problem(self) -> Problem:
+        """That without any cause."""
+        return self.solution.problem
 
     def beside(self, words: str, cure: str, columns: Sequence[Matrix], free: int, choices: int) -> "Cause":
         """Return a cause that adds signals, shape (n_j, q) a set, to the readings."""
-        plain = self.problem
-        rows = [part.at_rows(one) for part, one in zip(plain.sets, columns, strict=True)]
-        problem = beside_channels(plain, rows, self.options)
-        return Cause(words, cure, problem, solve(problem, [self.solution.outer]), free, choices)
+        rows = [part.at_rows(one) for part, one in zip(self.problem.sets, columns, strict=True)]
+        problem = beside_channels(self.problem, rows)
+        return Cause(words, cure, solve(problem, [self.solution.outer]), free, choices)
+
+    def change(self, changes: NDArray[np.float64]) -> Solution:
+        """Fit with changes of the added parameters, shape (q, J, p)."""
+        outer = np.pad(self.solution.outer, (0, len(changes)))
+        return solve(replace(self.problem, changes=changes), [outer])
 
     def when(self, j: int, sample: int) -> str:
         """Return a moment of a set in words."""
@@ -117,15 +106,13 @@ class Cause(NamedTuple):
     Attributes:
         words: The cause, for a message.
         cure: Advice for the user.
-        problem: Of the fit with it.
-        solution: Of the fit with it.
+        solution: Of the problem with it.
         free: Number of unknowns that it adds.
         choices: Number of alternatives of which it is the best.
     """
 
     words: str
     cure: str
-    problem: Problem
     solution: Solution
     free: int
     choices: int
@@ -160,15 +147,14 @@ def _format_percent(share: float) -> str:
 
 def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
-    tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1)]
+    tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in (_try_steps, _try_bending, _try_turn, _try_exchange, _try_masses):
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    left = [whiten_residuals(cause.problem, cause.solution) for cause in tried]
-    values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
-    share = _independent(left[int(np.argmin(values))])
-    rows = sum(map(len, left[0]))
+    values = [deviance(cause.solution) for cause in tried]
+    left = whiten_residuals(tried[int(np.argmin(values))].solution)
+    share, rows = _independent(left), sum(map(len, left))
     # The best of n alternatives gains 2 log n by chance.
     scores = np.array(
         [
@@ -196,7 +182,7 @@ def _independent(left: Sequence[Matrix]) -> float:
 def _measure_gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
     """Measure how much of a set's residual each column explains: columns (n, K), gains (K,)."""
     data, part = evidence.sets[j], evidence.problem.sets[j]
-    rows = np.flatnonzero(part.used)
+    rows = np.flatnonzero(part.source.used)
     rows = rows[:: max(len(rows) // _THINNED, 1)]
     u = signals(data, evidence.problem.moving)[rows]
     span = np.linspace(-1.0, 1.0, len(rows))
@@ -260,9 +246,8 @@ def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int
 def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
     # A limb that bends does so by gravity, a sensor by its load, which grows with the added mass.
-    T = transforms(evidence.problem, evidence.solution)[:, :AXES]
     loads = [np.nan_to_num(signals(data, evidence.problem.moving)) for data in evidence.sets]
-    loads = [u @ t[:, : u.shape[1]].T for u, t in zip(loads, T, strict=True)]
+    loads = [u @ T[:, : u.shape[1]].T for u, T in zip(loads, evidence.solution.loads, strict=True)]
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     words = "the limb bends as it turns, or the sensor is not linear"
@@ -278,38 +263,32 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _try_masses(evidence: Evidence) -> Iterator[Cause]:
-    """Yield, for each set, another mass at the place that was given, and the mass at another place."""
-    count = len(evidence.sets)
+    """Yield, for each set, another mass at the place that was given, and the mass at another place.
+
+    Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach.
+    """
+    count, added = len(evidence.sets), evidence.problem.added
     for j, data in enumerate(evidence.sets):
         given, place, name = data.added_mass, data.added_com, data.name
-        first = given * np.concatenate([[1.0], place])
+        of_body = np.zeros((4, *added.shape))
+        of_body[range(4), j, range(4)] = 1.0
         if given == 0.0:
-            x, problem, solution = _fit_body(evidence, j, first, np.eye(4))
-            if x[0] > 0.0:
-                words = f"{x[0]:.3f} kg hung in '{name}' at {_place(x[1:] / x[0])} m, and nothing was given"
-                yield Cause(words, _WEIGH, problem, solution, 4, count)
+            fit = evidence.change(of_body)
+            mass, moment = float(fit.changes[0]), fit.changes[1:]
+            if mass > 0.0:
+                words = f"{mass:.3f} kg hung in '{name}' at {_place(moment / mass)} m, and nothing was given"
+                yield Cause(words, _WEIGH, fit, 4, count)
             continue
-        x, problem, solution = _fit_body(evidence, j, first, first[:, None])
-        words = f"the added mass of '{name}' is {given * (1.0 + x[0]):.3f} kg, and {given:.3f} kg was given"
-        yield Cause(words, _WEIGH, problem, solution, 1, count)
-        x, problem, solution = _fit_body(evidence, j, first, given * np.eye(4)[:, 1:])
-        words = f"the added mass of '{name}' hangs at {_place(place + x)} m, and {_place(place)} was given"
-        yield Cause(words, _WEIGH, problem, solution, 3, count)
-
-
-def _fit_body(evidence: Evidence, j: int, first: Vector, along: Matrix) -> tuple[Vector, Problem, Solution]:
-    """Return x, and the fit with (m, m c) = first + along x added in a set, shapes (4,) and (4, q)."""
-    plain = evidence.problem
-
-    def make(x: Vector) -> Matrix:
-        mass, *moment = first + along @ x
-        added = plain.added.copy()
-        place = np.array(moment) / mass if mass != 0.0 else np.zeros(3)
-        added[j] = inertial_parameters(mass, place, plain.moving)
-        added[j, MOMENT] = moment
-        return added
-
-    return _fit_added(evidence, make, np.zeros(along.shape[1]))
+        of_mass = np.zeros((1, *added.shape))
+        of_mass[0, j] = added[j]
+        fit = evidence.change(of_mass)
+        mass = given * (1.0 + float(fit.changes[0]))
+        words = f"the added mass of '{name}' is {mass:.3f} kg, and {given:.3f} kg was given"
+        yield Cause(words, _WEIGH, fit, 1, count)
+        fit = evidence.change(given * of_body[1:])
+        there = f"{_place(place + fit.changes)} m, and {_place(place)} was given"
+        words = f"the added mass of '{name}' hangs at {there}"
+        yield Cause(words, _WEIGH, fit, 3, count)
 
 
 def _place(place: Vector) -> str:
@@ -326,7 +305,7 @@ def _try_exchange(evidence: Evidence) -> Iterator[Cause]:
         problem = replace(evidence.problem, added=added[order])
         best = minima(problem, [evidence.solution.outer, *starts(problem, None, None)])[0]
         words = f"what was added in '{evidence.sets[i].name}' and '{evidence.sets[j].name}' is exchanged"
-        yield Cause(words, _WEIGH, problem, best, 0, len(pairs))
+        yield Cause(words, _WEIGH, best, 0, len(pairs))
 
 
 def _try_turn(evidence: Evidence) -> Iterator[Cause]:
@@ -342,28 +321,39 @@ def _try_turn(evidence: Evidence) -> Iterator[Cause]:
     for turn in Rotation.create_group("O"):
         outer = _rotate(evidence.solution.outer[None], turn)[0]
         cost = solve(replace(plain, added=_rotate(plain.added, turn)), [outer], _GLANCE).cost
-        found.append((turn.magnitude() > 0.0, cost, turn.as_rotvec(), outer))
+        found.append((turn.magnitude() > 0.0, cost, turn, outer))
     # From none, and from the right angles that come next to it.
     tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]
-
-    def turn_added(x: Vector) -> Matrix:
-        return _rotate(plain.added, Rotation.from_rotvec(x))
-
-    fits = [_fit_added(evidence, turn_added, start, outer) for _, _, start, outer in tried]
-    lowest = min(solution.cost for _, _, solution in fits)
+    fits = [_fit_turn(plain, turn, outer) for _, _, turn, outer in tried]
+    lowest = min(fit.cost for _, fit in fits)
     # Masses in one plane do not tell a sensor from its mirror image: the smaller turn is likelier.
-    near = [
-        (float(np.degrees(Rotation.from_rotvec(x).magnitude())), problem, solution)
-        for x, problem, solution in fits
-        if solution.cost <= (1.0 + _AS_GOOD) * lowest
-    ]
-    angle, problem, solution = min(near, key=lambda one: one[0])
-    words = f"the IMU is turned by {angle:.0f} degrees against the sensor's frame"
+    near = [(turn.magnitude(), fit) for turn, fit in fits if fit.cost <= (1.0 + _AS_GOOD) * lowest]
+    angle, fit = min(near, key=lambda one: one[0])
+    words = f"the IMU is turned by {np.degrees(angle):.0f} degrees against the sensor's frame"
     cure = (
         "Give its rotation (R_sensor_accelerometer), or let the fit find it: 'estimate_rotation', with the "
         "limb at rest."
     )
-    yield Cause(words, cure, problem, solution, 3, 1)
+    yield Cause(words, cure, fit, 3, 1)
+
+
+def _fit_turn(plain: Problem, turn: Rotation, outer: Vector) -> tuple[Rotation, Solution]:
+    """Find the turn of the added masses next to one, by small steps, and the fit with it."""
+    best = solve(replace(plain, added=_rotate(plain.added, turn)), [outer])
+    for _ in range(_STEPS):
+        added = best.problem.added
+        step = solve(replace(best.problem, changes=turns_of(added)), [np.pad(best.outer, (0, 3))]).changes
+        for share in (1.0, 0.3, 0.1):
+            further = Rotation.from_rotvec(share * step)
+            tried = solve(replace(plain, added=_rotate(added, further)), [best.outer])
+            if tried.cost < best.cost:
+                break
+        else:
+            break
+        best, turn = tried, further * turn
+        if share * np.max(np.abs(step)) < _SETTLED:
+            break
+    return turn, best
 
 
 def _rotate(parameters: Matrix, turn: Rotation) -> Matrix:
@@ -376,30 +366,3 @@ def _rotate(parameters: Matrix, turn: Rotation) -> Matrix:
             I = R @ inertia_matrix(given) @ R.T  # noqa: E741 - as in the equations
             one[INERTIA] = limb_parameters(0.0, one[MOMENT], I)[INERTIA]
     return np.asarray(turned)
-
-
-def _fit_added(
-    evidence: Evidence, make: Callable[[Vector], Matrix], x: Vector, outer: Vector | None = None
-) -> tuple[Vector, Problem, Solution]:
-    """Fit x, which determines the added masses, by Gauss-Newton steps; return x, problem and solution."""
-
-    def fit(x: Vector, outer: Vector) -> tuple[Vector, Problem, Solution]:
-        problem = replace(evidence.problem, added=make(x))
-        return x, problem, solve(problem, [outer])
-
-    best = fit(x, evidence.solution.outer if outer is None else outer)
-    for _ in range(_STEPS):
-        x, problem, solution = best
-        changes = [(make(x + _DIFFERENCE * step) - make(x)) / _DIFFERENCE for step in np.eye(len(x))]
-        slopes = [slope_by_added(problem, solution, change) for change in changes]
-        free = project(solution, np.stack(slopes, axis=1))
-        rows = np.pad(solution.residual.ravel(), (0, len(free) - solution.residual.size))
-        step = -np.linalg.lstsq(free, rows, rcond=None)[0]
-        for share in (1.0, 0.3, 0.1):
-            tried = fit(x + share * step, solution.outer)
-            if tried[2].cost < best[2].cost:
-                best = tried
-                break
-        if best[0] is x or np.max(np.abs(best[0] - x)) < _SETTLED:
-            break
-    return best

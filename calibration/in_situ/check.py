@@ -15,16 +15,6 @@ from surefoot.calibration.in_situ.model import DIRECT
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = [
-    "BENT_CURE",
-    "TOO_FAST",
-    "check_bending",
-    "check_sets",
-    "check_within",
-    "measure_bending",
-    "squares",
-]
-
 _UNITS = {
     1.0: "g (1 g = 9.80665 m/s^2)",
     1e3: "thousandths of g",
@@ -126,29 +116,35 @@ def _check_length(data: InSituSet, length: float, spread: float) -> list[Finding
 def _check_channels(data: InSituSet, options: InSituOptions) -> list[Finding]:
     """Return which channels are dead, saturated or clipped."""
     found = []
-    low, high = options.code_range or (-np.inf, np.inf)
-    for channel, of_channel in enumerate(data.raw.T):
-        at, counts = f"'{data.name}': channel {channel}", of_channel[np.isfinite(of_channel)]
-        if np.ptp(counts) == 0.0:
-            reason = f"{at} reads {counts[0]:g} throughout."
+    lowest, highest = np.nanmin(data.raw, axis=0), np.nanmax(data.raw, axis=0)
+    for channel, counts in enumerate(data.raw.T):
+        at = f"'{data.name}': channel {channel}"
+        if lowest[channel] == highest[channel]:
+            reason = f"{at} reads {lowest[channel]:g} throughout."
             cure = "Check its wiring and that the sensor was switched on."
             found.append(Finding("dead channel", reason, cure))
-        stuck = float(np.mean((counts <= low) | (counts >= high)))
-        if stuck > limits.SATURATED:
-            reason = f"{at} is saturated in {stuck:.1%} of the samples (at or beyond {low:g} or {high:g})."
-            cure = "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
-            found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
-        for sign in (1.0, -1.0):
-            found += _check_end(data, at, of_channel, sign)
+        if options.code_range is not None:
+            low, high = options.code_range
+            stuck = float(np.mean(((counts <= low) | (counts >= high))[np.isfinite(counts)]))
+            if stuck > limits.SATURATED:
+                reason = (
+                    f"{at} is saturated in {stuck:.1%} of the samples (at or beyond {low:g} or {high:g})."
+                )
+                cure = (
+                    "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
+                )
+                found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
+        for end, sign in ((highest[channel], 1.0), (lowest[channel], -1.0)):
+            held = counts == end
+            if np.sum(held) >= limits.TIES:
+                found += _check_end(data, at, counts, held, sign)
     return found
 
 
-def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: float) -> list[Finding]:
+def _check_end(
+    data: InSituSet, at: str, counts: NDArray[np.float64], held: NDArray[np.bool_], sign: float
+) -> list[Finding]:
     """Return a finding if a channel stays at its highest or lowest reading while its load goes on."""
-    end = sign * np.nanmax(sign * counts)
-    held = counts == end
-    if np.sum(held) < limits.TIES:
-        return []
     values, times = np.unique(sign * counts[np.isfinite(counts)], return_counts=True)
     if len(values) <= _NEXT or times[-1] <= limits.TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
         return []
@@ -161,8 +157,8 @@ def _check_end(data: InSituSet, at: str, counts: NDArray[np.float64], sign: floa
     if beyond <= np.std(left[others]) + values[-1] - values[-2]:
         return []
     reason = (
-        f"{at} is clipped: {times[-1]} samples read exactly {end:g}{_span(data, held)}, none reads beyond, "
-        "and gravity went on turning."
+        f"{at} is clipped: {times[-1]} samples read exactly {sign * values[-1]:g}{_span(data, held)}, none "
+        "reads beyond, and gravity went on turning."
     )
     cure = (
         "Take the load off, set the hardware's offset again, or lower the gain: a clipped reading shows "
@@ -198,13 +194,11 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     """Return which samples were left out, and which sets no rigid limb explains."""
     found = []
     for data, part in zip(sets, parts, strict=True):
-        share, limit = float(np.mean(part.rejected)), limits.REJECTED
-        if data.moves:
-            limit = limits.REJECTED_MOVING
+        rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
+        share = float(np.mean(rejected))
         if share > limit:
             reason = (
-                f"'{data.name}': {share:.0%} of the samples disagree with all others"
-                f"{_span(data, part.rejected)}."
+                f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
             )
             cure = (
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
@@ -213,8 +207,8 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
             found.append(Finding("outliers", reason, cure, share, limit, contradicts=True))
         elif share > limits.STRAY:
             reason = (
-                f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
-                f"{_span(data, part.rejected)}: something may have touched the limb."
+                f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
+                f"{_span(data, rejected)}: something may have touched the limb."
             )
             found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
         left = _residual_share(data, part)
@@ -278,7 +272,7 @@ def measure_bending(part: CompressedSet) -> float:
         return 0.0
     g = part.source.signals[:, DIRECT]
     products = squares(g)
-    columns = part.colour.weigh(np.column_stack([np.ones(len(g)), g / GRAVITY, products]), part.spacing)
+    columns = part.weigh(np.column_stack([np.ones(len(g)), g / GRAVITY, products]))
     basis = np.linalg.qr(np.column_stack([part.score[:, np.any(part.score, axis=0)], columns]))[0]
     basis = basis[:, -products.shape[1] :]
     explained = float(np.sum((basis.T @ part.residual) ** 2))
@@ -293,8 +287,8 @@ def measure_bending(part: CompressedSet) -> float:
 
 def _find_residual(data: InSituSet, part: CompressedSet, share: float) -> Finding:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
-    worst = np.zeros_like(part.used)
-    worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True
+    worst = np.zeros_like(part.source.used)
+    worst[part.source.places.astype(int)[size > _WORST * np.median(size)]] = True
     reason = (
         f"'{data.name}': {share:.1%} of the readings' spread follows gravity in no linear way"
         f"{_span(data, worst)}."

@@ -25,8 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-__all__ = ["Colour", "Part", "Spectrum", "likeliest_colour", "motion_frequency"]
-
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 

@@ -26,22 +26,16 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.special import chdtri
 
-from surefoot.calibration.arrays import MAD_TO_STD
+from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
-from surefoot.calibration.in_situ.linear import orthonormal, triangle
 from surefoot.calibration.in_situ.model import DIRECT, signals
-
-__all__ = ["UNUSED", "CompressedSet", "add_signals", "compress", "means"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
-
-_RANK = 1e-12
-"""Singular values at or below this share of the largest, for columns of unit length, are rounding."""
 
 _GATE = 1e-9
 """Probability that a sample of nothing but noise is left out."""
@@ -59,7 +53,10 @@ _ROUNDS = 12
 _SETTLED = 1e-3
 """... until they change by less than this."""
 
-_ROWS, _ROWS_MOVING = 2000, 200
+_LOOKED = 10_000
+"""Samples of a set, or up to twice as many, that say what most agree on."""
+
+_ROWS, _ROWS_MOVING = 1000, 200
 """Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
 
 _WITHIN, _WITHIN_MOVING = 1e-3, 0.1
@@ -69,42 +66,48 @@ those of the motion are left out."""
 
 
 class SetRows(NamedTuple):
-    """A set in rows of nearly equal weight, in the order of time."""
+    """A set in rows of nearly equal weight, in the order of time.
+
+    Attributes:
+        name: The set's.
+        used: Which samples take part, shape (n,).
+        rejected: Which were left out for disagreeing with all others, shape (n,).
+        columns: (1, u, r), weighted, shape (m, 1 + s + k).
+        inputs: s.
+        weight: Square roots of the numbers of samples, shape (m,).
+        places: Mean places of the samples in the set, shape (m,).
+        width: Samples of a window.
+        spacing: Between rows in s, or in samples where some set has no times.
+        walks: Whether the offset may walk at random.
+    """
 
     name: str
     used: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
     columns: Matrix
-    """(1, u, r), weighted, shape (m, 1 + s + k)."""
     inputs: int
-    """s."""
-    weight: NDArray[np.float64]
-    """Square roots of the numbers of samples, shape (m,)."""
-    place: NDArray[np.float64]
-    """Mean place of the samples in the set, shape (m,)."""
+    weight: Vector
+    places: Vector
     width: int
-    """Samples of a window."""
     spacing: float
-    """Between rows in s, or in samples where some set has no times."""
+    walks: bool
 
     @property
     def signals(self) -> Matrix:
         """u, not weighted, shape (m, s)."""
         return np.asarray(self.columns[:, 1 : 1 + self.inputs] / self.weight[:, None])
 
+    def widen(self, more: Matrix, place: int) -> "SetRows":
+        """Add signals at the rows, shape (m, q), behind the first ``place`` ones."""
+        wide = np.insert(self.columns, [1 + place], self.weight[:, None] * more, axis=1)
+        return self._replace(columns=wide, inputs=self.inputs + more.shape[1])
 
-def _rows_of(
-    data: InSituSet, u: Matrix, used: NDArray[np.bool_], out: NDArray[np.bool_], timed: bool
-) -> SetRows:
-    """Return a set in rows: means over windows, as wide as the signals hardly change, of samples in use.
 
-    Args:
-        data: The set.
-        u: Its signals, shape (n, s).
-        used: Which samples take part, shape (n,).
-        out: Which were left out for disagreeing with all others, shape (n,).
-        timed: Whether the rows' spacing is in s rather than in samples.
-    """
+def _rows_of(data: InSituSet, u: Matrix, robust: bool, walks: bool, timed: bool) -> SetRows:
+    """Return a set in rows: means over windows, as wide as the signals u, shape (n, s), hardly change."""
+    whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
+    rejected = _reject(u, data.raw, whole) if robust else np.zeros_like(whole)
+    used = whole & ~rejected
     place = np.flatnonzero(used)
     columns = np.concatenate([u, data.raw], axis=1)
     columns = columns if len(place) == len(columns) else columns[place]
@@ -117,8 +120,8 @@ def _rows_of(
     if timed and data.time is not None and len(data.time) > 1:
         spacing *= float(data.time[-1] - data.time[0]) / (len(data.time) - 1)
     columns = weight[:, None] * np.concatenate([np.ones((len(mean), 1)), mean], axis=1)
-    middle = means(place[:, None].astype(np.float64), width)[:, 0]
-    return SetRows(data.name, used, out, columns, u.shape[1], weight, middle, width, spacing)
+    places = means(place[:, None].astype(np.float64), width)[:, 0]
+    return SetRows(data.name, used, rejected, columns, u.shape[1], weight, places, width, spacing, walks)
 
 
 def _reject(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -162,21 +165,25 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     their own median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the
     readings.
     """
-    weight = np.ones(len(columns))
     limit = float(chdtri(raw.shape[1], _GATE))
-    spread = np.std(raw, axis=0)
+    stride = max(len(raw) // _LOOKED, 1)
+    some, readings = columns[::stride], raw[::stride]
+    weight = np.ones(len(some))
+    spread = np.std(readings, axis=0)
     floor = _FLOOR * spread + np.finfo(float).tiny
-    distance = np.zeros(len(columns))
     for i in range(_ROUNDS):
-        root = weight[:, None]
-        residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
-        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
-        distance = np.sum((residual / deviation) ** 2, axis=1)
+        weighted = weight[:, None] * some
+        map_ = np.linalg.solve(weighted.T @ some, weighted.T @ readings)
+        left = readings - some @ map_
+        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(left), axis=0), floor)
+        distance = np.sum((left / deviation) ** 2, axis=1)
         if i == 0 and not (distance > limit).any():
             break
         before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
         if np.max(np.abs(weight - before)) < _SETTLED:
             break
+    residual = left if stride == 1 else raw - columns @ map_
+    distance = np.sum((residual / deviation) ** 2, axis=1)
     return np.asarray((distance > limit) & (np.abs(residual) > _SLIGHT * spread).any(axis=1))
 
 
@@ -190,12 +197,12 @@ class OffsetAt(NamedTuple):
         variance: Of the offset by noise, over that of the white noise of a sample.
     """
 
-    weights: NDArray[np.float64]
-    signals: NDArray[np.float64]
-    raw: NDArray[np.float64]
+    weights: Vector
+    signals: Vector
+    raw: Vector
     variance: float
 
-    def by(self, predicted: Matrix) -> NDArray[np.float64]:
+    def by(self, predicted: Matrix) -> Vector:
         """Return the offset, shape (k,), by A T, shape (k, s)."""
         return np.asarray(self.raw - predicted @ self.signals)
 
@@ -205,9 +212,8 @@ class CompressedSet:
     """A set, compressed.
 
     Attributes:
-        name: The set's.
-        used: Which samples take part, shape (n,).
-        rejected: Which were left out for disagreeing with all others, shape (n,).
+        source: The rows before they were weighted against drift.
+        colour: Of the noise that the rows are weighted by.
         uu: R_uu, shape (s, s) for s signals.
         ur: R_ur, shape (s, k).
         rr: R_rr, shape (k, k).
@@ -217,32 +223,21 @@ class CompressedSet:
         spread: Sum of the squares of the readings about their mean in counts^2.
         gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
         score: Signals less their mean, orthonormal, of the m rows, shape (m, s).
-        scatter: Squares of the residual, over the power that its modes have, shape (k, k).
         residual: Part of the rows' readings that no linear map of the signals explains, (m, k).
-        index: Mean place in the set of the samples that made a row, shape (m,).
-        width: Samples that made a row.
-        colour: Of the noise that the rows are weighted by.
-        source: The rows before they were weighted against drift.
     """
 
-    name: str
-    used: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
+    source: SetRows
+    colour: Colour
     uu: Matrix
     ur: Matrix
     rr: Matrix
     middle: OffsetAt
     end: OffsetAt
-    mean: NDArray[np.float64]
+    mean: Vector
     spread: float
     gram: Matrix
     score: Matrix
-    scatter: Matrix
     residual: Matrix
-    index: NDArray[np.float64]
-    width: int
-    colour: Colour
-    source: SetRows
 
     @cached_property
     def whiten(self) -> Matrix:
@@ -262,14 +257,18 @@ class CompressedSet:
         return np.where(values > UNUSED * np.max(values, initial=0.0), values, 0.0), vectors
 
     @property
-    def spacing(self) -> float:
-        """Time between rows in s, or samples where there are no times."""
-        return self.source.spacing
-
-    @property
     def samples(self) -> int:
         """Samples that take part."""
-        return int(np.sum(self.used))
+        return int(np.sum(self.source.used))
+
+    @property
+    def power(self) -> Vector:
+        """Power of the weighted rows' noise in the modes of their cosine transform, of mean one, (m,)."""
+        return self.colour.power_after(self.rows, self.source.spacing)
+
+    def weigh(self, columns: Matrix) -> Matrix:
+        """Weight columns at the rows against drift, shape (m, c)."""
+        return self.colour.weigh(columns, self.source.spacing)
 
     @property
     def rows(self) -> int:
@@ -284,8 +283,8 @@ class CompressedSet:
     @property
     def log_colour(self) -> float:
         """The sum of the logarithms of the power of the rows' noise, before they were weighted."""
-        left, weights = (of(self.rows, self.spacing) for of in (self.colour.power_after, self.colour.weights))
-        return float(np.sum(np.log(left) - np.log(weights)))
+        weights = self.colour.weights(self.rows, self.source.spacing)
+        return float(np.sum(np.log(self.power) - np.log(weights)))
 
     @property
     def affine_residual(self) -> float:
@@ -306,12 +305,11 @@ class CompressedSet:
 
     def at_rows(self, columns: Matrix) -> Matrix:
         """Return the means over rows, shape (m, q), of columns of the set, shape (n, q)."""
-        return means(columns[self.used], self.width)
+        return means(columns[self.source.used], self.source.width)
 
     def level(self, columns: Matrix) -> float:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
-        power = self.colour.power_after(self.rows, self.spacing)
-        return float(np.mean(power @ dct(columns, norm="ortho", axis=0) ** 2))
+        return float(np.mean(self.power @ dct(columns, norm="ortho", axis=0) ** 2))
 
 
 def compress(
@@ -331,48 +329,39 @@ def compress(
         u = signals(data, moving)
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
-        whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        out = _reject(u, data.raw, whole) if options.robust else np.zeros_like(whole)
-        rows.append(_rows_of(data, u, whole & ~out, out, timed))
-    return _compress_rows(rows, options)
+        rows.append(_rows_of(data, u, options.robust, options.drift, timed))
+    return _compress_rows(rows)
 
 
 def add_signals(
-    parts: Sequence[CompressedSet],
-    columns: Sequence[Matrix],
-    options: InSituOptions,
-    *,
-    first: int | None = None,
+    parts: Sequence[CompressedSet], columns: Sequence[Matrix], place: int | None = None
 ) -> tuple[CompressedSet, ...]:
     """Return compressed sets with more signals; the same samples take part, in the same windows.
 
     Args:
         parts: The sets.
         columns: At their rows, shape (m, q) each.
-        options: Whether offsets may drift.
-        first: Number of the signals before which they stand; behind all by default.
+        place: Number of the signals that stand before them; all by default.
     """
-    rows = []
-    for part, more in zip(parts, columns, strict=True):
-        source = part.source
-        place = 1 + (source.inputs if first is None else first)
-        wide = np.insert(source.columns, [place], source.weight[:, None] * more, axis=1)
-        rows.append(source._replace(columns=wide, inputs=source.inputs + more.shape[1]))
-    return _compress_rows(rows, options)
+    rows = [
+        part.source.widen(more, part.source.inputs if place is None else place)
+        for part, more in zip(parts, columns, strict=True)
+    ]
+    return _compress_rows(rows)
 
 
-def _compress_rows(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
-    colour = _colour(rows, walks=options.drift)
+def _compress_rows(rows: Sequence[SetRows]) -> tuple[CompressedSet, ...]:
+    colour = _colour(rows)
     return tuple(_triangularise(one, colour) for one in rows)
 
 
-def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
-    """Return the colour of residuals of a linear map of the signals; ``walks``: whether offsets may walk."""
+def _colour(rows: Sequence[SetRows]) -> Colour:
+    """Return the colour of residuals of a linear map of the signals."""
     found, spread = [], 0.0
     for one in rows:
         first = 1 + one.inputs
         explaining, readings = one.columns[:, :first], one.columns[:, first:]
-        basis, _ = orthonormal(explaining, _RANK)
+        basis, _ = orthonormal(explaining)
         residual = readings - basis @ (basis.T @ readings)
         found.append((residual, basis, one.spacing))
         spread += float(np.sum((readings - readings.mean(axis=0)) ** 2))
@@ -385,7 +374,7 @@ def _colour(rows: Sequence[SetRows], walks: bool) -> Colour:
     return likeliest_colour(
         [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
         float(np.median(motions)),
-        walks,
+        rows[0].walks,
     )
 
 
@@ -402,13 +391,11 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
     residual = centred[:, rows.inputs :] - centred[:, : rows.inputs] @ slope
     power = colour.power_after(len(white), rows.spacing)
-    left = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
     # Noise that depends on the load is nowhere less than on average.
     modes = np.sqrt(np.maximum(power, 1.0))[:, None] * dct(score, norm="ortho", axis=0)
     return CompressedSet(
-        name=rows.name,
-        used=rows.used,
-        rejected=rows.rejected,
+        source=rows,
+        colour=colour,
         uu=uu,
         ur=ur,
         rr=R[first:, first:],
@@ -418,12 +405,7 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
         spread=float(np.sum(readings**2)),
         gram=modes.T @ modes,
         score=score,
-        scatter=left.T @ left,
         residual=residual,
-        index=rows.place,
-        width=rows.width,
-        colour=colour,
-        source=rows,
     )
 
 

@@ -14,33 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import skew
+from surefoot.calibration.arrays import ROUNDING, skew, triangle
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
-from surefoot.calibration.in_situ.linear import ROUNDING, orthonormal, triangle
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Solution, loop_shares, transforms
-
-__all__ = [
-    "DataShare",
-    "OpenErrors",
-    "answer_of",
-    "answer_root",
-    "data_share",
-    "disagreement",
-    "invert_response",
-    "slope_doubts",
-    "slow_turn",
-    "unknowns_root",
-]
+from surefoot.calibration.in_situ.solve import Solution
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
-
 
 _RAISES, _LOWERS = 4.0, 30.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them
@@ -67,18 +51,18 @@ class OpenErrors(NamedTuple):
     offset: Matrix
 
 
-def disagreement(problem: Problem, solution: Solution) -> Vector:
+def disagreement(solution: Solution) -> Vector:
     """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
 
     At the frequency of the limb's motion no residual is left to show a spectrum. The noise along a signal
     shows in the difference between one common response and the sets' own maps, as far as their rows are free.
     """
-    left, _ = orthonormal(solution.jacobian)
+    left, _ = solution.basis
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
-    used = np.array([np.diag(part.unwhiten) > 0.0 for part in problem.sets])
+    used = np.array([np.diag(part.unwhiten) > 0.0 for part in solution.problem.sets])
     shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
     rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
-    believed = np.where((shown > rows) | problem.lags, _RAISES, _LOWERS)
+    believed = np.where((shown > rows) | solution.problem.lags, _RAISES, _LOWERS)
     return np.asarray(np.sqrt((believed + shown) / (believed + rows)))
 
 
@@ -88,68 +72,59 @@ def invert_response(response: Matrix, noise: Matrix) -> Matrix:
     return np.asarray(np.linalg.pinv(root @ response, rcond=ROUNDING) @ root)
 
 
-def answer_of(problem: Problem, solution: Solution, noise: Matrix) -> Vector:
+def answer_of(solution: Solution) -> Vector:
     """Return (C row by row, the last set's offset at its end, m, m c), shape (7 k + 4,)."""
-    predicted = solution.response @ transforms(problem, solution)[-1]
-    offset = problem.sets[-1].end.by(predicted)
-    C = invert_response(solution.A, noise)
+    C = invert_response(solution.A, solution.problem.noise)
+    offset = solution.problem.sets[-1].end.by(solution.predicted[-1])
     return np.concatenate([C.ravel(), offset, solution.limb[:STATIC]])
 
 
-def answer_root(
-    problem: Problem, solution: Solution, noise: Matrix, beside: OpenErrors, root: Matrix
-) -> Matrix:
+def answer_root(solution: Solution, beside: OpenErrors, root: Matrix) -> Matrix:
     """Return a root of the covariance of the answer, shape (7 k + 4, c).
 
     Args:
-        problem: The problem.
-        solution: Its solution.
-        noise: Covariance of a sample, shape (k, k).
+        solution: A solution.
         beside: Errors that are no noise.
         root: Of the covariance of the unknowns by noise and prior, as :func:`unknowns_root` returns it.
     """
-    channels, inputs = solution.response.shape
-    columns = FitColumns.of(channels)
-    left, inverse = orthonormal(solution.jacobian)
+    problem = solution.problem
+    columns = FitColumns.of(len(solution.A))
+    left, inverse = solution.basis
     rows = np.pad(beside.rows, ((0, len(left) - len(beside.rows)), (0, 0)))
     root = np.concatenate([root, inverse @ (left.T @ rows)], axis=1)
-    linear = channels * inputs
-    # From W A to A, row by row.
-    root[:linear] = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs)) @ root[:linear]
-    root = output_derivatives(problem, solution, noise) @ root
+    root = output_derivatives(solution) @ root
     root[columns.offset, -rows.shape[1] :] += beside.offset
-    own = np.zeros((len(root), channels))
-    own[columns.offset] = np.linalg.cholesky(noise) * np.sqrt(problem.sets[-1].end.variance)
+    own = np.zeros((len(root), len(solution.A)))
+    own[columns.offset] = np.linalg.cholesky(problem.noise) * np.sqrt(problem.sets[-1].end.variance)
     return np.concatenate([root, own], axis=1)
 
 
-def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
+def unknowns_root(solution: Solution) -> Matrix:
     """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
-    left, inverse = orthonormal(solution.jacobian)
+    left, inverse = solution.basis
     of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
-    of_sets = disagreement(problem, solution)[:, None, None] * of_sets
+    of_sets = disagreement(solution)[:, None, None] * of_sets
     rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
     return np.asarray(inverse @ triangle(rows).T)
 
 
-def slope_doubts(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
+def slope_doubts(solution: Solution) -> tuple[Matrix, Matrix]:
     """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
 
     An axis, or a channel, gives by its share of loops more for twice the swing, by that of creep in twice
     the time.
     """
-    A = solution.A
-    C = invert_response(A, noise)
-    T = transforms(problem, solution)[:, :AXES]
-    load = T[-1] @ problem.sets[-1].end.signals
-    loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
-    if not problem.channel_lags:
+    A, sets = solution.A, solution.problem.sets
+    C = invert_response(A, solution.problem.noise)
+    load = solution.loads[-1] @ sets[-1].end.signals
+    loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
+    if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
         changes = np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
         doublings = _doublings([one @ A.T for one in loads])
         changes = np.einsum("ac,cb->acb", np.eye(len(A)), A)
-    changes = (loop_shares(problem, solution) * doublings)[:, None, None] * changes
+    changes = (solution.shares * doublings)[:, None, None] * changes
     return (C @ changes @ C).reshape(len(changes), -1).T, (changes @ load).T
 
 
@@ -169,35 +144,31 @@ def _doublings(loads: Sequence[Matrix]) -> Vector:
     return np.asarray(np.maximum(np.hypot(of_swing - np.mean(of_swing), 1.0), of_reach - of_swing))
 
 
-def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """Return d(C, o, m, m c) by d(A row by row, phi, rotation)."""
-    A, channels = solution.A, len(solution.response)
-    inputs, columns = problem.inputs, FitColumns.of(channels)
+def output_derivatives(solution: Solution) -> Matrix:
+    """Return d(C, o, m, m c) by d(W A row by row, phi, rotation), shape (7 k + 4, u)."""
+    problem, A = solution.problem, solution.A
+    (channels, inputs), columns = solution.response.shape, FitColumns.of(len(A))
     of_phi = channels * inputs
-    of_rotation = of_phi + problem.parameters
-    C = invert_response(A, noise)
-    steep = np.linalg.pinv(A.T @ np.linalg.solve(noise, A), hermitian=True)
-    beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
+    C = invert_response(A, problem.noise)
+    steep = np.linalg.pinv(A.T @ np.linalg.solve(problem.noise, A), hermitian=True)
+    beyond = np.linalg.solve(problem.noise, np.eye(channels) - A @ C)
+    lever = problem.sets[-1].end.signals
     slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
-    last = problem.sets[-1]
-    lever = last.end.signals
-    T = transforms(problem, solution)[-1]
-    for i in range(channels):
-        for a in range(inputs):
-            column = i * inputs + a
-            if a < AXES:
-                dC = -np.outer(C[:, i], C[a]) + np.outer(steep[:, a], beyond[i])
-                slopes[columns.matrix, column] = dC.ravel()
-            slopes[columns.offset.start + i, column] = -(T @ lever)[a]
+    of_response = slopes[:, :of_phi].reshape(-1, channels, inputs)
+    dC = np.einsum("ja,il->jlia", steep, beyond) - np.einsum("ji,al->jlia", C, C)
+    of_response[columns.matrix, :, :AXES] = dC.reshape(-1, channels, AXES)
+    of_response[columns.offset] = -np.multiply.outer(np.eye(channels), solution.transforms[-1] @ lever)
+    # From A to W A.
+    slopes[:, :of_phi] = np.einsum("qka,kl->qla", of_response, np.linalg.inv(problem.whitening)).reshape(
+        -1, of_phi
+    )
     signals = lever[: problem.basis.shape[2]].copy()
     signals[DIRECT] = solution.rotation @ signals[DIRECT]
-    for p, of_parameter in enumerate(problem.basis):
-        slopes[columns.offset, of_phi + p] = -A @ of_parameter @ signals
+    slopes[columns.offset, of_phi : of_phi + problem.parameters] = -A @ (problem.basis @ signals).T
     if problem.rotation:
         M = np.einsum("p,pws->ws", solution.limb + problem.added[-1], problem.basis[..., DIRECT])
-        for axis in range(3):
-            turned = skew(np.eye(3)[axis]) @ signals[DIRECT]
-            slopes[columns.offset, of_rotation + axis] = -A @ M @ turned
+        # [e]x g = -[g]x e of a turn by e.
+        slopes[columns.offset, of_phi + problem.parameters :] = A @ M @ skew(signals[DIRECT])
     slopes[columns.limb, of_phi : of_phi + STATIC] = np.eye(STATIC)
     return slopes
 
@@ -238,20 +209,13 @@ class DataShare:
         return [Finding("share of the data", reason, value=least, limit=limits.KNOWN, refuses=False)]
 
 
-def data_share(problem: Problem, solution: Solution, noise: Matrix) -> DataShare:
-    """Split the information on a fit between data and prior.
-
-    Args:
-        problem: With its priors.
-        solution: Its solution.
-        noise: Covariance of a sample, shape (k, k).
-    """
+def data_share(solution: Solution) -> DataShare:
+    """Split the information on a fit between data and prior."""
+    problem = solution.problem
     channels, inputs = solution.response.shape
     linear = channels * inputs
-    of_data = sum(len(part.uu) for part in problem.sets) * channels
-    scale = _sizes(problem, solution)
-    J = solution.jacobian * scale
-    data, prior = J[:of_data], J[of_data:]
+    scale = _sizes(solution)
+    data, prior = np.split(solution.jacobian * scale, [solution.residual.size])
     squares = data.T @ data
     # Unknowns of the answer: neither loops nor the limb's inertia, which are integrated out.
     asked = np.ones(len(squares), dtype=np.bool_)
@@ -260,12 +224,11 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix) -> DataShare
     own, across = squares[np.ix_(~asked, ~asked)], squares[np.ix_(~asked, asked)]
     rest = np.linalg.solve(own + np.eye(len(own)) / _UNKNOWN**2, across)
     weak = np.linalg.eigvalsh(squares[np.ix_(asked, asked)] - across.T @ rest) < 1.0 / limits.AXIS**2
-    to_output = output_derivatives(problem, solution, noise) * scale
-    to_output[:, :linear] = to_output[:, :linear] @ np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
+    to_output = output_derivatives(solution) * scale
     alone = _variance(squares, to_output)
     known = _variance(squares + prior.T @ prior, to_output)
     by_noise = np.zeros(len(known))
-    by_noise[FitColumns.of(channels).offset] = np.diag(noise) * problem.sets[-1].end.variance
+    by_noise[FitColumns.of(channels).offset] = np.diag(problem.noise) * problem.sets[-1].end.variance
     share = np.clip((known + by_noise) / np.maximum(alone + by_noise, np.finfo(float).tiny), 0.0, 1.0)
     return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)))
 
@@ -276,16 +239,16 @@ def _variance(squares: Matrix, outputs: Matrix) -> Vector:
     return np.asarray((outputs @ vectors) ** 2 @ (1.0 / (np.maximum(values, 0.0) + 1.0 / _UNKNOWN**2)))
 
 
-def _sizes(problem: Problem, solution: Solution) -> Vector:
+def _sizes(solution: Solution) -> Vector:
     """Return the sizes of the unknowns (W A row by row, phi, rotation)."""
+    problem = solution.problem
     white = problem.whitening @ solution.response
     columns = np.sqrt(np.mean(white**2, axis=0))
     mass = abs(float(solution.limb[MASS]))
     reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), _REACH)
-    limb = np.full(problem.outer, mass * reach**2)
+    limb = np.ones(problem.outer)
+    limb[: problem.of_loads.start] = mass * reach**2
     limb[MASS], limb[MOMENT] = mass, mass * reach
-    limb[problem.of_loads] = 1.0
-    limb[problem.parameters :] = 1.0
     return np.concatenate([np.tile(columns, len(white)), limb])
 
 
@@ -296,7 +259,7 @@ def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Find
     """
     seen, left, size = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
     for data, part in zip(sets, parts, strict=True):
-        gravity = data.gravity[part.used]
+        gravity = data.gravity[part.source.used]
         centred = gravity - gravity.mean(axis=0)
         seen += centred.T @ centred
         size += float(np.sum(gravity**2))

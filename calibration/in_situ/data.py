@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_not_negative, check_positive
 
-__all__ = ["InSituOptions", "InSituSet", "InSituTrackerConfig", "KnownLimb", "MatrixMode", "Task", "shift"]
-
 MatrixMode = Literal["keep", "update", "free"]
 """How a factory matrix is used."""
 

@@ -11,7 +11,7 @@ among them (the ``goal``), by the mutual information of Gaussian variables,
 in nats: by how much the logarithm of the volume of q's uncertainty shrinks. All other unknowns are nuisances
 and share the reading. Every mass that hangs brings an offset of its own, as offsets jump from set to set, so
 the first poses of a new mass bring little: masses are compared by the information of ``block`` poses with
-each (greedy, then each pose exchanged for the best beside the others: Fedorov, 1972), and the best
+each (poses far apart, each exchanged for the best beside the others: Fedorov, 1972), and the best
 block is taken, P is updated by it (:mod:`surefoot.calibration.kalman`), and so on.
 
 Covariances do not depend on the readings to come but, as the model is bilinear, on the assumed A and
@@ -39,17 +39,6 @@ from surefoot.calibration.in_situ.model import (
     offset_covariance,
 )
 from surefoot.calibration.kalman import kalman_step
-
-__all__ = [
-    "GOALS",
-    "ExcitationPlan",
-    "ExcitationPrior",
-    "MassCandidate",
-    "PlannedPose",
-    "plan_excitation",
-    "prior_from_factory",
-    "prior_from_fit",
-]
 
 Matrix = NDArray[np.float64]
 
@@ -378,31 +367,17 @@ class _Design:
         return np.asarray(step.covariance)
 
     def block(self, P: Matrix, mass: int, size: int) -> list[PlannedPose]:
-        """Return poses with one mass, exchanged from a greedy and from an even start; the better of both."""
-        greedy: list[int] = []
-        reached = P
-        for _ in range(size):
-            greedy.append(int(np.argmax(self.information(reached, mass))))
-            reached = self.after(reached, greedy[-1], mass)
-        starts = [greedy] if size == 1 else [greedy, self._spread[:size]]
-        blocks = [self._order(P, mass, self._exchange(P, mass, start)) for start in starts]
-        return max(blocks, key=lambda poses: sum(pose.information for pose in poses))
-
-    def _exchange(self, P: Matrix, mass: int, start: list[int]) -> list[int]:
-        """Return poses after each was exchanged for the best beside the others, until none changes."""
-        chosen = start.copy()
-        for _ in range(_SWEEPS if len(chosen) > 1 else 0):
+        """Return poses with one mass: each of an even start exchanged for the best beside the others."""
+        chosen = self._spread[:size]
+        for _ in range(_SWEEPS):
             before = chosen.copy()
-            for place in range(len(chosen)):
+            for place in range(size):
                 beside = P
                 for other in chosen[:place] + chosen[place + 1 :]:
                     beside = self.after(beside, other, mass)
                 chosen[place] = int(np.argmax(self.information(beside, mass)))
             if chosen == before:
                 break
-        return chosen
-
-    def _order(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
         poses = []
         for orientation in chosen:
             poses.append(PlannedPose(orientation, mass, float(self.information(P, mass)[orientation])))

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["Decision", "Finding", "decide"]
-
 
 @dataclass(frozen=True)
 class Finding:

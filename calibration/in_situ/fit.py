@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.calibration.state import LARGEST
 from surefoot.files import read_json
-
-__all__ = ["ErrorColumns", "FitColumns", "InSituFit", "Limb", "check_calibrated", "error_covariance"]
 
 Matrix = NDArray[np.float64]
 
@@ -29,9 +28,7 @@ class FitColumns(NamedTuple):
     @classmethod
     def of(cls, channels: int) -> "FitColumns":
         """Return the places for a sensor of k channels."""
-        offset = AXES * channels
-        limb = offset + channels
-        return cls(slice(0, offset), slice(offset, limb), slice(limb, limb + STATIC))
+        return cls(*in_a_row(AXES * channels, channels, STATIC))
 
     def row(self, axis: int) -> slice:
         """Return the places of one row of C."""
@@ -40,19 +37,16 @@ class FitColumns(NamedTuple):
 
 
 class ErrorColumns(NamedTuple):
-    """Places of a calibration's errors: the offset's, D row by row, the limb's, and those by hysteresis."""
+    """Places of a calibration's errors: the offset's, D row by row, and the limb's."""
 
     offset: slice
     response: slice
     limb: slice
-    lag: slice
 
     @classmethod
     def of(cls, channels: int) -> "ErrorColumns":
         """Return the places for a sensor of k channels."""
-        limb = channels + RELATIVE_ERRORS
-        lag = limb + STATIC
-        return cls(slice(0, channels), slice(channels, limb), slice(limb, lag), slice(lag, lag + AXES))
+        return cls(*in_a_row(channels, RELATIVE_ERRORS, STATIC))
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,8 +276,16 @@ _NAMES = {
     "accelerometer_bias": "accelerometer_bias_m_s2",
 }
 
-_NEW = ("maker_known", "accelerometer_bias", "offset_doubt")
-"""Fields that files of the same version may lack."""
+_SCALARS = {
+    "temperature_reference": "temperature_reference_degC",
+    "bending": "bending_share_of_spread",
+    "scope": "scope",
+    "accepted": "accepted",
+    "maker_share": "factory_share_of_full_scale",
+    "accelerometer_scale": "accelerometer_scale",
+    "delay": "accelerometer_delay_s",
+}
+"""Fields that are no arrays; files of the same version may lack any that has a default."""
 
 
 def facts_of(
@@ -305,18 +307,11 @@ def facts_of(
             "conventions": _CONVENTIONS,
             "result": fit.result.value,
             "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
-            "accepted": fit.accepted,
             "warnings": fit.warnings,
             "notices": notices,
-            **{name: getattr(fit, field) for field, name in _NAMES.items()},
+            **{name: getattr(fit, field) for field, name in (_NAMES | _SCALARS).items()},
             "matrix_std_N_Nm_per_count": fit.matrix_std,
             "offset_std_count": fit.offset_std,
-            "temperature_reference_degC": fit.temperature_reference,
-            "bending_share_of_spread": fit.bending,
-            "scope": fit.scope,
-            "factory_share_of_full_scale": fit.maker_share,
-            "accelerometer_scale": fit.accelerometer_scale,
-            "accelerometer_delay_s": fit.delay,
             "limb": {
                 "mass_kg": fit.limb.mass,
                 "mass_std_kg": fit.limb_mass_std,
@@ -370,26 +365,24 @@ def read_calibration(path: Path) -> InSituFit:
 def _fit_of(given: dict[str, Any]) -> InSituFit:
     if given.get("nonlinear") is not None:
         raise ValueError("a polynomial, which fits no longer have")
-    older = {name: None for field, name in _NAMES.items() if field in _NEW}
-    given = older | given
-    values = {field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None}
+    defaults = {one.name for one in dataclasses.fields(InSituFit) if one.default is not dataclasses.MISSING}
+    defaults.add("accelerometer_bias")
+    values = {
+        field: _array(given[name])
+        for field, name in _NAMES.items()
+        if field not in defaults or given.get(name) is not None
+    }
+    values |= {field: given[name] for field, name in _SCALARS.items() if name in given}
     limb = given["limb"]
     return InSituFit(
         limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),
         result=FitResult(given["result"]),
         refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
-        accepted=given["accepted"],
         warnings=tuple(given["warnings"]),
         stats=_stats_of(given["all_sets"]),
         set_stats=tuple(_stats_of(one) for one in given["sets"]),
         set_names=tuple(one["name"] for one in given["sets"]),
-        temperature_reference=float(given["temperature_reference_degC"]),
-        bending=float(given.get("bending_share_of_spread", 0.0)),
-        scope=given.get("scope", ""),
-        maker_share=given.get("factory_share_of_full_scale"),
-        accelerometer_scale=float(given.get("accelerometer_scale", 1.0)),
-        delay=float(given.get("accelerometer_delay_s", 0.0)),
-        **{"temperature_coefficient": None, **values},
+        **values,
     )
 
 

@@ -11,10 +11,9 @@ treated as rest, move the answer by a vector each; the squares of all are part o
 (:func:`errors_of_imu`).
 
 Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column :math:`A T \dot u`
-of readings more. Two looks find d: one at each set's own linear map, which large delays and fast motion show
-at once, and one beside all else that a fit explains. The second is needed where a sensor has hysteresis,
-since its readings lag as well: the effect of a late IMU cancels part of a loop, and the rest looks like a
-narrow one. The two differ after each turn of the limb, where a delay acts at once and a loop grows.
+of readings more, which is looked for beside all else that a fit explains. Where a sensor has hysteresis its
+readings lag as well: the effect of a late IMU cancels part of a loop, and the rest looks like a narrow one.
+The two differ after each turn of the limb, where a delay acts at once and a loop grows.
 """
 
 from collections.abc import Sequence
@@ -30,11 +29,9 @@ from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
-from surefoot.calibration.in_situ.compress import means
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
-from surefoot.calibration.in_situ.data import InSituSet, shift
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.linear import orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -48,20 +45,8 @@ from surefoot.calibration.in_situ.model import (
     signals,
     transform_basis,
 )
-from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Fitted, Solution, criterion, project, transforms
+from surefoot.calibration.in_situ.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
-
-__all__ = [
-    "DelayLeft",
-    "Sphere",
-    "errors_of_imu",
-    "fit_sphere",
-    "guess_delay",
-    "level",
-    "likeliest_delay",
-    "shift",
-]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -275,7 +260,7 @@ _COLUMNS = 1 + 3 + 6 + 1
 
 
 def errors_of_imu(
-    sets: Sequence[InSituSet], problem: Problem, solution: Solution, sphere: Sphere, delay_std: float
+    sets: Sequence[InSituSet], solution: Solution, sphere: Sphere, delay_std: float
 ) -> OpenErrors:
     """Collect the errors that turning, a delay and the accelerometer's bias may have added.
 
@@ -284,7 +269,7 @@ def errors_of_imu(
     postures that were held, and, but for the added mass's, for a limb whose motion was recorded. Then the
     delay, and the bias along each axis.
     """
-    limb = solution.limb[:STATIC]
+    problem, limb = solution.problem, solution.limb[:STATIC]
     com = limb[MOMENT] / limb[MASS]
     reach = _REACH * float(np.linalg.norm(com))
     bare = inertial_parameters(float(limb[MASS]), com, True)
@@ -301,18 +286,22 @@ def errors_of_imu(
         felt = unknown * reach * _measure_turning(moved, np.arange(len(places)))
         u = np.nan_to_num(signals(moved, moving=True))
         u[:, DIRECT] = 0.0
+        # Without times nothing is known of a delay, and its deviation is zero.
+        change = np.gradient(moved.gravity, 1.0 if moved.time is None else moved.time, axis=0)
         inertia = unknown * limb[MASS] * com @ com * _ROD + compact_inertia(data.added_mass)
         # One after the other: all of a long set at once take more memory than the set.
         added = chain(
             (u @ np.einsum("p,pws->ws", unknown * body, basis).T,),
             (_weight_of(body, a) for a in np.moveaxis(felt, 2, 0)),
             (size * (u @ entry.T) for size, entry in zip(inertia * _ROUND, basis[INERTIA], strict=True)),
-            (delay_std * _weight_of(body, np.gradient(moved.gravity, np.asarray(moved.time), axis=0)),),
+            (delay_std * _weight_of(body, change),),
         )
-        rows = np.stack([np.interp(part.index, places, one) for wrench in added for one in wrench.T], axis=1)
+        rows = np.stack(
+            [np.interp(part.source.places, places, one) for wrench in added for one in wrench.T], axis=1
+        )
         rows *= part.source.weight[:, None]
         of_offset = (part.end.weights @ rows).reshape(-1, AXES).T
-        seen = part.whiten @ (part.score.T @ part.colour.weigh(rows, part.spacing))
+        seen = part.whiten @ (part.score.T @ part.weigh(rows))
         found.append(np.moveaxis(seen.reshape(len(seen), -1, AXES) @ white, 1, 2))
     of_bias = _weight_of(body, np.asarray(np.linalg.cholesky(sphere.covariance).T * sphere.scale)).T
     offset = solution.A @ np.concatenate([of_offset, of_bias], axis=1)
@@ -323,36 +312,6 @@ def errors_of_imu(
 def _weight_of(body: Vector, gravity: Matrix) -> Matrix:
     """Return the wrench, shape (n, 6), of a body in gravity, (n, 3)."""
     return np.concatenate([body[MASS] * gravity, np.cross(body[MOMENT], gravity)], axis=1)
-
-
-_ROWS = 1500
-"""Rows of a set in which a delay is looked for."""
-
-_DRIFT = 6
-"""Cosines over a set's time that an offset may follow meanwhile."""
-
-_STEPS, _SETTLED = 6, 1e-4
-"""Steps at most, and the last one in s."""
-
-_EXPLAINS = 0.5
-"""Share of the residual's square that a delay leaves at most: a turned IMU or hysteresis leave more."""
-
-
-def guess_delay(sets: Sequence[InSituSet], moving: bool) -> float:
-    """Return by how much gravity is late in s, by each set's own map; zero unless it explains much."""
-    if any(data.time is None or len(data.raw) < 8 * _DRIFT for data in sets):
-        return 0.0
-    delay, before, after = 0.0, np.inf, np.inf
-    for i in range(_STEPS):
-        left, along, square = np.array([_slope(shift(data, delay), moving) for data in sets]).sum(axis=0)
-        before, after = (left if i == 0 else before), left
-        step = float(along / max(square, np.finfo(float).tiny))
-        if not np.isfinite(step) or abs(delay + step) > limits.LATEST:
-            return 0.0
-        if abs(step) < (_SETTLED if delay else limits.LATE):
-            break
-        delay += step
-    return delay if delay >= limits.LATE and after <= _EXPLAINS * before else 0.0
 
 
 _LAW = 0.1
@@ -377,41 +336,35 @@ class DelayLeft(NamedTuple):
         return 0.5 * (self.delay / self.std) ** 2
 
 
-def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Fitted]) -> DelayLeft:
+def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Solution]) -> DelayLeft:
     """Return the delay beside the fit that would be the likeliest with it.
 
     Delays and loops cancel each other, so that the fit without the delay is no guide.
 
     Args:
         sets: As they were fitted, each with times.
-        fits: Problems with loops of hysteresis by each law, and their solutions.
+        fits: With loops of hysteresis by each law.
     """
-    tried = [(criterion(*one), _delay_left(sets, *one)) for one in fits]
+    tried = [(criterion(one), _delay_left(sets, one)) for one in fits]
     return min(tried, key=lambda one: one[0] - 2.0 * one[1].nats * (one[1].delay > 0.0))[1]
 
 
-def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> DelayLeft:
-    """Return the delay that a fit leaves, with all of its unknowns free to follow.
-
-    Args:
-        sets: As they were fitted, each with times.
-        problem: The problem.
-        solution: Its solution.
-    """
+def _delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
+    """Return the delay that a fit leaves, with all of its unknowns free to follow."""
+    problem = solution.problem
     between, along, square, like, whole = [], 0.0, 1e-300, 0.0, 1e-300
-    predicted = solution.response @ transforms(problem, solution)
-    for data, part, B in zip(sets, problem.sets, predicted, strict=True):
+    for data, part, B in zip(sets, problem.sets, solution.predicted, strict=True):
         source = part.source
-        at = np.interp(part.index, np.arange(len(data.raw)), np.asarray(data.time))
+        at = np.interp(source.places, np.arange(len(data.raw)), np.asarray(data.time))
         rate = np.gradient(source.signals[:, problem.motion], at, axis=0) @ B[:, problem.motion].T
         loops = source.signals[:, problem.of_lags] @ B[:, problem.of_lags].T
         columns = np.column_stack([rate, loops]) * source.weight[:, None]
-        columns = part.colour.weigh(np.column_stack([source.weight, columns]), part.spacing)
+        columns = part.weigh(np.column_stack([source.weight, columns]))
         mean, columns = columns[:, 0], columns[:, 1:]
         late, loops = np.hsplit(columns - np.outer(mean, mean @ columns) / (mean @ mean), 2)
         seen = part.score.T @ late
         between.append(part.whiten @ seen @ problem.whitening.T)
-        power = np.sqrt(part.colour.power_after(part.rows, part.spacing))[:, None]
+        power = np.sqrt(part.power)[:, None]
         within, left, late, loops = (
             dct(one, norm="ortho", axis=0) / power @ problem.whitening.T
             for one in (late - part.score @ seen, part.residual, late, loops)
@@ -419,31 +372,9 @@ def _delay_left(sets: Sequence[InSituSet], problem: Problem, solution: Solution)
         along, square = along + float(np.sum(within * left)), square + float(np.sum(within**2))
         like, whole = like + float(np.sum(late * loops)), whole + float(np.sum(late**2))
     # Sets that contradict each other say little of a clock.
-    believed = 1.0 / disagreement(problem, solution)[:, None]
-    free = project(solution, np.stack(between).reshape(-1, 1))[: solution.residual.size]
+    believed = 1.0 / disagreement(solution)[:, None]
+    free = solution.project(np.stack(between).reshape(-1, 1))[: solution.residual.size]
     free = free.reshape(solution.residual.shape) * believed
     along -= float(np.sum(free * solution.residual * believed))
     square += float(np.sum(free**2))
     return DelayLeft(along / square, float(np.hypot(square**-0.5, _LAW * like / whole)))
-
-
-def _slope(data: InSituSet, moving: bool) -> tuple[float, float, float]:
-    """Return the square that a set's linear fit leaves, and its products with B dg/dt and of that alone."""
-    assert data.time is not None
-    u = signals(data, moving)
-    whole = np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1)
-    width = max(int(np.sum(whole)) // _ROWS, 1)
-    rows = means(np.column_stack([data.time, u, data.raw])[whole], width)
-    time, u, raw = rows[:, 0], rows[:, 1 : 1 + u.shape[1]], rows[:, 1 + u.shape[1] :]
-    share = (time - time[0]) / max(float(time[-1] - time[0]), np.finfo(float).tiny)
-    offset = np.cos(np.pi * share[:, None] * np.arange(_DRIFT))
-    left, back = orthonormal(np.concatenate([u, offset], axis=1), 1e-9)
-    residual = raw - left @ (left.T @ raw)
-    rate = np.gradient(u, time, axis=0) @ (back @ (left.T @ raw))[: u.shape[1]]
-    rate -= left @ (left.T @ rate)
-    noise = np.linalg.pinv(residual.T @ residual / len(raw), rcond=1e-9, hermitian=True)
-    return (
-        float(np.sum(residual**2 / np.maximum(np.var(raw, axis=0), np.finfo(float).tiny))),
-        float(np.sum((rate @ noise) * residual)),
-        float(np.sum((rate @ noise) * rate)),
-    )

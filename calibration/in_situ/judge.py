@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import invert_response
 from surefoot.calibration.in_situ.data import KnownLimb
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.linear import of_unit_length, orthonormal
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -23,21 +23,9 @@ from surefoot.calibration.in_situ.model import (
     different_masses,
 )
 from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
-from surefoot.calibration.in_situ.solve import Solution, expand, project, transforms
+from surefoot.calibration.in_situ.solve import Solution, expand, solve
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
-
-__all__ = [
-    "DataRank",
-    "check_answer",
-    "check_axes",
-    "check_limb",
-    "check_masses",
-    "check_rotation",
-    "check_scale",
-    "data_rank",
-    "slope_by_added",
-]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -193,12 +181,11 @@ def check_answer(fit: InSituFit, factory: Matrix | None) -> list[Finding]:
     return found
 
 
-def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> list[Finding]:
+def check_axes(fit: InSituFit, solution: Solution) -> list[Finding]:
     """Return which axes were never seen, however well the limb's mass is known."""
     square = np.zeros(AXES)
-    T = transforms(problem, solution)[:, :AXES]
-    for part, t in zip(problem.sets, T, strict=True):
-        square += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * (t @ part.mean) ** 2
+    for part, T in zip(solution.problem.sets, solution.loads, strict=True):
+        square += np.sum((part.uu @ T.T) ** 2, axis=0) + part.samples * (T @ part.mean) ** 2
     found = []
     for axis, name in enumerate(FORCE_TORQUE_NAMES):
         row = fit.columns.row(axis)
@@ -214,14 +201,15 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> list[Fin
     return found
 
 
-def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Finding]:
+def check_masses(solution: Solution) -> list[Finding]:
     """Check the added masses against the readings."""
-    used = orthonormal(solution.jacobian)[0][: solution.residual.size]
+    problem = solution.problem
+    used = solution.basis[0][: solution.residual.size]
     freedom = solution.residual.size - float(np.sum(used**2))
     left = float(np.sum(solution.residual**2))
     if not (freedom > 0.5 and left >= limits.STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
         return []
-    off = float(np.max(_disagreement(problem, _measure_masses(problem, solution, noise))))
+    off = float(np.max(_disagreement(problem, _measure_masses(solution))))
     reason = "The added masses contradict each other or the readings."
     cure = "Weigh what was added and measure where it hung, or leave the set out."
     contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
@@ -229,8 +217,8 @@ def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Fi
         return [contradiction]
     if problem.rotation:
         return []
-    turn, explained = _explain(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
-    angle = float(np.linalg.norm(turn))
+    turned = solve(replace(problem, changes=turns_of(problem.added)), [np.pad(solution.outer, (0, 3))])
+    angle, explained = float(np.linalg.norm(turned.changes)), 2.0 * (solution.cost - turned.cost)
     if angle < limits.TURNED or explained < limits.TURNED_SIGMAS**2 * left / freedom:
         return []
     if angle > limits.MASS:
@@ -243,39 +231,21 @@ def check_masses(problem: Problem, solution: Solution, noise: Matrix) -> list[Fi
     return [Finding("turned IMU", reason, value=angle, limit=limits.TURNED, refuses=False)]
 
 
-def _turn(added: Matrix, axis: Vector) -> Matrix:
-    """Return the change of the added parameters as all places turn about an axis, shape (J, p)."""
-    change = np.zeros_like(added)
-    change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
-    return change
+def turns_of(added: Matrix) -> NDArray[np.float64]:
+    """Return how the added parameters change as all places turn about each axis, shape (3, J, p)."""
+    changes = np.zeros((3, *added.shape))
+    for change, axis in zip(changes, np.eye(3), strict=True):
+        change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
+    return changes
 
 
-def _explain(problem: Problem, solution: Solution, changes: NDArray[np.float64]) -> tuple[Vector, float]:
-    """Fit a step along changes of the added parameters, (q, J, p); return it and the squares it explains."""
-    slopes = np.stack([slope_by_added(problem, solution, change) for change in changes], axis=1)
-    rows = solution.residual.ravel()
-    free = project(solution, slopes)
-    step = -np.linalg.lstsq(free, np.pad(rows, (0, len(free) - len(rows))), rcond=None)[0]
-    return np.asarray(step), float(np.sum((free @ step) ** 2))
-
-
-def slope_by_added(problem: Problem, solution: Solution, change: Matrix) -> Vector:
-    """Slope of the sets' whitened rows by a change of the added parameters, shape (J, p)."""
-    dT = np.einsum("jp,pws->jws", change, problem.basis)
-    if problem.rotation:
-        dT[..., DIRECT] = dT[..., DIRECT] @ solution.rotation
-    white = problem.whitening @ solution.A
-    rows = [one[:, : d.shape[1]] @ d.T @ white.T for one, d in zip(problem.signals, dT, strict=True)]
-    return np.stack(rows).ravel()
-
-
-def _measure_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+def _measure_masses(solution: Solution) -> Matrix:
     """Measure the added (m, m c) of each set by the readings, in kg and kg m, shape (J, 4)."""
-    matrix = invert_response(solution.A, noise)
-    beside = (solution.response @ transforms(problem, solution))[..., DIRECT.stop :]
+    matrix = invert_response(solution.A, solution.problem.noise)
+    beside = solution.predicted[..., DIRECT.stop :]
     total = [
         weigh_hanging(matrix, part, solution.rotation, rest)
-        for part, rest in zip(problem.sets, beside, strict=True)
+        for part, rest in zip(solution.problem.sets, beside, strict=True)
     ]
     return np.asarray(np.array(total) - solution.limb[:STATIC])
 

@@ -20,16 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.linear import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import Maker, Problem, weigh_hanging
-from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve, transforms
+from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve
 from surefoot.calibration.reference import GRAVITY
-
-__all__ = ["COMMON", "KEPT", "Leaning", "check_factory", "lean", "mean_of", "prior_of"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -109,24 +107,22 @@ class Leaning(NamedTuple):
     Attributes:
         weight: Its probability.
         share: Of full scale; 0 without a maker.
-        problem: The problem with this prior.
-        solution: Its solution.
+        solution: Of the problem with this prior.
     """
 
     weight: float
     share: float
-    problem: Problem
     solution: Solution
 
 
-def _log_evidence(problem: Problem, solution: Solution) -> float:
+def _log_evidence(solution: Solution) -> float:
     """Compute the log evidence of a problem by Laplace's method, up to a constant of all members."""
     unit, size = of_unit_length(solution.jacobian)
     singular = np.linalg.svd(unit, compute_uv=False)
     seen = singular > ROUNDING * singular[0]
     value = -solution.cost - float(np.sum(np.log(singular[seen]))) - float(np.sum(np.log(size)))
-    if problem.maker is not None:
-        value -= float(np.sum(np.log(problem.maker.std)))
+    if solution.problem.maker is not None:
+        value -= float(np.sum(np.log(solution.problem.maker.std)))
     return value
 
 
@@ -143,21 +139,19 @@ def lean(problem: Problem, starts: Sequence[Vector], stated: bool) -> list[Leani
         starts: Outer unknowns to start from.
         stated: Whether the size of the errors is that of the problem's prior, rather than to be learnt.
     """
-    found = minima(problem, starts)
+    start = minima(problem, starts)[0]
     if problem.maker is None or stated:
-        return [Leaning(1.0, 0.0, problem, one) for one in found[:1]]
-    members, scores, start = [], [], found[0].outer
-    gain = np.diag(problem.maker.std)[0]
-    ratio = problem.maker.std / gain
+        return [Leaning(1.0, 0.0, start)]
+    members, scores = [], []
+    ratio = problem.maker.std / problem.maker.std[0, 0]
     for cross in _CROSS:
         talk = np.where(np.eye(AXES, dtype=bool), 1.0, cross)
-        last = start
+        solution = start
         for share in _SHARES[::-1]:
             one = replace(problem, maker=problem.maker._replace(std=share * talk * ratio))
-            solution = solve(one, [last])
-            last = solution.outer
-            members.append(Leaning(0.0, share, one, solution))
-            scores.append(_log_evidence(one, solution) + _log_prior(share))
+            solution = solve(one, [solution.outer])
+            members.append(Leaning(0.0, share, solution))
+            scores.append(_log_evidence(solution) + _log_prior(share))
     weight = np.exp(np.array(scores) - np.max(scores))
     weight /= np.sum(weight)
     kept = [one._replace(weight=float(w)) for one, w in zip(members, weight, strict=True) if w > _NEGLIGIBLE]
@@ -170,7 +164,7 @@ def mean_of(members: Sequence[Leaning]) -> Solution:
     weight = weight / np.sum(weight)
     outer = sum(w * one.solution.outer for w, one in zip(weight, members, strict=True))
     response = sum(w * one.solution.response for w, one in zip(weight, members, strict=True))
-    return expand(members[0].problem, np.asarray(outer), np.asarray(response))
+    return expand(members[0].solution.problem, np.asarray(outer), np.asarray(response))
 
 
 _REACH = 0.1
@@ -191,14 +185,6 @@ _LOADED = 0.1
 _POUND = 0.45359237
 """In kg."""
 
-_UNITS = {
-    "masses are in lb, and kg are expected": 1.0 / _POUND,
-    "masses in kg were taken for lb and converted": _POUND,
-    "masses are in grams": 1e3,
-    "units of the factory matrix are kgf": GRAVITY,
-}
-"""Factors of known loads over those that a factory matrix shows, by wrong units."""
-
 
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
@@ -216,7 +202,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         determined: Whether they do.
     """
     limb_known = determined or len(problem.limb_root) == STATIC
-    expected = _loads(problem, solution) if limb_known else _hangs(factory, problem, solution)
+    expected = _loads(solution) if limb_known else _hangs(factory, solution)
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
     levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
@@ -224,7 +210,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
 
     def miss(matrix: Matrix) -> float:
-        hangs = expected if limb_known else _hangs(matrix, problem, solution)
+        hangs = expected if limb_known else _hangs(matrix, solution)
         if hangs is None:
             return np.inf
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
@@ -243,9 +229,9 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         scored = sorted(((miss(one), words, one) for words, one in ways), key=lambda way: way[0])
         for left, words, one in scored[:_TRIED]:
             if left < limits.READ_BETTER * now:
-                tried.append((_evidence_of(one, problem, solution, start) - cost, left, words))
+                tried.append((_evidence_of(one, problem, solution.rotation, start) - cost, left, words))
     found = []
-    base = _evidence_of(factory, problem, solution, start)
+    base = _evidence_of(factory, problem, solution.rotation, start)
     best, left, words = max(tried, default=(-np.inf, now, ""))
     if best - base > limits.CLEARER:
         at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
@@ -259,12 +245,13 @@ def _check_units(shown: Matrix, expected: Matrix, weight: Matrix) -> list[Findin
     """Return whether loads that a matrix shows, shape (6, n), are those that hang there in another unit."""
     scale, common = _scale(shown, expected, weight)
     off = abs(float(np.log(max(scale, _NO_LOAD))))
-    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
+    units = {words: force for words, (force, torque) in _OF_ROWS.items() if force == torque > 0.0}
+    near = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in units.items()}
     unit = min(near, key=near.__getitem__)
     nearer = common and near[unit] < off
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
     if nearer:
-        shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
+        shows += f" Likeliest: {unit}, which leaves {scale * units[unit]:.3g} times."
     check = (
         "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
         "those of the masses (kg)."
@@ -275,14 +262,14 @@ def _check_units(shown: Matrix, expected: Matrix, weight: Matrix) -> list[Findin
     return [Finding("factory scale", shows, check, scale, refuses=False)] if nearer else []
 
 
-def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Vector) -> float:
+def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vector) -> float:
     """Return the evidence of another maker's matrix, shape (6, k), over sizes of its errors, as a logarithm.
 
     The search starts from outer unknowns, shape (p,), with the limb that the matrix shows.
     """
     assert problem.maker is not None
     outer = start.copy()
-    outer[:STATIC] = _limb_by(matrix, problem, solution)
+    outer[:STATIC] = _limb_by(matrix, problem, rotation)
     ratio = problem.maker.std / problem.maker.std[0, 0]
     response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     scores = []
@@ -291,13 +278,13 @@ def _evidence_of(matrix: Matrix, problem: Problem, solution: Solution, start: Ve
         fitted = solve(one, [outer])
         sound = fitted.limb[MASS] > 0.0
         outer = fitted.outer if sound else outer
-        scores.append(_log_evidence(one, fitted) + _log_prior(share) if sound else -np.inf)
+        scores.append(_log_evidence(fitted) + _log_prior(share) if sound else -np.inf)
     return float(np.logaddexp.reduce(scores))
 
 
-def _limb_by(matrix: Matrix, problem: Problem, solution: Solution) -> Vector:
+def _limb_by(matrix: Matrix, problem: Problem, rotation: Matrix) -> Vector:
     """Return (m, m c) of the limb that a matrix shows, shape (4,)."""
-    seen = np.array([weigh_hanging(matrix, part, solution.rotation) for part in problem.sets])
+    seen = np.array([weigh_hanging(matrix, part, rotation) for part in problem.sets])
     return np.asarray(np.mean(seen - problem.added[:, :STATIC], axis=0))
 
 
@@ -315,17 +302,17 @@ def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool
     return float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2)), False
 
 
-def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
-    """Return T of all sets side by side with the limb that a matrix shows; None if its mass is negative."""
-    limb = solution.limb.copy()
-    limb[:STATIC] = _limb_by(matrix, problem, solution)
-    return None if limb[MASS] <= 0.0 else _loads(problem, replace(solution, limb=limb))
+def _hangs(matrix: Matrix, solution: Solution) -> Matrix | None:
+    """Return the loads of all sets with the limb that a matrix shows; None if its mass is negative."""
+    outer = solution.outer.copy()
+    outer[:STATIC] = _limb_by(matrix, solution.problem, solution.rotation)
+    return None if outer[MASS] <= 0.0 else _loads(replace(solution, outer=outer))
 
 
-def _loads(problem: Problem, solution: Solution) -> Matrix:
+def _loads(solution: Solution) -> Matrix:
     """Return the loads of all sets side by side, by as much as gravity turned in each, shape (6, 3 J)."""
-    T = transforms(problem, solution)[:, :AXES, DIRECT]
-    return np.concatenate([t @ part.turned.T for part, t in zip(problem.sets, T, strict=True)], axis=1)
+    turned = (part.turned.T for part in solution.problem.sets)
+    return np.concatenate([T[:, DIRECT] @ g for T, g in zip(solution.loads, turned, strict=True)], axis=1)
 
 
 _OF_ROWS = {
@@ -334,6 +321,7 @@ _OF_ROWS = {
     "the factory's forces are negated": (-1.0, 1.0),
     "masses are in grams": (1e3, 1e3),
     "masses are in lb, and kg are expected": (1.0 / _POUND, 1.0 / _POUND),
+    "masses in kg were taken for lb and converted": (_POUND, _POUND),
     "places are in mm, and m are expected": (1.0, 1e3),
     "places are in cm, and m are expected": (1.0, 1e2),
     "units of the factory's torques are N mm": (1.0, 1e-3),

@@ -34,28 +34,6 @@ from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = [
-    "AXES",
-    "DIRECT",
-    "ENOUGH_MASSES",
-    "MASS",
-    "MOMENT",
-    "MOVING",
-    "PAIRS",
-    "RELATIVE_ERRORS",
-    "STATIC",
-    "LinearSensor",
-    "compact_inertia",
-    "different_masses",
-    "inertia_matrix",
-    "inertial_parameters",
-    "limb_parameters",
-    "offset_covariance",
-    "signals",
-    "transform_basis",
-]
-
-
 Matrix = NDArray[np.float64]
 
 AXES = 6

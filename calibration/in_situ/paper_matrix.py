@@ -39,8 +39,6 @@ from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.model import ENOUGH_MASSES, different_masses, inertial_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["PaperMatrixFit", "estimate_matrix"]
-
 Matrix = NDArray[np.float64]
 
 _SAME_MASS = 1e-9

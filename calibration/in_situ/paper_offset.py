@@ -25,8 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["OffsetFit", "estimate_offset"]
-
 _MOST = 0.05
 """Share of their spread by which readings may leave the three-space where it holds."""
 

@@ -4,7 +4,7 @@ Rows of all sets have noise of variance one, so that priors have their weight am
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Task
-from surefoot.calibration.in_situ.linear import of_unit_length
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -26,8 +26,6 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     transform_basis,
 )
-
-__all__ = ["Maker", "Problem", "pool_noise", "problem_of", "starts", "weigh_hanging", "whiten_channels"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -49,20 +47,16 @@ class Maker(NamedTuple):
     def errors(self, whitening: Matrix, inputs: int) -> Matrix:
         """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
         inverse = np.linalg.pinv(self.response) @ np.linalg.inv(whitening)
-        R = np.zeros((AXES, AXES, len(whitening), inputs))
-        for j in range(AXES):
-            R[:, j, :, j] = inverse
-        return R.reshape(AXES**2, -1)
+        R = np.einsum("ic,jn->ijcn", inverse, np.eye(AXES, inputs))
+        return np.asarray(R.reshape(AXES**2, -1))
 
     def rows(self, whitening: Matrix, inputs: int) -> tuple[Matrix, Vector]:
         """Return rows by (W A row by row), shape (m, k inputs), of deviation one, and their right side."""
-        channels = len(whitening)
         beside = np.linalg.svd(self.response)[0][:, AXES:].T @ np.linalg.inv(whitening)
-        more = np.zeros((len(beside), AXES, channels, inputs))
-        for j in range(AXES):
-            more[:, j, :, j] = beside / (self.beyond * np.linalg.norm(self.response[:, j]))
+        share = 1.0 / (self.beyond * np.linalg.norm(self.response, axis=0))
+        more = np.einsum("bc,jn->bjcn", beside, share[:, None] * np.eye(AXES, inputs))
         rows = self.errors(whitening, inputs) / self.std.reshape(-1, 1)
-        rows = np.concatenate([rows, more.reshape(len(beside) * AXES, channels * inputs)])
+        rows = np.concatenate([rows, more.reshape(-1, rows.shape[1])])
         right = np.zeros(len(rows))
         right[: AXES**2] = np.eye(AXES).ravel() / self.std.ravel()
         return rows, right
@@ -75,7 +69,6 @@ class Problem:
     Attributes:
         sets: J of them, compressed.
         added: Inertial parameters of the added masses, shape (J, p).
-        whitening: W, shape (k, k): W Sigma W' = 1.
         basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
         moving: Whether the signals are those of a moving limb.
         temperature: Whether the temperature is a signal that acts on the readings directly.
@@ -85,11 +78,11 @@ class Problem:
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
+        changes: Directions in which the added parameters may change, each with an unknown, shape (q, J, p).
     """
 
     sets: tuple[CompressedSet, ...]
     added: Matrix
-    whitening: Matrix
     basis: Matrix
     moving: bool
     temperature: bool
@@ -99,6 +92,17 @@ class Problem:
     limb: Vector
     limb_root: Matrix
     gains: int = 0
+    changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 1, 1)))
+
+    @cached_property
+    def noise(self) -> Matrix:
+        """Covariance of a sample's noise in counts^2, shape (k, k)."""
+        return pool_noise(self.sets)
+
+    @cached_property
+    def whitening(self) -> Matrix:
+        """W, shape (k, k), of rows with noise of variance one: W Sigma W' = 1."""
+        return whitening_of(self.sets)
 
     @property
     def parameters(self) -> int:
@@ -165,8 +169,8 @@ class Problem:
 
     @property
     def outer(self) -> int:
-        """Number of outer unknowns: the parameters and, where it is unknown, the rotation vector."""
-        return self.parameters + 3 * self.rotation
+        """Number of outer unknowns: parameters, the rotation vector where it is unknown, and changes."""
+        return self.parameters + 3 * self.rotation + len(self.changes)
 
 
 _FEW = 10.0
@@ -174,6 +178,11 @@ _FEW = 10.0
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
+
+
+def whitening_of(sets: Sequence[CompressedSet]) -> Matrix:
+    """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pool_noise(sets))))
 
 
 def pool_noise(sets: Sequence[CompressedSet]) -> Matrix:
@@ -188,11 +197,6 @@ def pool_noise(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
 
 
-def whiten_channels(sets: Sequence[CompressedSet]) -> Matrix:
-    """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(pool_noise(sets))))
-
-
 def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:
     """Return the least-squares problem of compressed sets, without a maker's prior."""
     limb, root = _limb_rows(task.limb, task.moving)
@@ -201,7 +205,6 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
         added=np.array(
             [inertial_parameters(one.added_mass, one.added_com, task.moving) for one in task.sets]
         ),
-        whitening=whiten_channels(parts),
         basis=transform_basis(task.moving),
         moving=task.moving,
         temperature=temperature,

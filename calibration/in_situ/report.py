@@ -1,15 +1,18 @@
 """Outcome of a fit: the calibration and its statistics, or only the reason of a refusal."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ.check import check_bending
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
+    OpenErrors,
     answer_of,
     answer_root,
     data_share,
@@ -18,9 +21,9 @@ from surefoot.calibration.in_situ.covariance import (
     unknowns_root,
 )
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
+from surefoot.calibration.in_situ.effects import find_drift, shows_loops
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.hysteresis import shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
     check_answer,
@@ -30,15 +33,11 @@ from surefoot.calibration.in_situ.judge import (
     check_scale,
     data_rank,
 )
-from surefoot.calibration.in_situ.linear import of_unit_length
 from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
-from surefoot.calibration.in_situ.problem import Problem, pool_noise
-from surefoot.calibration.in_situ.solve import Solution, loop_shares, solve, transforms
-from surefoot.calibration.in_situ.temperature import find_drift
+from surefoot.calibration.in_situ.problem import Problem
+from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-
-__all__ = ["Solved", "fit_of", "refuse_fit"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -47,7 +46,7 @@ _MAKER = 0.02
 """Deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Solved:
     """A solved task, on its way to the answer.
 
@@ -57,10 +56,8 @@ class Solved:
         sphere: Errors of the accelerometer by gravity's length.
         delay: By which gravity was late in s.
         delay_std: Its deviation.
-        members: The fits by the likely sizes of the maker's errors.
-        determined: Whether the readings determine all without the maker.
+        members: The fits by the likely sizes of the maker's errors, the likeliest first.
         reference: Mean of the temperatures; None where they take no part.
-        findings: Findings of the checks so far.
     """
 
     task: Task
@@ -69,78 +66,76 @@ class Solved:
     delay: float
     delay_std: float
     members: list[Leaning]
-    determined: bool
     reference: float | None
-    findings: list[Finding] = field(default_factory=list)
 
-    @property
-    def problem(self) -> Problem:
-        """That of the likeliest size of the maker's errors."""
-        return self.members[0].problem
-
-    @property
-    def solution(self) -> Solution:
-        """The mean of the members' solutions."""
-        return mean_of(self.members)
+    def errors_of_imu(self, solution: Solution) -> OpenErrors:
+        """Errors of a solution by those of the IMU."""
+        return errors_of_imu(self.sets, solution, self.sphere, self.delay_std)
 
 
-def fit_of(solved: Solved) -> InSituFit:
-    """Return the answer; notes on it go to the findings."""
-    task, findings, sets, members = solved.task, solved.findings, solved.sets, solved.members
-    problem, solution = solved.problem, solved.solution
-    noise = pool_noise(problem.sets)
+def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
+    """Return the answer, and findings on it."""
+    task, solution = solved.task, mean_of(solved.members)
+    problem = solution.problem
+    columns = FitColumns.of(len(problem.noise))
     hidden = not (task.options.hysteresis and task.timed and shows_loops(problem))
-    bends, said = check_bending(sets, problem.sets, loops=hidden)
-    findings += said
-    findings += _find_drift(solved)
-    doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved))
+    bends, findings = check_bending(solved.sets, problem.sets, loops=hidden)
+    findings += _find_drift(solved, problem)
+    doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved, solution))
     # A limb that is not as it was given draws all masses with it.
-    findings += doubted or check_masses(problem, solution, noise)
-    known = data_share(problem, solution, noise)
+    findings += doubted or check_masses(solution)
+    known = data_share(solution)
     if problem.maker is not None or len(problem.limb_root):
-        findings += known.findings(FitColumns.of(len(noise)))
-    answer, doubts = answer_of(problem, solution, noise), None
-    roots = [_members_root(solved, solution, noise)]
+        findings += known.findings(columns)
+    answer, doubts = answer_of(solution), None
+    roots = [_members_root(solved, solution)]
     if problem.lags:
-        doubts = slope_doubts(problem, solution, noise)
-        roots += _slope_columns(doubts, len(answer))
+        doubts = slope_doubts(solution)
+        roots += [
+            _columns_of(answer, columns.matrix, doubts[0]),
+            _columns_of(answer, columns.offset, doubts[1]),
+        ]
     if problem.maker is not None and task.options.factory_std is None:
-        of_data = float(known.share[FitColumns.of(len(noise)).limb][MASS])
-        roots.append(_common_scale(answer, len(noise), COMMON * (1.0 - of_data), task.limb is not None))
+        of_data = float(known.share[columns.limb][MASS])
+        roots.append(_common_scale(answer, columns, COMMON * (1.0 - of_data), task.limb is not None))
     if bends:
-        load = transforms(problem, solution)[-1, :AXES] @ problem.sets[-1].end.signals
-        roots.append(bends * _bending_columns(answer, solution, load, task.limb is not None))
+        roots.append(bends * _bending_columns(answer, solution, task.limb is not None))
     root = np.concatenate(roots, axis=1)
-    fit = _assemble(solved, answer, root @ root.T, known)
-    if doubts is not None:
-        fit = replace(fit, offset_doubt=doubts[1] @ doubts[1].T)
-    fit = replace(fit, bending=bends)
-    if task.mode == "keep":
-        assert task.factory is not None
-        fit = replace(fit, matrix=task.factory, response=np.asarray(np.linalg.pinv(task.factory)))
-    fit = _add_shares(solved, fit)
-    findings += check_scale(fit, leaning=members[0].problem.maker is not None)
+    fit = _assemble(solved, solution, answer, root @ root.T, known)
+    scope, maker_known, maker_share = _describe_scope(solved, fit)
+    fit = replace(
+        fit,
+        bending=bends,
+        offset_doubt=None if doubts is None else doubts[1] @ doubts[1].T,
+        scope=scope,
+        maker_known=maker_known,
+        maker_share=maker_share,
+    )
+    findings += check_scale(fit, leaning=problem.maker is not None)
     if problem.maker is None:
-        findings += check_axes(fit, problem, solution)
-    findings += check_answer(fit, task.factory)
-    return fit
+        findings += check_axes(fit, solution)
+    return fit, findings + check_answer(fit, task.factory)
 
 
-def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataShare) -> InSituFit:
-    """Return the fit, without its notes."""
-    problem, solution = solved.problem, solved.solution
-    parts, limb, k = problem.sets, solution.limb, len(solution.A)
-    predicted = solution.response @ transforms(problem, solution)
-    stats, set_stats = _stats(problem, solution, known)
-    columns, shares = FitColumns.of(k), loop_shares(problem, solution)
+def _assemble(
+    solved: Solved, solution: Solution, answer: Vector, covariance: Matrix, known: DataShare
+) -> InSituFit:
+    """Return the fit with the numbers of a solution."""
+    problem, limb, predicted = solution.problem, solution.limb, solution.predicted
+    k = len(solution.A)
+    matrix, response = answer[FitColumns.of(k).matrix].reshape(AXES, k), solution.A
+    if solved.task.mode == "keep":
+        assert solved.task.factory is not None
+        matrix, response = solved.task.factory, np.asarray(np.linalg.pinv(solved.task.factory))
+    stats, set_stats = _stats(solution, known)
     return InSituFit(
-        matrix=answer[columns.matrix].reshape(AXES, k),
-        offset=answer[columns.offset],
-        offsets=np.array([part.middle.by(B) for part, B in zip(parts, predicted, strict=True)]),
-        response=solution.A,
+        matrix=matrix,
+        offset=answer[FitColumns.of(k).offset],
+        offsets=np.array([part.middle.by(B) for part, B in zip(problem.sets, predicted, strict=True)]),
+        response=response,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
         covariance=covariance,
-        noise=pool_noise(parts),
+        noise=problem.noise,
         temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
         rotation=solution.rotation,
         result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
@@ -148,12 +143,12 @@ def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataSha
         warnings=(),
         stats=stats,
         set_stats=set_stats,
-        affine_residual=np.array([part.affine_residual for part in parts]),
-        set_names=tuple(part.name for part in parts),
+        affine_residual=np.array([part.affine_residual for part in problem.sets]),
+        set_names=tuple(part.source.name for part in problem.sets),
         temperature_reference=solved.reference or 0.0,
         temperature_gain=limb[problem.of_loads][: problem.gains] if problem.gains else None,
-        hysteresis=shares if problem.lags and not problem.channel_lags else None,
-        channel_hysteresis=shares if problem.channel_lags else None,
+        hysteresis=solution.shares if problem.hysteresis else None,
+        channel_hysteresis=solution.shares if problem.channel_lags else None,
         data_share=known.share,
         accelerometer_bias=solved.sphere.bias,
         accelerometer_scale=solved.sphere.scale,
@@ -161,30 +156,30 @@ def _assemble(solved: Solved, answer: Vector, covariance: Matrix, known: DataSha
     )
 
 
-def _slope_columns(doubts: tuple[Matrix, Matrix], rows: int) -> list[Matrix]:
-    """Pad the doubts of one slope, of the matrix and of the offset, to columns of shape (rows, a)."""
-    of_matrix, of_offset = doubts
-    first = len(of_matrix)
-    after = rows - first - len(of_offset)
-    return [np.pad(of_matrix, ((0, rows - first), (0, 0))), np.pad(of_offset, ((first, after), (0, 0)))]
+def _columns_of(answer: Vector, place: slice, columns: Matrix) -> Matrix:
+    """Return columns, shape (q, c), of one part of the answer as columns of all of it."""
+    found = np.zeros((len(answer), columns.shape[1]))
+    found[place] = columns
+    return found
 
 
-def _common_scale(answer: Vector, channels: int, doubt: float, weighed: bool) -> Matrix:
+def _common_scale(answer: Vector, columns: FitColumns, doubt: float, weighed: bool) -> Matrix:
     """Return a column by which all gains, and the limb unless it was weighed, are off by one factor."""
-    columns, off = FitColumns.of(channels), np.zeros_like(answer)
+    off = np.zeros_like(answer)
     off[columns.matrix] = doubt * answer[columns.matrix]
     if not weighed:
         off[columns.limb] = doubt * answer[columns.limb]
     return off[:, None]
 
 
-def _bending_columns(answer: Vector, solution: Solution, load: Vector, weighed: bool) -> Matrix:
-    """Return columns by which each axis, the last offset at its load, (6,), and the limb are unsure by all.
+def _bending_columns(answer: Vector, solution: Solution, weighed: bool) -> Matrix:
+    """Return columns by which each axis, the last offset at its load, and the limb are unsure by all.
 
     Squares of gravity move no slope, but a limb that bends has cubes as well, which do. A limb that was
     weighed is moved by no axis.
     """
     columns = FitColumns.of(len(solution.A))
+    load = solution.loads[-1] @ solution.problem.sets[-1].end.signals
     found = np.zeros((len(answer), 2 * AXES + STATIC))
     for axis, gain in enumerate(solution.A.T):
         found[columns.row(axis), axis] = answer[columns.row(axis)]
@@ -195,56 +190,46 @@ def _bending_columns(answer: Vector, solution: Solution, load: Vector, weighed: 
     return found
 
 
-def _stats(problem: Problem, solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitStats, ...]]:
+def _stats(solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitStats, ...]]:
     """Return the statistics of all sets together and of each."""
+    parts = solution.problem.sets
     singular = np.linalg.svd(of_unit_length(solution.jacobian)[0], compute_uv=False)
-    whole = FitStats(
-        samples=sum(part.samples for part in problem.sets),
-        dropped=0,
-        gated=0,
-        residual_rms=0.0,
-        rank=known.seen,
-        unknowns=known.seen + known.unseen,
-        condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
-    )
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
+
+    def count(samples: int, dropped: int, gated: int, square: float) -> FitStats:
+        rms, unknowns = float(np.sqrt(square)), known.seen + known.unseen
+        return FitStats(samples, dropped, gated, rms, known.seen, unknowns, condition)
+
     # Difference of each set's response from the common one, by its orthonormal signals, in counts.
-    left = problem.unwhiten(solution.residual)
-    each = tuple(
-        replace(
-            whole,
-            samples=part.samples,
-            dropped=int(np.sum(~part.used & ~part.rejected)),
-            gated=int(np.sum(part.rejected)),
-            residual_rms=float(np.sqrt(np.mean((part.residual - part.score @ one) ** 2))),
-        )
-        for part, one in zip(problem.sets, left, strict=True)
-    )
-    whole = replace(
-        whole,
-        dropped=sum(stats.dropped for stats in each),
-        gated=sum(stats.gated for stats in each),
-        residual_rms=float(np.sqrt(sum(s.samples * s.residual_rms**2 for s in each) / whole.samples)),
-    )
-    return whole, each
+    left = solution.problem.unwhiten(solution.residual)
+    squares = [
+        float(np.mean((part.residual - part.score @ one) ** 2)) for part, one in zip(parts, left, strict=True)
+    ]
+    samples = [part.samples for part in parts]
+    gated = [int(np.sum(part.source.rejected)) for part in parts]
+    dropped = [len(part.source.used) - n - out for part, n, out in zip(parts, samples, gated, strict=True)]
+    whole = count(sum(samples), sum(dropped), sum(gated), float(np.average(squares, weights=samples)))
+    return whole, tuple(map(count, samples, dropped, gated, squares))
 
 
 def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
     """Return a fit whose values are NaN, with the reasons."""
-
-    def unknown(*shape: int) -> Matrix:
-        return np.full(shape, np.nan)
-
     k, count = sets[0].channels, len(sets)
     size = FitColumns.of(k).limb.stop
     nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
+    shapes: dict[str, tuple[int, ...]] = {
+        "matrix": (AXES, k),
+        "offset": (k,),
+        "offsets": (count, k),
+        "response": (k, AXES),
+        "covariance": (size, size),
+        "noise": (k, k),
+        "affine_residual": (count,),
+    }
+    unknown: dict[str, Any] = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
     return InSituFit(
-        matrix=unknown(AXES, k),
-        offset=unknown(k),
-        offsets=unknown(count, k),
-        response=unknown(k, AXES),
-        limb=Limb(np.nan, unknown(3)),
-        covariance=unknown(size, size),
-        noise=unknown(k, k),
+        **unknown,
+        limb=Limb(np.nan, np.full(3, np.nan)),
         temperature_coefficient=None,
         rotation=np.eye(3),
         result=FitResult.REFUSED,
@@ -252,39 +237,38 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
         warnings=(),
         stats=nothing,
         set_stats=(nothing,) * count,
-        affine_residual=unknown(count),
         set_names=tuple(data.name for data in sets),
     )
 
 
-def _find_drift(solved: Solved) -> list[Finding]:
+def _find_drift(solved: Solved, problem: Problem) -> list[Finding]:
     """Find a cause that may hide behind a drift."""
-    slow = slow_turn(solved.sets, solved.problem.sets)
+    slow = slow_turn(solved.sets, problem.sets)
     if slow is None and solved.reference is not None:
-        slow = find_drift(compress(solved.sets, InSituOptions(), solved.problem.moving, True))
+        slow = find_drift(compress(solved.sets, InSituOptions(), problem.moving, True))
     return [] if slow is None else [slow]
 
 
-def _members_root(solved: Solved, solution: Solution, noise: Matrix) -> Matrix:
+def _members_root(solved: Solved, solution: Solution) -> Matrix:
     """Return a root of the answer's covariance: of each member, between members, and of the IMU."""
-    problem, roots = solved.problem, []
+    whitening, roots = solution.problem.whitening, []
 
     def unknowns(one: Solution) -> Vector:
-        return np.concatenate([(problem.whitening @ one.response).ravel(), one.outer])
+        return np.concatenate([(whitening @ one.response).ravel(), one.outer])
 
     middle = unknowns(solution)
-    for one in solved.members:
-        apart = (unknowns(one.solution) - middle)[:, None]
-        roots += [np.sqrt(one.weight) * unknowns_root(one.problem, one.solution), np.sqrt(one.weight) * apart]
+    for member in solved.members:
+        apart = (unknowns(member.solution) - middle)[:, None]
+        roots += [np.sqrt(member.weight) * root for root in (unknowns_root(member.solution), apart)]
     if solved.task.mode == "keep":
-        roots.append(_doubt_maker(solved.task, problem, solution, noise))
-    beside = errors_of_imu(solved.sets, problem, solution, solved.sphere, solved.delay_std)
-    return answer_root(problem, solution, noise, beside, np.concatenate(roots, axis=1))
+        roots.append(_doubt_maker(solved.task, solution))
+    return answer_root(solution, solved.errors_of_imu(solution), np.concatenate(roots, axis=1))
 
 
-def _doubt_maker(task: Task, problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+def _doubt_maker(task: Task, solution: Solution) -> Matrix:
     """Compute how deviations of the entries of a matrix that stays move all unknowns, shape (u, 36)."""
-    prior = prior_of(task, noise, _MAKER)
+    problem = solution.problem
+    prior = prior_of(task, problem.noise, _MAKER)
     assert prior is not None
     errors = np.diag(prior.std.ravel()).reshape(AXES, AXES, -1)
     changes = np.einsum("ka,abq->kbq", problem.whitening @ prior.response, errors)
@@ -293,57 +277,56 @@ def _doubt_maker(task: Task, problem: Problem, solution: Solution, noise: Matrix
     moved[:linear].reshape(len(changes), problem.inputs, -1)[:, :AXES] = changes
     of_sets = solution.jacobian[: solution.residual.size]
     rows = np.concatenate([of_sets, solution.jacobian[-len(problem.limb_root) or len(solution.jacobian) :]])
-    rest = rows[:, linear:]
-    moved[linear:] = -np.linalg.lstsq(rest, rows[:, :linear] @ moved[:linear], rcond=None)[0]
+    moved[linear:] = -np.linalg.lstsq(rows[:, linear:], rows[:, :linear] @ moved[:linear], rcond=None)[0]
     return moved
 
 
-def _add_shares(solved: Solved, fit: InSituFit) -> InSituFit:
-    """Add the share of the maker's errors that the readings know, and the scope in words."""
+def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None, float | None]:
+    """Return the scope in words, the share of each of the maker's errors that is known, and their size."""
     task, base = solved.task, "bias, mass and centre of mass"
-    sets = different_masses(solved.problem.added[:, :STATIC])
-    tools = "one load" if sets == 1 else f"{sets} loads"
+    count = different_masses(solved.members[0].solution.problem.added[:, :STATIC])
+    loads = "one load" if count == 1 else f"{count} loads"
     if task.factory is None or task.mode == "free":
-        return replace(fit, scope=f"{base}, and a matrix of its own ({tools})")
+        return f"{base}, and a matrix of its own ({loads})", None, None
     if task.mode == "keep":
-        return replace(fit, scope=f"{base}; matrix kept ({tools})")
-    assert solved.problem.maker is not None
+        return f"{base}; matrix kept ({loads})", None, None
     prior, posterior = np.zeros((AXES, AXES)), np.zeros((AXES, AXES))
-    for one in solved.members:
-        assert one.problem.maker is not None
-        prior += one.weight * one.problem.maker.std**2
-        errors = one.problem.maker.errors(one.problem.whitening, one.problem.inputs)
-        root = unknowns_root(one.problem, one.solution)[: errors.shape[1]]
-        posterior += one.weight * np.sum((errors @ root) ** 2, axis=1).reshape(AXES, AXES)
+    for member in solved.members:
+        problem = member.solution.problem
+        assert problem.maker is not None
+        prior += member.weight * problem.maker.std**2
+        errors = problem.maker.errors(problem.whitening, problem.inputs)
+        root = unknowns_root(member.solution)[: errors.shape[1]]
+        posterior += member.weight * np.sum((errors @ root) ** 2, axis=1).reshape(AXES, AXES)
     known = np.clip(1.0 - posterior / prior, 0.0, 1.0)
-    scales = solved.problem.maker.std / np.diag(solved.problem.maker.std)[0]
+    maker = solved.members[0].solution.problem.maker
+    assert maker is not None
+    scales = maker.std / maker.std[0, 0]
     moved = float(np.max(np.abs(task.factory @ fit.response - np.eye(AXES)) / scales))
-    share = float(np.exp(sum(one.weight * np.log(max(one.share, 1e-9)) for one in solved.members)))
     words = (
         f"{base}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, "
-        f"{np.sum(known > 0.5)} of 36 entries by the readings ({tools})"
+        f"{np.sum(known > 0.5)} of 36 entries by the readings ({loads})"
     )
-    stated = task.options.factory_std
-    return replace(
-        fit, scope=words, maker_known=known, maker_share=float(np.mean(stated)) if stated else share
-    )
+    if task.options.factory_std:
+        return words, known, float(np.mean(task.options.factory_std))
+    return words, known, float(np.exp(sum(one.weight * np.log(one.share) for one in solved.members)))
 
 
-def _limb_alone(solved: Solved) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+def _limb_alone(
+    solved: Solved, solution: Solution
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return the limb's mass and its deviation in kg by the readings alone, and with the factory matrix."""
-    problem, solution = solved.problem, solved.solution
+    problem = solution.problem
     of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
     free = replace(problem, maker=None, limb_root=problem.limb_root[of_limb:])
-    noise = pool_noise(problem.sets)
 
     def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
-        beside = errors_of_imu(solved.sets, one, alone, solved.sphere, solved.delay_std)
-        root = answer_root(one, alone, noise, beside, unknowns_root(one, alone))
+        root = answer_root(alone, solved.errors_of_imu(alone), unknowns_root(alone))
         mass = FitColumns.of(len(alone.A)).limb.start + MASS
         return float(alone.limb[MASS]), float(np.linalg.norm(root[mass]))
 
     by_data = None if data_rank(free, solution.limb).missing else weigh(free)
     if solved.task.factory is None:
         return by_data, None
-    return by_data, weigh(replace(free, maker=prior_of(solved.task, noise, _MAKER)))
+    return by_data, weigh(replace(free, maker=prior_of(solved.task, problem.noise, _MAKER)))

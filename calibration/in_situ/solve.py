@@ -13,6 +13,7 @@ Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,29 +22,10 @@ from scipy.fft import dct, idct
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import CompressedSet, add_signals
-from surefoot.calibration.in_situ.data import InSituOptions
-from surefoot.calibration.in_situ.linear import orthonormal
+from surefoot.calibration.arrays import orthonormal, skew
+from surefoot.calibration.in_situ.compress import add_signals
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
-from surefoot.calibration.in_situ.problem import Problem, whiten_channels
-
-__all__ = [
-    "Fitted",
-    "Solution",
-    "beside_channels",
-    "beside_loads",
-    "criterion",
-    "deviance",
-    "expand",
-    "follow",
-    "loop_shares",
-    "minima",
-    "project",
-    "solve",
-    "transforms",
-    "whiten_residuals",
-]
+from surefoot.calibration.in_situ.problem import Problem
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -67,22 +49,32 @@ class Solution:
     """A solution of a :class:`Problem`.
 
     Attributes:
+        problem: The problem.
+        outer: The outer unknowns: phi_b, the rotation vector where it is unknown, and changes.
         response: A, and beside it the coefficients of signals that act on the readings directly, (k, inputs).
-        limb: phi_b, shape (p,).
         rotation: R_sensor_accelerometer, shape (3, 3).
-        jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame).
+        jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame, changes).
         residual: Of the rows of the sets, of variance one, shape (J, s, k).
         cost: Half the sum of all squared rows.
-        outer: The outer unknowns: phi_b and, where it is unknown, the rotation vector.
     """
 
+    problem: Problem
+    outer: Vector
     response: Matrix
-    limb: Vector
     rotation: Matrix
     jacobian: Matrix
     residual: NDArray[np.float64]
     cost: float
-    outer: Vector
+
+    @property
+    def limb(self) -> Vector:
+        """phi_b, shape (p,)."""
+        return self.outer[: self.problem.parameters]
+
+    @property
+    def changes(self) -> Vector:
+        """Sizes of the changes of the added parameters, shape (q,)."""
+        return self.outer[self.problem.outer - len(self.problem.changes) :]
 
     @property
     def A(self) -> Matrix:  # noqa: N802 - as in the equations
@@ -94,42 +86,93 @@ class Solution:
         """Coefficients of signals that act on the readings directly, shape (k, inputs - 6)."""
         return self.response[:, AXES:]
 
+    @cached_property
+    def transforms(self) -> NDArray[np.float64]:
+        """T of each set with its added mass, shape (J, inputs, s)."""
+        return _Outer.of(self.problem, self.outer).transforms
+
+    @property
+    def loads(self) -> NDArray[np.float64]:
+        """T of each set that gives the wrench by all signals, shape (J, 6, s)."""
+        return self.transforms[:, :AXES]
+
+    @property
+    def predicted(self) -> NDArray[np.float64]:
+        """Response of each set to its signals, A T, shape (J, k, s)."""
+        return np.asarray(self.response @ self.transforms)
+
+    @property
+    def shares(self) -> Vector:
+        """Shares of hysteresis of each axis, shape (6,), or of each channel, shape (k,).
+
+        Those of creep are for an octave of time, as those of loops are for a doubling of the swing.
+        """
+        if self.problem.channel_lags:
+            return np.diag(self.response[:, -self.problem.channel_lags :])
+        return self.limb[self.problem.loops]
+
+    @cached_property
+    def basis(self) -> tuple[Matrix, Matrix]:
+        """An orthonormal basis of the Jacobian's columns, and the Jacobian's inverse by it."""
+        return orthonormal(self.jacobian)
+
+    def project(self, slopes: Matrix) -> Matrix:
+        """Project slopes of the rows of the sets off the unknowns, shape (rows, q)."""
+        left, _ = self.basis
+        slopes = np.pad(slopes, ((0, len(left) - len(slopes)), (0, 0)))
+        return np.asarray(slopes - left @ (left.T @ slopes))
+
 
 class _Outer(NamedTuple):
     """The outer unknowns in their parts."""
 
+    problem: Problem
     limb: Vector
     vector: Vector
     rotation: Matrix
+    added: Matrix
+    """Parameters of the added masses, changed, shape (J, p)."""
 
     @classmethod
     def of(cls, problem: Problem, x: Vector) -> "_Outer":
-        limb, vector = x[: problem.parameters], x[problem.parameters :]
-        return cls(limb, vector, Rotation.from_rotvec(vector).as_matrix() if problem.rotation else np.eye(3))
+        limb, vector, change = np.split(x, [problem.parameters, problem.parameters + 3 * problem.rotation])
+        rotation = Rotation.from_rotvec(vector).as_matrix() if problem.rotation else np.eye(3)
+        added = problem.added + np.tensordot(change, problem.changes, 1) if len(change) else problem.added
+        return cls(problem, limb, vector, rotation, added)
 
+    def turn(self, T: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Let transforms, shape (..., 6, s), take gravity as the accelerometer reads it."""
+        if not self.problem.rotation:
+            return T
+        return np.concatenate([T[..., DIRECT] @ self.rotation, T[..., DIRECT.stop :]], axis=-1)
 
-def transforms(problem: Problem, solution: Solution | _Outer) -> NDArray[np.float64]:
-    """Return T of each set with its added mass, by the rotation, shape (J, inputs, s)."""
-    T = np.einsum("jp,pws->jws", solution.limb + problem.added, problem.basis)
-    if problem.rotation:
-        T[..., DIRECT] = T[..., DIRECT] @ solution.rotation
-    direct = problem.inputs - AXES
-    if not direct:
-        return np.asarray(T)
-    whole = np.zeros((len(T), problem.inputs, T.shape[2] + direct))
-    whole[:, :AXES, :-direct] = T
-    whole[:, AXES:, -direct:] = np.eye(direct)
-    return whole
+    @property
+    def transforms(self) -> NDArray[np.float64]:
+        """T of each set with its added mass, shape (J, inputs, s)."""
+        T = self.turn(np.einsum("jp,pws->jws", self.limb + self.added, self.problem.basis))
+        direct = self.problem.inputs - AXES
+        if not direct:
+            return np.asarray(T)
+        whole = np.zeros((len(T), self.problem.inputs, T.shape[2] + direct))
+        whole[:, :AXES, :-direct] = T
+        whole[:, AXES:, -direct:] = np.eye(direct)
+        return whole
 
-
-def loop_shares(problem: Problem, solution: Solution) -> Vector:
-    """Return the shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops.
-
-    Those of creep are for an octave of time, as those of loops are for a doubling of the swing.
-    """
-    if problem.channel_lags:
-        return np.diag(solution.response[:, -problem.channel_lags :])
-    return solution.limb[problem.loops]
+    def derivatives(self, axes: Matrix) -> NDArray[np.float64]:
+        """Return dX, shape (outer, J n, inputs): by phi, by turning about columns of axes, and by changes."""
+        problem, signals = self.problem, self.problem.signals
+        J, n, _ = signals.shape
+        dT = [np.repeat(self.turn(problem.basis)[:, None], J, axis=1)]
+        if problem.rotation:
+            M = np.einsum("jp,pws->jws", self.limb + self.added, problem.basis[..., DIRECT])
+            steps = np.zeros((3, *M.shape[:2], problem.basis.shape[2]))
+            steps[..., DIRECT] = [M @ (skew(axis) @ self.rotation) for axis in axes.T]
+            dT.append(steps)
+        if len(problem.changes):
+            dT.append(self.turn(np.einsum("qjp,pws->qjws", problem.changes, problem.basis)))
+        dX = np.zeros((problem.outer, J, n, problem.inputs))
+        dX[..., :AXES] = signals[..., : problem.basis.shape[2]] @ np.concatenate(dT).swapaxes(-1, -2)
+        return dX.reshape(problem.outer, J * n, problem.inputs)
 
 
 def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUATIONS) -> Solution:
@@ -160,8 +203,8 @@ def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) ->
     """Return the cost and the outer unknowns at the minimum next to a start."""
     from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
-    mass = max(abs(float(start[MASS])), _LEAST_MASS)
-    scale = np.concatenate([np.full(problem.parameters, mass), np.ones(3 * problem.rotation)])
+    scale = np.ones(problem.outer)
+    scale[: problem.parameters] = max(abs(float(start[MASS])), _LEAST_MASS)
     residual = _Residual(problem)
     found = least_squares(
         lambda x: residual(x * scale),
@@ -189,7 +232,7 @@ class _Linear(NamedTuple):
     @classmethod
     def at(cls, problem: Problem, x: Vector) -> "_Linear":
         outer = _Outer.of(problem, x)
-        X = (problem.signals @ transforms(problem, outer).swapaxes(1, 2)).reshape(-1, problem.inputs)
+        X = (problem.signals @ outer.transforms.swapaxes(1, 2)).reshape(-1, problem.inputs)
         channels = problem.readings.shape[1]
         if problem.maker is None:
             left, back = orthonormal(X)
@@ -237,28 +280,11 @@ class _Residual:
         """Return Kaufman's Jacobian: the part of dX A' that the response cannot explain."""
         inner, problem = self._at(x), self._problem
         axes = _jacobian_of_rotation(inner.outer.vector) if problem.rotation else np.eye(3)
-        moved = _design_derivatives(problem, inner.outer, axes) @ inner.response
+        moved = inner.outer.derivatives(axes) @ inner.response
         free = inner.free(moved, len(problem.prior[1])).T
         known = np.zeros((len(problem.limb_root), problem.outer))
         known[:, : problem.parameters] = problem.limb_root
         return np.concatenate([free, known])
-
-
-def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix) -> NDArray[np.float64]:
-    """Return dX by each inertial parameter and by turning further about each column of axes, one a row."""
-    signals = problem.signals
-    (J, n, _), s = signals.shape, problem.basis.shape[2]
-    dX = np.zeros((problem.outer, J * n, problem.inputs))
-    of_sets = dX.reshape(problem.outer, J, n, problem.inputs)[..., :AXES]
-    basis = problem.basis
-    if problem.rotation:
-        basis = basis.copy()
-        basis[..., DIRECT] = basis[..., DIRECT] @ outer.rotation
-        gravity = np.einsum("jp,pws->jws", outer.limb + problem.added, problem.basis[..., DIRECT])
-        steps = np.stack([gravity @ (skew(axis) @ outer.rotation) for axis in axes.T])
-        of_sets[problem.parameters :] = signals[..., DIRECT] @ steps.swapaxes(-1, -2)
-    of_sets[: problem.parameters] = signals[..., :s] @ basis[:, None].swapaxes(-1, -2)
-    return dX
 
 
 def _jacobian_of_rotation(vector: Vector) -> Matrix:
@@ -279,51 +305,39 @@ def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solut
         white = response.T @ problem.whitening.T
     rows, channels = X @ white - problem.readings, problem.readings.shape[1]
     linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
-    bilinear = (_design_derivatives(problem, outer, np.eye(3)) @ white).reshape(problem.outer, -1).T
+    bilinear = (outer.derivatives(np.eye(3)) @ white).reshape(problem.outer, -1).T
     prior, right = problem.prior
     known = np.zeros((len(prior) + len(problem.limb_root), linear.shape[1] + problem.outer))
     known[: len(prior), : linear.shape[1]] = prior
     known[len(prior) :, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.limb_root
     off = np.concatenate([prior @ white.T.ravel() - right, problem.limb_root @ (outer.limb - problem.limb)])
     return Solution(
+        problem=problem,
+        outer=x,
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
-        limb=outer.limb,
         rotation=outer.rotation,
         jacobian=np.concatenate([np.column_stack([linear, bilinear]), known]),
         residual=rows.reshape(len(problem.sets), -1, channels),
         cost=0.5 * float(np.sum(rows**2) + off @ off),
-        outer=x,
     )
 
 
-def project(solution: Solution, slopes: Matrix) -> Matrix:
-    """Project slopes of the rows of the sets off the unknowns of a solution, shape (rows, q)."""
-    basis, _ = orthonormal(solution.jacobian)
-    slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
-    return np.asarray(slopes - basis @ (basis.T @ slopes))
+_Make = Callable[[Solution], Problem]
+"""Makes a problem with signals that follow from the loads of a fit."""
 
 
-Fitted = tuple[Problem, Solution]
-
-
-def follow(
-    make: Callable[[Problem, Solution], Problem], problem: Problem, solution: Solution, rounds: int
-) -> Fitted:
+def follow(make: _Make, solution: Solution, rounds: int) -> Solution:
     """Fit a few times with signals that follow from the loads of the fit before."""
     for _ in range(rounds):
-        rotation, limb = solution.outer[problem.parameters :], solution.limb
-        problem = make(problem, solution)
+        rotation, limb = solution.outer[solution.problem.parameters :], solution.limb
+        problem = make(solution)
         limb = np.pad(limb, (0, problem.parameters - len(limb)))
         solution = solve(problem, [np.concatenate([limb, rotation])])
-    return problem, solution
+    return solution
 
 
 def beside_loads(
-    plain: Problem,
-    columns: Sequence[Matrix],
-    std: float,
-    options: InSituOptions,
-    slopes: Matrix | None = None,
+    plain: Problem, columns: Sequence[Matrix], std: float, slopes: Matrix | None = None
 ) -> Problem:
     """Add signals of the loads to a problem, each with one parameter: an axis's share of it.
 
@@ -331,7 +345,6 @@ def beside_loads(
         plain: The problem without.
         columns: Signals of the axes at the rows of each set, shape (m, 6), or behind q of ``slopes``.
         std: Expected size of the parameters.
-        options: Of the fit.
         slopes: Slopes of the wrench of each of the first signals by the parameters, shape (q, 6, p).
     """
     p, _, s = plain.basis.shape
@@ -341,62 +354,51 @@ def beside_loads(
     basis[p:, :, -AXES:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
     for place, slope in enumerate(extra, s):
         basis[:p, :, place] = slope.T
-    parts = add_signals(plain.sets, columns, options, first=s)
     return replace(
         plain,
-        sets=parts,
+        sets=add_signals(plain.sets, columns, s),
         added=np.pad(plain.added, ((0, 0), (0, AXES))),
-        whitening=whiten_channels(parts),
         basis=basis,
         limb=np.pad(plain.limb, (0, AXES)),
         limb_root=block_diag(plain.limb_root, np.eye(AXES) / std),
     )
 
 
-def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:
+def beside_channels(plain: Problem, columns: Sequence[Matrix]) -> Problem:
     """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
-    parts = add_signals(plain.sets, columns, options)
-    return replace(
-        plain,
-        sets=parts,
-        channel_lags=plain.channel_lags + columns[0].shape[1],
-        whitening=whiten_channels(parts),
-    )
+    lags = plain.channel_lags + columns[0].shape[1]
+    return replace(plain, sets=add_signals(plain.sets, columns), channel_lags=lags)
 
 
-def criterion(problem: Problem, solution: Solution) -> float:
+def criterion(solution: Solution) -> float:
     """Return minus twice the log-likelihood, with Schwarz's penalty for free parameters (1978)."""
-    left = whiten_residuals(problem, solution)
-    rows = sum(part.rows for part in problem.sets)
-    return deviance(problem.sets, left) + float(solution.jacobian.shape[1] * np.log(rows))
+    rows = sum(part.rows for part in solution.problem.sets)
+    return deviance(solution) + float(solution.jacobian.shape[1] * np.log(rows))
 
 
-def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
-    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+def deviance(solution: Solution) -> float:
+    """Return minus twice the log-likelihood of the sets' rows at the channels' likeliest covariance.
 
     In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
-    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
-
-    Args:
-        parts: The sets, with n rows of k channels in all.
-        left: Whitened residuals of a fit, as :func:`whiten_residuals` returns them.
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|
+    for n rows of k channels.
     """
-    rows, channels = sum(map(len, left)), left[0].shape[1]
-    scatter = sum(one.T @ one for one in left)
+    left = np.concatenate(whiten_residuals(solution))
+    rows, channels = left.shape
+    scatter = left.T @ left
     size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
     logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
-    of_colour = channels * sum(part.log_colour for part in parts)
+    of_colour = channels * sum(part.log_colour for part in solution.problem.sets)
     value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
     return value if np.isfinite(value) else np.inf
 
 
-def whiten_residuals(problem: Problem, solution: Solution) -> list[Matrix]:
+def whiten_residuals(solution: Solution) -> list[Matrix]:
     """Whiten the residuals of each set's rows by their colour, in the order of time, shape (m, k)."""
     found = []
-    between = problem.unwhiten(solution.residual)
-    for part, one in zip(problem.sets, between, strict=True):
-        root = np.sqrt(part.colour.power_after(part.rows, part.spacing))[:, None]
-        modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
-        found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
+    sets = solution.problem.sets
+    for part, between in zip(sets, solution.problem.unwhiten(solution.residual), strict=True):
+        modes = dct(part.residual - part.score @ between, norm="ortho", axis=0)
+        found.append(np.asarray(idct(modes / np.sqrt(part.power)[:, None], norm="ortho", axis=0)))
     return found

@@ -39,8 +39,6 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = ["InSituEstimate", "InSituTracker", "in_situ_tracker"]
-
 _STEP = 0.1
 """Share of ``lag_angle`` by which gravity must have turned to count as turning: a noisy IMU does not."""
 

@@ -13,8 +13,7 @@ from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
 from surefoot.calibration.in_situ.data import InSituOptions, Task
-from surefoot.calibration.in_situ.problem import whiten_channels
-from surefoot.calibration.in_situ.solve import deviance, solve, transforms, whiten_residuals
+from surefoot.calibration.in_situ.solve import deviance, solve
 
 COLOURS = {
     "white": Colour(),
@@ -30,27 +29,25 @@ def evidence_of(sets, **options):
 
 
 def coloured_fit(colour, n=80):
-    """Four short sets whose second mass is 20 % too heavy, with rows of a colour: problem, solution."""
+    """Four short sets whose second mass is 20 % too heavy, with rows of a colour."""
     rng = np.random.default_rng(3)
     sets = noisy_sets("leg", rng, n=n)[0]
     sets[1] = replace(sets[1], added_mass=1.2 * ADDED_MASS[1], added_com=ADDED_COM_LEG[1])
     evidence = evidence_of(sets, robust=False)
     parts = tuple(_triangularise(part.source, colour) for part in evidence.problem.sets)
-    problem = replace(evidence.problem, sets=parts, whitening=whiten_channels(parts))
-    return problem, solve(problem, [evidence.solution.outer])
+    return solve(replace(evidence.problem, sets=parts), [evidence.solution.outer])
 
 
 @pytest.mark.parametrize("colour", COLOURS.values(), ids=COLOURS)
 def test_deviance_is_that_of_a_dense_normal_distribution(colour):
-    problem, solution = coloured_fit(colour)
-    predicted = solution.response @ transforms(problem, solution)
+    solution = coloured_fit(colour)
     left, dense = [], []
-    for part, response in zip(problem.sets, predicted, strict=True):
+    for part, response in zip(solution.problem.sets, solution.predicted, strict=True):
         source = part.source
         b, u, r = np.split(source.columns, [1, 1 + source.inputs], axis=1)
         offset = np.linalg.lstsq(b, r - u @ response.T, rcond=None)[0]
         left.append(r - b @ offset - u @ response.T)
-        power = colour.power_after(part.rows, part.spacing) / colour.weights(part.rows, part.spacing)
+        power = colour.power_after(part.rows, source.spacing) / colour.weights(part.rows, source.spacing)
         waves = idct(np.eye(part.rows), norm="ortho", axis=0)
         dense.append(waves @ np.diag(power) @ waves.T)
     rows = sum(map(len, left))
@@ -59,7 +56,7 @@ def test_deviance_is_that_of_a_dense_normal_distribution(colour):
         -2.0 * multivariate_normal.logpdf(one.ravel(), cov=np.kron(cov, scatter))
         for one, cov in zip(left, dense, strict=True)
     )
-    assert deviance(problem.sets, whiten_residuals(problem, solution)) == pytest.approx(expected, rel=1e-9)
+    assert deviance(solution) == pytest.approx(expected, rel=1e-9)
 
 
 def test_slopes_are_open_by_how_far_swings_of_like_axes_lie_apart():

@@ -1,0 +1,450 @@
+r"""Effects of a sensor beside its response, as signals of a linear fit: hysteresis and temperature.
+
+**Hysteresis.** The spring element of a sensor lags behind its load, as wide a loop over a large swing as over
+a small one in proportion (Prandtl and Ishlinskii); or one as wide over any swing, as a joint with backlash
+does. Its reading is the load and a share s of
+
+.. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
+
+with play operators P of half-width :math:`r_i`, and the largest amplitude X of the data; for backlash
+:math:`p(x) = P_r(x) / s - \kappa x` with the one width that the share itself says, :math:`r = X s / 2`. The
+loop shows s, and the rest follows from s: an element with loops in proportion gives way by s more for each
+doubling of the swing, so that a small mass added to a heavy limb seems to weigh more than alone, by s / ln 2.
+Left out, this makes the limb too light by as much. The term in :math:`\kappa` leaves p without correlation to
+x over the data; it only sets the swing at which the matrix holds, that of the data.
+
+Glue and metal creep besides: after a step they go on giving way for seconds and minutes, by about as much in
+each octave of time. Then p is the sum of the past loads by filters of the first order, less :math:`\kappa x`.
+
+The lagging signal follows from the fit's own loads, so that a fit is made again until it settles. Backlash is
+narrow: an error of the limb's first moment moves the times at which a torque turns by as much as it is wide.
+How it moves them is part of the fit (:func:`_turn`): without that, a limb of 5 kg beside backlash of 1 % came
+out up to 1.4 % off, at a squared error of 6 times the covariance (NEES).
+
+Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
+does: then p is that of each channel's own load A_c w, and acts on the readings directly.
+
+**Temperature** acts on the readings and, times the load of each axis, on the gains, where it is worth it.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from surefoot.calibration.imu.static import savitzky_golay
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.colour import motion_frequency
+from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
+from surefoot.calibration.in_situ.problem import Problem, whitening_of
+from surefoot.calibration.in_situ.solve import (
+    Solution,
+    beside_channels,
+    beside_loads,
+    criterion,
+    follow,
+    solve,
+)
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+_HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
+"""Half-widths of the plays, as shares of the largest amplitude."""
+
+_NARROW = _HALF_WIDTHS[-2]
+"""That from which the search for backlash begins."""
+
+_CREEPING = np.geomspace(4.0, 128.0, 6)
+"""Time constants of creep in s, an octave apart: faster ones look like a clock that is late, slower ones like
+a drift."""
+
+_NEARLY = 0.9
+"""Share of creep's gain from which on loops are the law. Chosen: of loops with thresholds of ratio 3,
+where the law has 2, they explain 0.94 to 0.99 of it, of emulated sensors that creep 0.2 to 0.83."""
+
+_MOST_CREEP = 0.01
+"""Share of the load in an octave of time beyond which it is no creep but a fit of something else: load cells
+state 0.001 in half an hour, a swing of a few seconds on a robot that balances looked like 0.03 to 0.06."""
+
+_SHARE_STD = 0.05
+"""Expected size of the shares; that of an axis that no load reaches stays at zero."""
+
+_LEADS = 0.3
+"""A share this far below zero, as a part of the largest, is no hysteresis."""
+
+_STEPS, _BLOCK = 1500, 250
+"""Steps in which a set's plays are followed, if its limb turns slowly, and those that are held at once."""
+
+_CUBIC, _PART = 7, 0.1
+"""Samples over which loads are smoothed by cubics, if they are no more than this part of a period: noise of
+0.1 m/s^2 showed loops in 10 of 12 sound logs without, and in none with."""
+
+_ROWS_EACH = 10
+"""Rows that a set must have on average for each input of the response: few rows show loops in any noise."""
+
+_REFINED, _SETTLED = 10, 1.0
+"""Fits by the likeliest law at most, as the loads that lag come from the fit itself, until they change by so
+many nats."""
+
+_STEP = 1e-6
+"""Angle in rad by which a first moment is turned to see its effect on backlash."""
+
+_Law = Callable[[Sequence[Matrix]], list[Matrix]]
+"""Signals that lag behind the loads of each set, (n_j, a) each."""
+
+
+def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:
+    """Fit hysteresis by each law; none where few rows show it.
+
+    Returns:
+        The likeliest fit, which is the plain one where no law explains enough, and the fits with loops,
+        worth it or not: a late clock is judged beside them.
+    """
+    if not shows_loops(plain.problem):
+        return plain, [plain]
+    at = _Motion.of(sets, plain.problem)
+    laws = {at.lag_loads(_plays): 1, at.lag_with_backlash: 2, at.lag_channels: 1}
+    loops = {make: fit for make, rounds in laws.items() if (fit := _try(make, plain, rounds))}
+    # A signal that leads the load is no hysteresis but two clocks that disagree.
+    lagging = {make: fit for make, fit in loops.items() if _lags(fit)}
+    make = min(lagging, key=lambda one: criterion(lagging[one]), default=None)
+    best = plain if make is None or criterion(lagging[make]) >= criterion(plain) else lagging[make]
+    if all(data.time is not None for data in sets):
+        law = at.lag_loads(partial(_creeps, steps=at.steps), _SHARE_STD / len(_CREEPING))
+        creep = _try(law, plain, 1)
+        # Creep follows loops of another make as well: it must explain clearly more than they do.
+        if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
+            before = criterion(plain)
+            if before - criterion(best) < _NEARLY * (before - criterion(creep)):
+                make, best = law, creep
+    if make is not None and best is not plain:
+        best = _refine(best, make)
+    return best, list(loops.values()) or [plain]
+
+
+def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int) -> Solution | None:
+    """Fit a law; None where that leads nowhere, as where sets contradict each other."""
+    with suppress(np.linalg.LinAlgError):
+        return follow(make, fit, rounds)
+    return None
+
+
+def _refine(fit: Solution, make: Callable[[Solution], Problem]) -> Solution:
+    """Follow the loads until the fit settles; the likeliest on the way, as a step may be too long."""
+    best, lowest, last = fit, criterion(fit), np.inf
+    for _ in range(_REFINED):
+        finer = _try(make, fit, 1)
+        if finer is None:
+            break
+        fit, value = finer, criterion(finer)
+        if value < lowest:
+            best, lowest = fit, value
+        if abs(value - last) < 2.0 * _SETTLED:
+            break
+        last = value
+    return best
+
+
+def shows_loops(problem: Problem) -> bool:
+    """Return whether sets have rows enough to show loops."""
+    return sum(part.rows for part in problem.sets) >= _ROWS_EACH * problem.inputs * len(problem.sets)
+
+
+def _lags(fit: Solution) -> bool:
+    return bool(np.max(fit.shares) > 0.0 and np.min(fit.shares) > -_LEADS * np.max(fit.shares))
+
+
+class _Motion(NamedTuple):
+    """Steps in which the loads of sets are followed, and the problems with lags behind these loads."""
+
+    plain: Problem
+    signals: list[Matrix]
+    """Of each set, smoothed, (n_j, s)."""
+    strides: list[int]
+    """Samples in a step."""
+    steps: list[float]
+    """Time of a step in s; NaN without times."""
+
+    @classmethod
+    def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
+        """Take so many steps that a play, which only follows between turning points, is seen."""
+        strides = [max(len(data.raw) // _STEPS, 1) for data in sets]
+        times = [np.nan if data.time is None else float(np.median(np.diff(data.time))) for data in sets]
+        paths = [_path(data, plain.moving, stride) for data, stride in zip(sets, strides, strict=True)]
+        return cls(plain, paths, strides, [n * dt for n, dt in zip(strides, times, strict=True)])
+
+    def loads(self, fit: Solution) -> list[Matrix]:
+        """Return wrenches of the limb and the added mass by a fit, (n_j, 6) each."""
+        return [u @ T[:, : u.shape[1]].T for u, T in zip(self.signals, fit.loads, strict=True)]
+
+    def rows(self, lags: Sequence[Matrix]) -> list[Matrix]:
+        """Return lags at the rows of the compressed sets, (m_j, a) each."""
+        found = []
+        for stride, part, lag in zip(self.strides, self.plain.sets, lags, strict=True):
+            places = stride * np.arange(len(lag))
+            found.append(np.stack([np.interp(part.source.places, places, one) for one in lag.T], axis=1))
+        return found
+
+    def lag_loads(self, law: _Law, std: float = _SHARE_STD) -> Callable[[Solution], Problem]:
+        """Let the loads of the axes lag by a law, with shares of an expected size."""
+
+        def make(fit: Solution) -> Problem:
+            loads = self.loads(fit)
+            return beside_loads(self.plain, self.rows(_out_of_phase(law(loads), loads)), std)
+
+        return make
+
+    def lag_channels(self, fit: Solution) -> Problem:
+        """Let the loads of the channels lag."""
+        loads = [load @ fit.A.T for load in self.loads(fit)]
+        return beside_channels(self.plain, self.rows(_out_of_phase(_plays(loads), loads)))
+
+    def lag_with_backlash(self, fit: Solution) -> Problem:
+        """Let the loads of the axes lag by the one width that a share says itself."""
+        loads = self.loads(fit)
+        shares, half = np.zeros(AXES), np.full((AXES, 1), _NARROW)
+        if fit.problem.hysteresis:
+            shares = fit.shares
+            half = np.clip(0.5 * shares, _HALF_WIDTHS[-1], _HALF_WIDTHS[0])[:, None]
+
+        def lag(loads: Sequence[Matrix]) -> list[Matrix]:
+            return _out_of_phase(_play_sums(loads, half, 0.5 / half), loads)
+
+        bodies = fit.limb + fit.problem.added
+        turns = [_turn(load, body) for load, body in zip(loads, bodies, strict=True)]
+        near = lag([load + _STEP * turn.load for load, turn in zip(loads, turns, strict=True)])
+        columns = [
+            np.column_stack([((there - here) / _STEP)[:, _TORQUES] * turn.per_moment, here])
+            for there, here, turn in zip(near, lag(loads), turns, strict=True)
+        ]
+        slopes = np.zeros((len(_TORQUES), AXES, self.plain.parameters))
+        slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
+        return beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
+
+
+def _path(data: InSituSet, moving: bool, stride: int) -> Matrix:
+    """Return every so many signals, (n, s); the last one is held in gaps.
+
+    They are smoothed where a few samples are a small part of a turn of the limb: plays that follow noise
+    would be signals with less of it, and a loop in nothing but noise.
+    """
+    u = signals(data, moving, stride)
+    whole = np.isfinite(u).all(axis=1)
+    latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
+    latest[latest < 0] = int(np.argmax(whole))
+    u = u[latest]
+    turns = motion_frequency(u[:, DIRECT], 1.0)
+    return savitzky_golay(u, _CUBIC) if turns * _CUBIC < _PART and len(u) > _CUBIC else u
+
+
+_TORQUES, _MOMENTS = np.array([3, 3, 4, 4, 5, 5]), np.array([2, 3, 1, 3, 1, 2])
+"""Torques, and the first moments among the parameters that they depend on."""
+
+
+class _Turn(NamedTuple):
+    """A first moment that turns a little about each axis; one that grows only makes a lag larger."""
+
+    load: Matrix
+    """Slope of the loads by the share of hysteresis, (n, 6)."""
+    per_moment: Vector
+    """Its share, by each first moment that torques depend on, (6,)."""
+
+
+def _turn(load: Matrix, body: Vector) -> _Turn:
+    moment = body[MOMENT]
+    size = float(np.linalg.norm(moment)) + np.finfo(float).tiny
+    across = np.cross(np.eye(3), moment)
+    across /= np.linalg.norm(across, axis=1, keepdims=True) + np.finfo(float).tiny
+    torque = np.einsum("ana->na", np.cross(across[:, None], load[:, :3]))
+    added = np.concatenate([np.zeros_like(torque), size / body[MASS] * torque], axis=1)
+    return _Turn(added, across[_TORQUES - 3, _MOMENTS - 1] / size)
+
+
+def _plays(loads: Sequence[Matrix]) -> list[Matrix]:
+    """Sum plays of all widths: loops in proportion to the swing."""
+    return _play_sums(loads, _HALF_WIDTHS, 1.0)
+
+
+def _play_sums(
+    loads: Sequence[Matrix], half_widths: NDArray[np.float64], weights: NDArray[np.float64] | float
+) -> list[Matrix]:
+    """Return weighted sums of the plays of each axis or channel, (n_j, a) each."""
+    slack = np.max([np.ptp(load, axis=0) / 2.0 for load in loads], axis=0)[:, None] * half_widths
+    longest = max(len(load) for load in loads)
+    every = np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), mode="edge") for one in loads], axis=1)
+    play, sums = every[0][..., None] * np.ones(slack.shape[1]), np.empty_like(every)
+    for first in range(0, longest, _BLOCK):
+        block = every[first : first + _BLOCK, ..., None]
+        low, high = block - slack, block + slack
+        plays = np.empty_like(low)
+        for i in range(len(block)):
+            play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
+        sums[first : first + _BLOCK] = np.sum(plays * weights, axis=-1)
+    return [sums[: len(load), j] for j, load in enumerate(loads)]
+
+
+def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:
+    """Return the sums of past loads by filters of the first order, (n_j, a) each.
+
+    The motion before a set is not known: filters begin at the mean of its loads. If they began at the first
+    load, their transient would look like drift.
+    """
+    found = []
+    for wrench, step in zip(wrenches, steps, strict=True):
+        kept, mean = np.exp(-step / _CREEPING), wrench.mean(axis=0, keepdims=True)
+        at = [lfilter([1.0 - k], [1.0, -k], wrench, axis=0, zi=k * mean)[0] for k in kept]
+        found.append(np.sum(at, axis=0))
+    return found
+
+
+def _out_of_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> list[Matrix]:
+    """Take the part in phase with the loads of all sets off the lags, (n_j, a) each.
+
+    It has no mean over a set: the mean is the offset's.
+    """
+    loads = [wrench - wrench.mean(axis=0) for wrench in wrenches]
+    common = sum(np.sum(lag * load, axis=0) for lag, load in zip(lags, loads, strict=True))
+    square = sum(np.sum(load**2, axis=0) for load in loads)
+    kappa = common / np.where(square > 0.0, square, 1.0)
+    signals = [lag - kappa * wrench for lag, wrench in zip(lags, wrenches, strict=True)]
+    return [signal - signal.mean(axis=0) for signal in signals]
+
+
+_GAIN_STD = 0.005
+"""Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
+
+
+def centre_temperatures(
+    sets: tuple[InSituSet, ...],
+) -> tuple[tuple[InSituSet, ...], float | None, list[Finding]]:
+    """Return sets with temperatures less their mean, the mean in their unit, and findings.
+
+    Temperatures that show no effect are left out; the mean is None then.
+    """
+    given = [data.temperature for data in sets if data.temperature is not None]
+    if not given:
+        return sets, None, []
+    words, mean = "", float(np.nanmean(np.concatenate(given)))
+    if len(given) < len(sets):
+        missing = ", ".join(f"'{data.name}'" for data in sets if data.temperature is None)
+        words = f"{missing} has no temperature, so that of the others was left out."
+    elif (within := float(np.sqrt(np.mean([np.nanvar(one) for one in given])))) < limits.WARMING:
+        words = (
+            f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
+            f"({limits.WARMING} K): it was left out."
+        )
+    elif (left := _measure_rest(sets, lambda data: data.gravity)) < limits.NOT_GRAVITY:
+        words = (
+            f"The temperature went with gravity: what gravity explains leaves {left:.0%} of its spread. It "
+            "was left out; let the sensor warm or cool while the limb turns several times."
+        )
+    if words:
+        return tuple(replace(data, temperature=None) for data in sets), None, _warn(words)
+    if all(data.time is not None for data in sets):
+        left = _measure_rest(sets, lambda data: np.asarray(data.time), common=True)
+        if left < limits.NOT_GRAVITY:
+            words = (
+                f"The temperature went with time: one slope leaves {left:.0%} of its spread, so that its "
+                "coefficient may be that of a drift (matrix and limb do not lean on which it is). Let the "
+                "sensor warm in one set and cool in another."
+            )
+    centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
+    return tuple(centred), mean, _warn(words)
+
+
+def _warn(words: str) -> list[Finding]:
+    return [Finding("temperature", words, refuses=False)] if words else []
+
+
+def _measure_rest(
+    sets: Sequence[InSituSet], columns: Callable[[InSituSet], Matrix], common: bool = False
+) -> float:
+    """Return the share of the temperature's spread within sets that is not linear in columns.
+
+    ``common`` is for one slope in all sets rather than one in each.
+    """
+    parts = []
+    for data in sets:
+        assert data.temperature is not None
+        together = np.column_stack([data.temperature, columns(data)])
+        together = together[np.isfinite(together).all(axis=1)]
+        parts.append(together - together.mean(axis=0))
+    left = 0.0
+    for part in [np.concatenate(parts)] if common else parts:
+        warmth, of = part[:, 0], part[:, 1:]
+        left += float(np.sum((warmth - of @ np.linalg.lstsq(of, warmth, rcond=None)[0]) ** 2))
+    return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
+
+
+def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
+    """Return that an offset drifted as the temperature changed, and the cure; None if nothing shows it.
+
+    A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
+    but the coefficients of sets disagree. The temperature is the last signal of the sets.
+    """
+    root = whitening_of(parts)
+    own = np.array([part.response[:, -1] for part in parts])
+    gram = np.array([part.gram[-1, -1] for part in parts])
+    square = np.array([part.uu[-1, -1] ** 2 for part in parts])
+    worth = np.where(gram > UNUSED, square / np.maximum(gram, UNUSED), 0.0)
+    freedom = (np.count_nonzero(worth) - 1) * len(root)
+    if freedom <= 0:
+        return None
+    off = (own - worth @ own / np.sum(worth)) @ root.T
+    if worth @ np.sum(off**2, axis=1) < limits.COEFFICIENTS**2 * freedom:
+        return None
+    channel = int(np.argmax(np.ptp(own, axis=0)))
+    reason = (
+        "The offset drifted as the temperature changed: single sets show coefficients of channel "
+        f"{channel} from {np.min(own[:, channel]):.3g} to {np.max(own[:, channel]):.3g} counts/K."
+    )
+    cure = (
+        "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
+        "without it."
+    )
+    return Finding("drift by temperature", reason, cure, refuses=False)
+
+
+def add_gains(plain: Solution) -> Solution:
+    """Return a fit with gains of the axes by temperature, or the plain one where they are not worth it.
+
+    The plain one has the temperature as a signal, without hysteresis.
+    """
+
+    def warm(fit: Solution) -> Problem:
+        return beside_loads(plain.problem, _warm_loads(plain.problem, fit), _GAIN_STD)
+
+    fitted = follow(warm, plain, 2)
+    if criterion(fitted) >= criterion(plain):
+        return plain
+    return replace(fitted, problem=replace(fitted.problem, gains=AXES))
+
+
+def check_gauges(fit: Solution) -> list[Finding]:
+    """Return a warning where gains go with the temperature otherwise than axis by axis."""
+    freer = beside_channels(fit.problem, [load @ fit.A.T for load in _warm_loads(fit.problem, fit)])
+    if criterion(solve(freer, [fit.outer])) >= criterion(fit):
+        return []
+    return _warn(
+        "The gains of single channels follow the temperature, each its own way, where the fit has one an "
+        "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated."
+    )
+
+
+def _warm_loads(problem: Problem, fit: Solution) -> list[Matrix]:
+    """Return the temperature times the load by a fit at the rows of a problem's sets, (m, 6) each."""
+    inputs, found = problem.basis.shape[2], []
+    for part, T in zip(problem.sets, fit.loads, strict=True):
+        signals = part.source.signals
+        kelvin = signals[:, inputs, None]  # the first signal behind those of the loads
+        found.append(kelvin * (signals[:, :inputs] @ T[:, :inputs].T))
+    return found
