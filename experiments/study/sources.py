@@ -33,8 +33,10 @@ def source_hash(*entries: str) -> str:
     modules, digest = source_modules(*entries), sha256()
     folders = {_file(module).parent for module in modules if module.startswith("surefoot.")}
     data = {file for folder in folders for file in folder.iterdir() if file.suffix in _DATA}
-    for file in sorted(data.union(map(_file, modules)), key=lambda file: (file.parent.name, file.name)):
-        digest.update(f"{file.parent.name}/{file.name}".encode() + file.read_bytes())
+    files = data.union(map(_file, modules))
+    # Several are alike in their names and their folders' names: the text decides on the order as well.
+    for text in sorted(f"{file.parent.name}/{file.name}".encode() + file.read_bytes() for file in files):
+        digest.update(text)
     return digest.hexdigest()[:16]
 
 

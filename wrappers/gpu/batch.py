@@ -56,8 +56,10 @@ def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
                 f"A mask of robots must have shape ({num_envs},), got {tuple(env_ids.shape)}; give their "
                 "numbers to name only some."
             )
-        if env_ids.dtype != torch.bool and device.type == "cpu" and len(env_ids):
-            low, high = int(env_ids.min()), int(env_ids.max())
+        # Beyond the last robot a GPU would end the whole process's work; a captured step cannot wait for the check.
+        capturing = device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+        if env_ids.dtype != torch.bool and len(env_ids) and not capturing:
+            low, high = torch.stack(torch.aminmax(env_ids)).tolist()
             if low < -num_envs or high >= num_envs:
                 raise ValueError(
                     f"'env_ids' must name robots from 0 to {num_envs - 1}, got {low if low < 0 else high}; "
