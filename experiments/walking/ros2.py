@@ -3,6 +3,7 @@
 The package in ``ros2/`` reads them; the constants are the records of the library in C, field by field.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def node_parameters(
     beliefs: MomentumBeliefs,
     *,
     joints: dict[str, float],
-    soles: tuple[str, str] = ("left_sole", "right_sole"),
+    soles: Sequence[str] = ("left_sole", "right_sole"),
     R_torso_imu: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     age: float = 0.0,
 ) -> dict[str, Any]:
@@ -42,7 +43,7 @@ def node_parameters(
         beliefs: What it believes of its motion.
         joints: Angle in rad at which each hinge of the model is held, in the model's order; NaN for those
             that ``joint_states`` holds.
-        soles: Names of the sole frames.
+        soles: Names of the sole frames, one a foot.
         R_torso_imu: Rotation from the IMU's axes to the torso's, shape (3, 3).
         age: How long before they arrive counts were measured, in s.
 

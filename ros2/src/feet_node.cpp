@@ -1,4 +1,4 @@
-// A lifecycle node that calibrates a biped's feet while it moves: surefoot's moment filter, one step a sample.
+// A lifecycle node that calibrates a robot's feet while it moves: surefoot's moment filter, one step a sample.
 //
 // in:   counts        std_msgs/Float64MultiArray, the channels in the layout's order, NaN where no sample arrived
 //       wrench_<foot> geometry_msgs/WrenchStamped, in place of counts where each foot has one six-axis sensor
@@ -204,7 +204,7 @@ private:
         const bool silent = packet_ >= 0 && time - imu_time_ > SILENCE * timing_.period;
         packet_ += silent ? std::llround((time - imu_time_) / period) : 1;
         imu_time_ = time;
-        sf_momentum_packet(&model_, &timing_, &constants_.legs, &beliefs_, packet_, time, angle_.data(), force, spin);
+        sf_momentum_packet(&model_, &timing_, &beliefs_, packet_, time, angle_.data(), force, spin);
     }
 
     // A sample is whole when all feet have come; a foot that comes again before the others shows that theirs were lost.

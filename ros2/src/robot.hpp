@@ -19,7 +19,6 @@ struct Robot {
     sf_moment_config moment{};
     sf_model model{};
     sf_timing timing{};
-    sf_strapdown_config legs{};
 };
 
 // Fill a record of the library. lists: gives the numbers of a parameter; that of the field f is <prefix>.f.
@@ -47,9 +46,8 @@ template <class Lists> Robot read_robot(const Lists &lists) {
     read_record(lists, "moment_config", "moment", &robot.moment);
     read_record(lists, "model", "model", &robot.model);
     read_record(lists, "timing", "timing", &robot.timing);
-    read_record(lists, "strapdown_config", "legs", &robot.legs);
-    if (!sf_moment_fits(&robot.config, &robot.moment) || !sf_beliefs_fit(&robot.model, &robot.timing) ||
-        !sf_strapdown_fits(&robot.legs))
+    if (!sf_moment_fits(&robot.config, &robot.moment) || !sf_momentum_fits(&robot.model, &robot.timing) ||
+        robot.timing.feet != robot.config.feet)
         throw std::runtime_error("The parameters are of a robot that this node has no room for.");
     for (const char *name : {"scale_N_per_count", "offset_N"})
         if (lists(name).size() != std::size_t(robot.config.channels))

@@ -240,7 +240,7 @@ def test_the_command_reads_a_bag_and_writes_ros2_parameters(
     assert node["offset_N"] == told["offset_N"]
     assert node["channels"] == told["channels"]
     assert node["joints"][0] == "LHipYawPitch"
-    assert set(node) >= {"robot", "moment", "model", "timing", "legs", "held_rad", "sole_frames"}
+    assert set(node) >= {"robot", "moment", "model", "timing", "held_rad", "sole_frames"}
 
 
 @one_format
