@@ -12,7 +12,7 @@ ifeq ($(shell uname -s)$(DISPLAY),Linux)
 export MUJOCO_GL ?= egl
 endif
 
-.PHONY: demo test slow core lowest results check style types pyright imports format docs wheel-test wheels release-check linkcheck clean
+.PHONY: demo test slow core lowest results check style types pyright imports format docs wheel-test wheels arduino release-check linkcheck clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
@@ -114,6 +114,11 @@ wheels: $(VENV)/.dev
 		rm -rf build/lib build/bdist.*; \
 		SUREFOOT_PLATFORM=$$platform PYTHONPATH=$(CURDIR)/$(ZIG) $(BIN)/python -m build --wheel --no-isolation --outdir dist . || exit 1; \
 	done
+
+# A library for Arduino as its editor takes it, with the headers in the place of links.
+arduino:
+	rm -rf build/Surefoot && mkdir -p build && cp -rL arduino build/Surefoot
+	cd build && python3 -m zipfile -c surefoot-arduino.zip Surefoot
 
 # Before a release: twine reads what `make wheels` made, each extra (or EXTRAS) is installed alone and used, and the two
 # commands of README run in the sdist. Half an hour or more, gigabytes; needs an index of packages.

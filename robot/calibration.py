@@ -226,7 +226,7 @@ class RobotCalibration:
                 telemetry.averaged,
                 lag=self.late,
                 dt=telemetry.dt,
-                joined=packets_per_join(telemetry),
+                joined=packets_per_join(telemetry.period),
                 touching=setup.touching.round,
             )
             if setup.by_momentum:
@@ -385,7 +385,8 @@ class RobotCalibration:
         setup, telemetry, rng = self._setup, self._sensors.telemetry, self._rng
         self.model.draw(rng)
         self.initial = self._first_map(rng)
-        self.late = usual_lag(telemetry, setup.age) if setup.lag is None else setup.lag
+        link, period = telemetry.link, telemetry.period
+        self.late = usual_lag(link, period, telemetry.dt, setup.age) if setup.lag is None else setup.lag
         check_lag(self.late, telemetry, setup.age)
         self._make()
         self.made, self._waiting = True, 0

@@ -29,14 +29,15 @@ def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
     return path
 
 
-def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
-    """Compute the wrench -C o, (6,), that ROS 2's broadcaster adds to C r of a driver, at a temperature."""
-    offset = fit.offset
-    if fit.temperature_coefficient is not None:
-        if temperature is None:
-            raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
-        offset = offset + (temperature - fit.temperature_reference) * fit.temperature_coefficient
-    return np.asarray(-fit.matrix @ offset)
+def map_at(fit: InSituFit, temperature: float | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return matrix and offset in readings, (6, k) and (k,), that hold at a temperature in degC."""
+    if fit.temperature_coefficient is None:
+        return fit.matrix, fit.offset
+    if temperature is None:
+        raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
+    warmer = temperature - fit.temperature_reference
+    gain = np.zeros(6) if fit.temperature_gain is None else fit.temperature_gain
+    return fit.matrix / (1.0 + warmer * gain)[:, None], fit.offset + warmer * fit.temperature_coefficient
 
 
 def write_ros2_parameters(
@@ -47,30 +48,43 @@ def write_ros2_parameters(
     node: str = "force_torque_sensor_broadcaster",
     frame_id: str = "ft_sensor",
 ) -> Path:
-    """Write parameters of ROS 2's ``force_torque_sensor_broadcaster``.
+    """Write parameters of ROS 2's ``force_torque_sensor_broadcaster`` with the filter of ``ros2/``.
 
-    It publishes (reported + offset) x multiplier axis by axis and takes no matrix: the driver has to report C
-    r, and the offset in this file is -C o, at a temperature as :func:`offset_wrench` takes it. Gains that go
-    with the temperature are multipliers. A comment holds C.
+    The filter takes the readings that the driver reports; of a sensor that has not six channels, which is no
+    wrench, it takes the matrix times the readings. A comment holds what the broadcaster needs without the
+    filter.
+
+    Args:
+        fit: The calibration.
+        path: The file.
+        temperature: At which it shall hold in degC, of a sensor that follows the temperature.
+        node: Name of the broadcaster.
+        frame_id: Frame of the sensor.
     """
-    rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
-    add = offset_wrench(fit, temperature).tolist()
-    parameters: dict[str, Any] = {"frame_id": frame_id, "offset": _split_axes(add)}
-    hotter = ""
-    if fit.temperature_gain is not None:
-        assert temperature is not None
-        gain = 1.0 + (temperature - fit.temperature_reference) * fit.temperature_gain
-        parameters["multiplier"] = _split_axes((1.0 / gain).tolist())
-        hotter = f"# 'multiplier' makes up for what the axes read more at {temperature:.4g} degC.\n"
+    matrix, offset = map_at(fit, temperature)
+    wrench = matrix @ offset
+    limb, six = fit.limb, len(offset) == 6
+    filtered: dict[str, Any] = {"matrix": matrix.ravel().tolist()} if six else {}
+    filtered |= {"offset": (offset if six else wrench).tolist(), "gravity_frame": ""}
+    filtered |= {"tool_mass_kg": float(limb.mass), "tool_com_m": (limb.mass_com / limb.mass).tolist()}
+    one = {"name": "surefoot", "type": "surefoot_ros/CalibratedWrench", "params": filtered}
+    parameters = {"frame_id": frame_id, "sensor_filter_chain": {"filter1": one}}
+    bare = yaml.safe_dump({"offset": _split_axes((-wrench).tolist())}, default_flow_style=True, width=2**20)
+    rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in matrix)
     text = "".join(f"# REFUSED: {flat(str(no))}\n" for no in fit.refusals)
     text += f"# ACCEPTED: {flat(fit.accepted)}\n" if fit.accepted else ""
+    formula = "matrix (readings - offset)" if six else "(what the driver reports) - offset"
     text += (
-        f"# Made with surefoot {surefoot.__version__}. The broadcaster adds 'offset' (N, N m) to what the "
-        "driver\n# reports. The driver must report the matrix below times the readings, without an offset "
-        "of its own:\n# offset = -matrix offset_count, and what is published is matrix (raw - "
-        "offset_count), the wrench that\n# the limb exerts on the robot. For the wrench of the robot on the "
-        "limb turn the signs of both round.\n# Matrix (rows fx fy fz tx ty tz in N and N m per reading):\n"
-        f"{rows}\n{hotter}" + yaml.safe_dump({node: {"ros__parameters": parameters}}, sort_keys=False)
+        f"# Made with surefoot {surefoot.__version__}. The filter of the package surefoot_ros publishes, as "
+        f"~/wrench_filtered,\n# {formula}, the wrench that the limb exerts on the robot; with a\n"
+        "# gravity_frame, whose z axis points up, without the limb's own weight. For the wrench of the\n"
+        "# robot on the limb turn the signs round. Without that package the driver must report the matrix\n"
+        "# below times the readings (rows fx fy fz tx ty tz in N and N m per reading), and in place of\n"
+        "# sensor_filter_chain stands\n"
+        f"#   {bare[1:-2]}\n{rows}\n"
+    )
+    text += yaml.safe_dump(
+        {node: {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None, width=2**20
     )
     write_text(path, text)
     return path

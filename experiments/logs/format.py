@@ -42,7 +42,7 @@ from surefoot.experiments.logs.columns import (
     truth_of,
 )
 from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts, refer_to_contacts
-from surefoot.experiments.logs.description import Description, describe
+from surefoot.experiments.logs.description import Description, MotionFacts, describe
 from surefoot.experiments.logs.mapping import TableMapping, merge
 from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable
@@ -83,6 +83,7 @@ class Log:
     about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
     turned: Mapping[str, Callable[[], Reference]] = field(default_factory=dict)
     """References with one joint's sign turned round, by the joint: of logs whose references were made."""
+    motion: MotionFacts | None = None  # how they were made, of such logs
 
     def __len__(self) -> int:
         """The number of samples, N."""
@@ -190,7 +191,7 @@ def read_log(
         facts["momentum"] = momentum_of(values, layout, reference) if has_momentum else None
     else:
         made = _make_beliefs(path, table, moved or table, description, time)
-        reference, facts["momentum"], about, facts["turned"] = made
+        reference, facts["momentum"], about, facts["turned"], facts["motion"] = made
         facts["about"] = facts["about"] | about
     if table.notices:
         facts["about"] = facts["about"] | {"notices": table.notices}
@@ -270,8 +271,8 @@ def _make_beliefs(
     moved: LogTable,
     description: Description,
     time: NDArray[np.float64],
-) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]]]:
-    """Make beliefs of joints and IMU; return both kinds, where they come from, and :attr:`Log.turned`."""
+) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]], MotionFacts]:
+    """Make beliefs of joints and IMU; return both kinds, their source, and the fields of joints of a log."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(
@@ -308,7 +309,7 @@ def _make_beliefs(
     joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
     made: dict[str, Callable[[], Reference]] = {name: partial(turn, name) for name in legs}
     reference = reference._replace(stance=stance, swing=swing)
-    return reference, momentum._replace(stance=stance, swing=swing), about, made
+    return reference, momentum._replace(stance=stance, swing=swing), about, made, facts
 
 
 def _description(path: Path, metadata: Any) -> Any:

@@ -49,7 +49,8 @@ class LogModel:
         self.joint_names = nominal.joint_names
         self.mass = nominal.mass
         self.gravity, self.feet = nominal.gravity, nominal.feet
-        self.R_torso_imu = R_torso_imu
+        self.R_torso_imu, self.revision = R_torso_imu, nominal.revision
+        self._tree = nominal.tree
 
     def evaluate(
         self, position: Floats, velocity: Floats, spin: Floats
@@ -64,6 +65,14 @@ class LogModel:
         """Return the last posture's velocities, as :meth:`NominalModel.velocities` does."""
         com, twist = self._velocities()
         return com, twist[[0, 2, 1]] if self._right_first else twist
+
+    def tree(self) -> dict[str, NDArray[Any]] | None:
+        """Return the bodies, as :meth:`NominalModel.tree` does."""
+        tree = self._tree()
+        if tree is not None and self._right_first:
+            for name in ("site_body", "position_site", "R_body_site"):
+                tree[name] = tree[name][[0, 2, 1]]
+        return tree
 
     def moving_soles(self, joint: Floats) -> list[str]:
         """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
@@ -190,7 +199,7 @@ def make_beliefs(
     """
     where = TelemetryLayout(len(model.joint_names))
     accelerations = Beliefs(model, where, motion.period, 0.0, facts.averaged, dt=dt)  # type: ignore[arg-type]
-    beliefs = MomentumBeliefs(accelerations, _touching_points(layout))
+    beliefs = MomentumBeliefs(accelerations, touching_points(layout))
     force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
@@ -217,7 +226,7 @@ def make_beliefs(
     )
 
 
-def _touching_points(layout: FeetLayout) -> Floats:
+def touching_points(layout: FeetLayout) -> Floats:
     """Points of the soles that may touch the ground, in their frames in m, shape (F, n, 3)."""
     points = [np.zeros((1, 3)) if f.position_cell_sole is None else f.position_cell_sole for f in layout.feet]
     most = max(map(len, points))

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import yaml
 from numpy.typing import NDArray
 
 import surefoot
@@ -24,6 +23,7 @@ from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
 from surefoot.experiments.walking.page import write_walking_page
+from surefoot.experiments.walking.ros2 import parameters_of_log, write_node_parameters
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, terminal_tables
 from surefoot.experiments.walks.replay import replay_log, starting_map, with_map
 from surefoot.files import atomic_path, write_text
@@ -84,6 +84,12 @@ def calibrate_log(
     watch = partial(each, "calibrating")
     estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options)
     notices += result_notices(log, method, initial, estimate, file)
+    node: dict[str, Any] = {}
+    if ros2:
+        node, lacking = parameters_of_log(log, Parameters(estimate.scale[-1], estimate.offset[-1]), **options)
+        notices += (f"The ROS 2 parameters are the map alone, which starts no node: {lacking}",) * bool(
+            lacking
+        )
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
     tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
@@ -92,8 +98,8 @@ def calibrate_log(
     write_text(parameters, json.dumps(_last(facts), indent=1))
     with working("drawing the report"):
         write_walking_page(page, facts)
-    node = _write_ros2(facts, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
-    return CalibratedLog(walk, parameters, page, tables, notices, node)
+    written = _write_ros2(facts, node, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
+    return CalibratedLog(walk, parameters, page, tables, notices, written)
 
 
 def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:
@@ -188,15 +194,14 @@ def _last(facts: Facts) -> dict[str, Any]:
     return last
 
 
-def _write_ros2(facts: Facts, path: Path) -> Path:
-    """Write the last map as parameters of a node ``surefoot``: force = scale count + offset."""
+def _write_ros2(facts: Facts, node: dict[str, Any], path: Path) -> Path:
+    """Write the last map as parameters of a node ``surefoot``, with all others that it needs."""
     last = _last(facts)
     names = ("channels", "scale_N_per_count", "offset_N", "scale_std_N_per_count", "offset_std_N")
     # A ROS 2 parameter is one number, text or flag, or a list of one kind of them.
     parameters = {name: last[name] for name in names if last[name] is not None}
-    parameters |= {"method": facts.method, "mass_kg": float(facts.log.mass)}
-    text = f"# Made with surefoot {surefoot.__version__} from {flat(facts.file)}: force = scale count + "
-    text += "offset.\n"
-    text += yaml.safe_dump({"surefoot": {"ros__parameters": parameters}}, sort_keys=False)
-    write_text(path, text)
-    return path
+    parameters |= {"method": facts.method, "mass_kg": float(facts.log.mass)} | node
+    comment = (
+        f"Made with surefoot {surefoot.__version__} from {flat(facts.file)}: force = scale count + offset."
+    )
+    return write_node_parameters(path, parameters, comment)

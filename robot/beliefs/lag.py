@@ -4,7 +4,7 @@ from math import ceil
 
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN
 from surefoot.sensors.telemetry.computer import Telemetry
-from surefoot.sensors.transport.link import JITTER_BOUND
+from surefoot.sensors.transport.link import JITTER_BOUND, Link
 
 HISTORY = 64
 """How many joined packets are kept: more than any lag needs."""
@@ -14,21 +14,22 @@ JOINED_TIME = 0.01
 joint angles amplify noise and rounding of the encoders by one over its square."""
 
 
-def packets_per_join(telemetry: Telemetry) -> int:
-    """Return how many packets of a link become one."""
-    return max(1, round(JOINED_TIME / telemetry.period))
+def packets_per_join(period: float) -> int:
+    """Return how many packets of a link become one, of the time between them in s."""
+    return max(1, round(JOINED_TIME / period))
 
 
-def usual_lag(telemetry: Telemetry, age: float) -> int:
+def usual_lag(link: Link, period: float, dt: float, age: float) -> int:
     """Return after how many samples the packets that a reference needs have almost always come.
 
     Args:
-        telemetry: The way of encoders and IMU to the host.
+        link: The way of encoders and IMU to the host.
+        period: Time between its packets in s.
+        dt: Time between samples in s.
         age: How old a reading of the feet is when it is taken, in s.
     """
-    period = packets_per_join(telemetry) * telemetry.period
-    needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * period - age
-    return max(ceil(needed / telemetry.dt), CONTACT_MARGIN)
+    needed = link.delay + 2.0 * link.jitter + 2.5 * packets_per_join(period) * period - age
+    return max(ceil(needed / dt), CONTACT_MARGIN)
 
 
 def waiting_samples(lag: int, age: float, dt: float) -> int:
@@ -52,7 +53,7 @@ def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
     """
     # The newest packet that can have come, when the jitter was kind.
     youngest = max(telemetry.link.delay - JITTER_BOUND * telemetry.link.jitter, 0.0)
-    period = packets_per_join(telemetry) * telemetry.period
+    period = packets_per_join(telemetry.period) * telemetry.period
     packets = ceil((lag * telemetry.dt + age - youngest) / period) + 3
     if packets > HISTORY:
         raise ValueError(

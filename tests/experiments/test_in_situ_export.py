@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from _ros2 import PACKAGE, build, needs_cpp, run, spoken, write_parameters
+from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb, read_calibration
+from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import (
-    offset_wrench,
     write_json,
     write_ros2_parameters,
     write_yaml,
@@ -197,16 +199,18 @@ def test_what_is_no_icub_matrix_is_refused(tmp_path: Path) -> None:
         read_matrix(tmp_path / "nothing.txt")
 
 
-def test_what_ros_adds_makes_the_drivers_wrench_the_calibrated_one(tmp_path: Path) -> None:
+def test_without_the_filter_ros_adds_what_makes_the_drivers_wrench_the_calibrated_one(tmp_path: Path) -> None:
     made = fit()
     path = write_ros2_parameters(made, tmp_path / "ros2.yaml", node="left_foot", frame_id="l_ft")
     told = yaml.safe_load(path.read_text())["left_foot"]["ros__parameters"]
     assert told["frame_id"] == "l_ft"
-    add = [told["offset"][kind][axis] for kind in ("force", "torque") for axis in "xyz"]
+    assert told["sensor_filter_chain"]["filter1"]["type"] == "surefoot_ros/CalibratedWrench"
+    lines = [line[4:] for line in path.read_text().splitlines()]
+    (bare,) = (yaml.safe_load("{" + line + "}") for line in lines if line.startswith("offset:"))
+    add = [bare["offset"][kind][axis] for kind in ("force", "torque") for axis in "xyz"]
     raw = 1e4 * np.random.default_rng(1).standard_normal(6)
     np.testing.assert_allclose(made.matrix @ raw + add, made.wrench(raw), rtol=1e-12)
-    # The matrix, which the broadcaster cannot take, stands in the comments.
-    rows = [line[5:-1] for line in path.read_text().splitlines() if line.startswith("#   [")]
+    rows = [line[1:-1] for line in lines if line.startswith("[")]
     np.testing.assert_allclose([np.fromstring(row, sep=",") for row in rows], made.matrix, rtol=1e-8)
 
 
@@ -214,8 +218,6 @@ def test_an_offset_that_follows_the_temperature_needs_one(tmp_path: Path) -> Non
     made = fit(temperature_coefficient=np.arange(6.0))
     with pytest.raises(ValueError, match="give the one at which it shall hold"):
         write_ros2_parameters(made, tmp_path / "ros2.yaml")
-    expected = -made.matrix @ (made.offset + 30.0 * np.arange(6.0))
-    np.testing.assert_allclose(offset_wrench(made, 30.0), expected)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -223,19 +225,6 @@ def warm() -> InSituFit:
     """A calibration whose offsets and gains go with the temperature."""
     made = fit(temperature_coefficient=np.arange(6.0), temperature_gain=np.linspace(-0.01, 0.02, 6))
     return dataclasses.replace(made, response=np.linalg.inv(made.matrix), temperature_reference=25.0)
-
-
-def test_gains_that_follow_the_temperature_are_multipliers(tmp_path: Path) -> None:
-    made, raw = warm(), 1e4 * np.random.default_rng(2).standard_normal(6)
-    path = write_ros2_parameters(made, tmp_path / "ros2.yaml", temperature=40.0)
-    found = yaml.safe_load(path.read_text())["force_torque_sensor_broadcaster"]["ros__parameters"]
-    offset, multiplier = (
-        np.array([found[name][kind][axis] for kind in ("force", "torque") for axis in "xyz"])
-        for name in ("offset", "multiplier")
-    )
-    np.testing.assert_allclose(
-        (made.matrix @ raw + offset) * multiplier, made.wrench(raw, temperature=40.0), rtol=1e-9
-    )
 
 
 def test_pages_take_all_that_the_temperature_does_off_the_readings() -> None:
@@ -247,3 +236,89 @@ def test_pages_take_all_that_the_temperature_does_off_the_readings() -> None:
     data = InSituSet(raw, rng.standard_normal((9, 3)), temperature=25.0 + warmer[:, 0])
     log: Any = SimpleNamespace(sets=(data,))
     np.testing.assert_allclose(Calibrated(log, made).sets[0].raw, cold, rtol=1e-9)
+
+
+MAIN = """
+int main(int argc, char **argv) {
+    rclcpp::init(argc, argv);
+    using namespace rclcpp::node_interfaces;
+    using Filter = filters::FilterBase<geometry_msgs::msg::WrenchStamped>;
+    auto filter = std::static_pointer_cast<Filter>(exported);
+    auto log = std::make_shared<NodeLoggingInterface>();
+    auto parameters = std::make_shared<NodeParametersInterface>();
+    if (!filter->configure("sensor_filter_chain.filter1.params", "surefoot", log, parameters)) return 0;
+    std::function<void(const std::vector<double> &)> hear = [&](const std::vector<double> &v) {
+        geometry_msgs::msg::WrenchStamped in, out;
+        rclcpp::heard(v, in);
+        tf2_ros::attitude = {v[6], v[7], v[8], v[9]};
+        if (filter->update(in, out)) std::printf("out"), rclcpp::show(out), std::printf("\\n");
+    };
+    rclcpp::callbacks["in"] = hear;
+    rclcpp::spin(0);
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("filter")
+    main = folder / "main.cpp"
+    main.write_text(f'#include "{PACKAGE / "src" / "calibrated_wrench.cpp"}"\n{MAIN}')
+    return build(PACKAGE / "src" / "calibrated_wrench.cpp", folder, main)
+
+
+def filtered(program: Path, folder: Path, raw: Any, attitude: Rotation, **settings: Any) -> Any:
+    """Return the wrenches (N, 6) that come out for readings (N, 6), and the lines that are printed."""
+    inside = {"sensor_filter_chain": {"filter1": {"params": settings}}}
+    files = write_parameters(folder / "parameters", folder / "ros2.yaml", node="left_foot", **inside)
+    lines = [spoken(10**9, "in", [*r, *q]) for r, q in zip(raw, attitude.as_quat(), strict=True)]
+    printed = run(program, files, lines)
+    return np.array([line[3:] for line in printed if line[0] == "out"], dtype=float), printed
+
+
+@needs_cpp
+@pytest.mark.parametrize("made", [fit, warm])
+@pytest.mark.parametrize("channels", [6, 8])
+def test_the_filter_gives_the_calibrated_wrench(
+    program: Path, tmp_path: Path, made: Any, channels: int
+) -> None:
+    """Of eight gauges the driver reports the matrix times the readings: a message has six numbers."""
+    if channels == 8 and made is warm:
+        pytest.skip("the made one has six channels")
+    calibrated = fit(channels) if made is fit else warm()
+    temperature = None if made is fit else 40.0
+    write_ros2_parameters(calibrated, tmp_path / "ros2.yaml", temperature=temperature, node="left_foot")
+    rng = np.random.default_rng(4)
+    raw = 1e4 * rng.standard_normal((20, channels))
+    attitude = Rotation.random(20, random_state=5)
+    wrench = calibrated.wrench(raw, temperature=temperature)
+    driver = raw if channels == 6 else raw @ calibrated.matrix.T
+    out, printed = filtered(program, tmp_path, driver, attitude)
+    np.testing.assert_allclose(out, wrench, rtol=1e-12, atol=1e-11)
+    assert printed[0][1] == "sensor"
+    out, _ = filtered(program, tmp_path, driver, attitude, gravity_frame="world")
+    # tf gives the rotation from the world's axes to the sensor's.
+    down = attitude.apply(np.tile((0.0, 0.0, -GRAVITY), (20, 1)))
+    weight = np.hstack([calibrated.limb.mass * down, np.cross(calibrated.limb.mass_com, down)])
+    np.testing.assert_allclose(out, wrench - weight, rtol=1e-12, atol=1e-11)
+
+
+@needs_cpp
+def test_what_does_not_fit_is_named_by_the_filter(program: Path, tmp_path: Path) -> None:
+    write_ros2_parameters(fit(), tmp_path / "ros2.yaml", node="left_foot")
+    level = Rotation.identity(1)
+    for settings, problem in (
+        (
+            {"matrix": [1.0]},
+            "The parameter 'sensor_filter_chain.filter1.params.matrix' has 1 numbers, and 36 are "
+            "needed, or none.",
+        ),
+        (
+            {"gravity_frame": "map"},
+            "The tool's weight cannot be taken off without the attitude of 'sensor' in 'map': "
+            "no frame sensor or map",
+        ),
+    ):
+        out, printed = filtered(program, tmp_path, np.ones((1, 6)), level, **settings)
+        assert out.size == 0
+        assert [" ".join(line) for line in printed] == [f"error {problem}"]

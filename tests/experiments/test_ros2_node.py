@@ -1,248 +1,320 @@
-"""The example of a ROS 2 node, compiled against stand-ins for ROS: its numbers are those of Python."""
+"""The node of the ROS 2 package, compiled against stand-ins for ROS: its numbers are those of Python."""
 
-import shutil
-import subprocess
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from _ros2 import PACKAGE, build, needs_cpp, run, spoken, write_parameters
 
-from surefoot.calibration import OnlineSetup, Parameters
-from surefoot.calibration.native import NATIVE, c_source
-from surefoot.calibration.native.library import installed
-from surefoot.calibration.online import online_method
+from surefoot.calibration import FeetLayout, Flag, FootCalibrator, FootLayout, OnlineSetup, Parameters
+from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.logs.model import load_model, touching_points
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE
+from surefoot.experiments.walking.calibrate import calibrate_log
+from surefoot.experiments.walking.ros2 import node_parameters, write_node_parameters
 from surefoot.robot import Beliefs, TelemetryLayout
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
-from surefoot.robot.beliefs.native import c_source as model_source
+from surefoot.robot.beliefs.native import native_beliefs
 from surefoot.sensors.transport.link import Packet
 
-NODE = Path(__file__).parents[2] / "examples" / "ros2" / "node.cpp"
-SAMPLES, FROZEN = 560, 480
+FROZEN, TARED, HUNG, TOLD, END = 400, 420, 480, 520, 640
+"""Samples at which it is frozen and goes on, a tare is asked for in the middle of a walk, a robot is lifted,
+its feet are said to hang, and all ends."""
 
-STAND_IN = r"""
-#pragma once
-#include <cstdio>
-#include <fstream>
-#include <functional>
-#include <iostream>
-#include <map>
-#include <memory>
-#include <sstream>
-#include <string>
-#include <vector>
-#define RCL_ROS_TIME 1
-#define RCLCPP_WARN(logger, ...) (std::printf("warned "), std::printf(__VA_ARGS__), std::printf("\n"))
-namespace std_msgs::msg {
-struct Float64MultiArray { std::vector<double> data; };
-struct Int32MultiArray { std::vector<int> data; };
-}
-namespace std_srvs::srv {
-struct Trigger { struct Request {}; struct Response { bool success; std::string message; }; };
-struct SetBool { struct Request { bool data; }; struct Response { bool success; std::string message; }; };
-}
-namespace rclcpp {
-struct Duration { double s; double seconds() const { return s; } };
-struct Time {
-    long ns;
-    Time(long s, long n, int) : ns(1000000000L * s + n) {}
-    long nanoseconds() const { return ns; }
-    Duration operator-(const Time &other) const { return {1e-9 * double(ns - other.ns)}; }
-};
-struct Header { Time stamp{0, 0, 0}; std::string frame_id; };
-struct Vector { double x, y, z; };
-}
-namespace geometry_msgs::msg {
-struct PointStamped { rclcpp::Header header; rclcpp::Vector point; };
-struct WrenchStamped { rclcpp::Header header; struct { rclcpp::Vector force, torque; } wrench; };
-}
-namespace sensor_msgs::msg {
-struct JointState { std::vector<std::string> name; std::vector<double> position; };
-struct Imu { rclcpp::Vector linear_acceleration, angular_velocity; };
-}
-inline void show(double v) { std::printf(" %.17g", v); }
-inline void show(const rclcpp::Vector &v) { show(v.x); show(v.y); show(v.z); }
-inline void show(const std_msgs::msg::Float64MultiArray &m) { for (double v : m.data) show(v); }
-inline void show(const std_msgs::msg::Int32MultiArray &m) { for (int v : m.data) show(v); }
-inline void show(const geometry_msgs::msg::PointStamped &m) {
-    std::printf(" %s", m.header.frame_id.c_str());
-    show(m.point);
-}
-inline void show(const geometry_msgs::msg::WrenchStamped &m) {
-    std::printf(" %s", m.header.frame_id.c_str());
-    show(m.wrench.force);
-    show(m.wrench.torque);
-}
-namespace rclcpp {
-template <class M> struct Publisher {
-    using SharedPtr = std::shared_ptr<Publisher>;
-    std::string topic;
-    void publish(const M &m) { std::printf("%s", topic.c_str()); show(m); std::printf("\n"); }
-};
-template <class M> struct Subscription { using SharedPtr = std::shared_ptr<Subscription>; };
-inline std::map<std::string, std::function<void(const std::vector<double> &)>> callbacks;
-inline std::map<std::string, std::vector<std::string>> given;
-inline long clock_ns = 5000000000L;
-inline void get(double &to, const std::vector<std::string> &from) { to = std::stod(from[0]); }
-inline void get(std::string &to, const std::vector<std::string> &from) { to = from[0]; }
-inline void get(std::vector<std::string> &to, const std::vector<std::string> &from) { to = from; }
-inline void get(std::vector<double> &to, const std::vector<std::string> &from) {
-    for (const std::string &one : from) to.push_back(std::stod(one));
-}
-inline void heard(const std::vector<double> &v, std_msgs::msg::Float64MultiArray &m) { m.data = v; }
-inline void heard(const std::vector<double> &v, sensor_msgs::msg::JointState &m) {
-    m.name = given["joints"];  // and one that the node does not know, before them
-    m.name.insert(m.name.begin(), "other");
-    m.position = v;
-}
-inline void heard(const std::vector<double> &v, sensor_msgs::msg::Imu &m) {
-    m = {{v[0], v[1], v[2]}, {v[3], v[4], v[5]}};
-}
-inline void ask(const std::vector<double> &, std_srvs::srv::Trigger::Request &) {}
-inline void ask(const std::vector<double> &v, std_srvs::srv::SetBool::Request &r) { r.data = v[0] > 0.5; }
-template <class S> struct Service { using SharedPtr = std::shared_ptr<Service>; };
-struct Node {
-    explicit Node(const std::string &) {}
-    template <class T> T declare_parameter(const std::string &name, const T &value) {
-        if (!given.count(name)) return value;
-        T found{};
-        get(found, given[name]);
-        return found;
-    }
-    template <class M> typename Publisher<M>::SharedPtr create_publisher(const std::string &topic, int) {
-        return std::make_shared<Publisher<M>>(Publisher<M>{topic});
-    }
-    template <class M, class F>
-    typename Subscription<M>::SharedPtr create_subscription(const std::string &topic, int, F f) {
-        callbacks[topic] = [f](const std::vector<double> &v) { M m{}; heard(v, m); f(m); };
-        return std::make_shared<Subscription<M>>();
-    }
-    template <class S, class F> typename Service<S>::SharedPtr create_service(const std::string &name, F f) {
-        callbacks[name] = [f, name](const std::vector<double> &v) {
-            auto asked = std::make_shared<typename S::Request>();
-            auto told = std::make_shared<typename S::Response>();
-            ask(v, *asked);
-            f(asked, told);
-            std::printf("%s %d %s\n", name.c_str(), told->success, told->message.c_str());
-        };
-        return std::make_shared<Service<S>>();
-    }
-    Time now() const { return Time(0, clock_ns, RCL_ROS_TIME); }
-    int get_logger() const { return 0; }
-};
-inline void init(int, char **argv) {
-    std::ifstream file(argv[1]);
-    for (std::string line; std::getline(file, line);) {
-        std::istringstream words(line);
-        std::string name, word;
-        words >> name;
-        while (words >> word) given[name].push_back(word);
-    }
-}
-inline void shutdown() {}
-template <class N> void spin(const std::shared_ptr<N> &) {
-    for (std::string line; std::getline(std::cin, line);) {
-        std::istringstream words(line);
-        std::string topic, word;
-        std::vector<double> values;
-        words >> clock_ns >> topic;
-        while (words >> word) values.push_back(std::stod(word));
-        callbacks[topic](values);
-    }
-}
-}
-"""
+STEP = 2.0
+"""By how many newtons all zeros leap as the robot is lifted."""
+
+pytestmark = [pytest.mark.slow, needs_cpp]
 
 
-def spoken(time_ns: int, topic: str, values: Any = ()) -> str:
-    return " ".join([str(time_ns), topic, *map(repr, map(float, values))])
+@pytest.fixture(scope="module")
+def log(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """The walk as a log of joints and IMU, without the head, which is held."""
+    walk, path = recorded_walk, tmp_path_factory.mktemp("log") / "walk.csv"
+    walk.motion.drop(columns=["joint_HeadYaw_rad"]).to_csv(path.with_suffix(".motion.csv"), index=False)
+    side = write_log(walk.log, path).with_suffix(".json")
+    told = json.loads(side.read_text())
+    del told["lag_samples"]
+    own = {"table": "walk.motion.csv", "held_rad": {"HeadYaw": 0.0}}
+    side.write_text(json.dumps(told | {"motion": walk.description | own}))
+    return read_log(path)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not NODE.is_file(), reason="the examples are not part of the wheel")
-@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
-@pytest.mark.skipif(installed() is None, reason="needs surefoot's library in C: python -m surefoot.native")
-def test_the_node_publishes_what_python_finds(recorded_walk: Any, tmp_path: Path) -> None:
-    """A walk, sent as joint states, IMU and counts; the map of the parameters is not that of robot.h."""
-    log, facts, model = recorded_walk.log, recorded_walk.description, recorded_walk.model
-    lag, age, joints = 5, float(facts["readings_age_s"]), model.joint_names
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(PACKAGE / "src" / "feet_node.cpp", tmp_path_factory.mktemp("node"))
+
+
+@pytest.fixture(scope="module")
+def parameters(log: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `surefoot calibrate walk --ros2` writes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("surefoot.experiments.walking.calibrate.write_walking_page", lambda path, facts: path)
+        made = calibrate_log(
+            log, "tare", folder=tmp_path_factory.mktemp("made"), stem="walk", file="walk.csv", ros2=True
+        )
+    assert made.ros2 is not None
+    assert not any("ROS 2" in note for note in made.notices)
+    return made.ros2
+
+
+def told(path: Path) -> Any:
+    return yaml.safe_load(path.read_text())["surefoot"]["ros__parameters"]
+
+
+class Replay:
+    """The same in Python, from the log alone."""
+
+    def __init__(self, log: Log, initial: Parameters, lag: int) -> None:
+        facts = log.motion
+        assert facts is not None
+        model = load_model(facts, "walk.csv")
+        self.lag, self.age, self.dt = lag, facts.readings_age_s, log.dt
+        self.layout, self.period = TelemetryLayout(len(model.joint_names)), facts.dt_s
+        link = facts.dt_s, facts.delay_s, facts.averaged
+        beliefs = Beliefs(model, self.layout, *link, lag=lag, dt=log.dt)  # type: ignore[arg-type]
+        self.beliefs = native_beliefs(MomentumBeliefs(beliefs, touching_points(log.layout)))
+        self.calibrator = FootCalibrator(log.layout, mass=log.mass, initial=initial, dt=log.dt, lag=lag)
+        self.number, self.came, self.last, self.tare = -1, 0.0, 0, range(0)
+
+    def packet(self, time: float, angle: Any, force: Any, spin: Any) -> None:
+        silent = self.number >= 0 and time - self.came > 3.0 * self.period
+        self.number += round((time - self.came) / self.period) if silent else 1
+        self.came = time
+        values = np.zeros(self.layout.size)
+        values[self.layout.joint_position] = angle
+        values[self.layout.accelerometer], values[self.layout.gyroscope] = force, spin
+        self.beliefs.update((Packet(self.number, time, values),))
+
+    def sample(self, k: int, time_ns: int, raw: Any, hold: bool) -> Any:
+        if self.beliefs.sample(1e-9 * time_ns - self.lag * self.dt - self.age, None, hold):
+            self.calibrator.retract()
+        reference = self.beliefs.believed.reference()
+        if k in self.tare:
+            reference = reference._replace(stance=np.zeros(2, bool), swing=np.ones(2, bool))
+        dt = 1e-9 * (time_ns - self.last) if self.last else self.dt
+        self.last = time_ns
+        return self.calibrator.update(raw, reference, dt)
+
+
+@pytest.fixture(scope="module")
+def walked(log: Log, recorded_walk: Any, program: Path, parameters: Path, tmp_path_factory: Any) -> Any:
+    """A walk, and a robot that is lifted: what the node prints, what Python finds, and the folder."""
+    names = told(parameters)["joints"]
     initial = Parameters(log.nominal.scale, log.nominal.offset + 0.5)
-    known: dict[str, Any] = {"layout": log.layout, "mass": log.mass, "lag": lag, "dt": log.dt}
-    setup = OnlineSetup(initial=initial, **known)
-    layout = TelemetryLayout(len(joints))
-    link = facts["dt_s"], facts["delay_s"], facts["averaged"]
-    corners = np.stack([foot.position_cell_sole for foot in log.layout.feet])
-    beliefs = MomentumBeliefs(Beliefs(model, layout, *link, lag=lag, dt=log.dt), corners)
-    for name in (
-        "rclcpp/rclcpp.hpp",
-        *(f"std_msgs/msg/{kind}.hpp" for kind in ("float64_multi_array", "int32_multi_array")),
-        *(f"std_srvs/srv/{kind}.hpp" for kind in ("set_bool", "trigger")),
-        *(f"sensor_msgs/msg/{kind}.hpp" for kind in ("joint_state", "imu")),
-        *(f"geometry_msgs/msg/{kind}.hpp" for kind in ("point_stamped", "wrench_stamped")),
-    ):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text('#pragma once\n#include "stand_in.hpp"\n')
-    (tmp_path / "stand_in.hpp").write_text(STAND_IN)
-    (tmp_path / "robot.h").write_text(c_source(OnlineSetup(initial=log.nominal, **known)))
-    (tmp_path / "model.h").write_text(model_source(beliefs))
-    told = {"scale_N_per_count": initial.scale, "offset_N": initial.offset, "joints": joints}
-    told |= {"readings_age_s": [age], "save_to": [tmp_path / "saved.yaml"]}
-    lines = [" ".join([name, *map(str, values)]) for name, values in told.items()]
-    (tmp_path / "parameters").write_text("\n".join(lines))
-    includes = (f"-I{tmp_path}", f"-I{NATIVE.sources.folder}")
-    program = tmp_path / "node"
-    strict = ("-std=c++17", "-O0", "-ffp-contract=off", "-Wall", "-Werror")
-    subprocess.run(["c++", *strict, *includes, "-o", program, NODE], check=True)
-
-    motion = recorded_walk.motion
+    folder = tmp_path_factory.mktemp("run")
+    start = write_parameters(
+        folder / "parameters",
+        parameters,
+        scale_N_per_count=initial.scale.tolist(),
+        offset_N=initial.offset.tolist(),
+        save_to=str(folder / "saved.yaml"),
+        tare_s=0.8,
+    )
+    replay = Replay(log, initial, int(told(parameters)["robot"]["lag"][0]))
+    motion, raw = recorded_walk.motion, log.raw.copy()
+    angle = motion[[f"joint_{name}_rad" for name in names]].to_numpy().copy()
+    angle[:, names.index("HeadYaw")] = 0.0
+    imu = motion[[*ACCELEROMETER, *GYROSCOPE]].to_numpy().copy()
+    empty = np.array([raw[np.abs(recorded_walk.force[:, i]) < 0.3, i].mean() for i in range(8)])
+    raw[HUNG:] = empty + STEP / initial.scale + (raw - raw.mean(axis=0))[: END - HUNG] * 1e-3
     arrivals = np.rint(1e9 * motion["time_s"].to_numpy()).astype(int) + 10**9
     times = np.rint(1e9 * log.time).astype(int) + 10**9
-    angle = motion[[f"joint_{name}_rad" for name in joints]].to_numpy()
-    imu = motion[[*ACCELEROMETER, *GYROSCOPE]].to_numpy()
-    stream = online_method("moment", setup)
-    state, fed, sent, expected = stream.init(log.raw[0]), 0, [spoken(times[0], "counts", [1.0])], []
-    for k in range(SAMPLES):
-        while arrivals[fed] <= times[k]:
-            values = np.zeros(layout.size)
-            values[layout.joint_position] = angle[fed]
-            values[layout.accelerometer], values[layout.gyroscope] = imu[fed, :3], imu[fed, 3:]
-            beliefs.update((Packet(fed, 1e-9 * arrivals[fed], values),))
-            sent.append(spoken(arrivals[fed], "joint_states", [9.0, *angle[fed]]))
-            sent.append(spoken(arrivals[fed], "imu", imu[fed]))
+    epoch = arrivals[0]
+    # Lifted with straight legs, it hangs still; its own joints say that it stands.
+    angle[arrivals > times[HUNG]], imu[arrivals > times[HUNG]] = angle[0], imu[0]
+    lines, expected, fed = [spoken(times[0], "counts", [1.0]), spoken(times[0], "~/tare")], [], 0
+    for k in range(END):
+        while fed < len(arrivals) and arrivals[fed] <= times[k]:
+            if fed == 150:
+                # Some are lost.
+                fed += 5
+                continue
+            replay.packet(1e-9 * (arrivals[fed] - epoch), angle[fed], imu[fed, :3], imu[fed, 3:])
+            columns = [value for name, value in zip(names, angle[fed], strict=True) if name != "HeadYaw"]
+            lines.append(spoken(arrivals[fed], "joint_states", [9.0, *columns]))
+            lines.append(spoken(arrivals[fed], "imu", imu[fed]))
             fed += 1
-        if k == FROZEN:
-            sent.append(spoken(times[k], "~/freeze", [1.0]))
-        sent.append(spoken(times[k], "counts", log.raw[k]))
-        beliefs.sample(1e-9 * times[k] - lag * log.dt - age, None, k >= FROZEN)
-        dt = 1e-9 * (times[k] - times[k - 1]) if k else log.dt
-        state, estimate = stream.update(state, log.raw[k], beliefs.believed, dt)
-        expected.append(estimate)
-    sent += [spoken(times[-1], name) for name in ("~/save", "~/stop", "~/start")]
-    done = subprocess.run(
-        [program, tmp_path / "parameters"], input="\n".join(sent), capture_output=True, text=True, check=True
-    )
-    said = [line.split() for line in done.stdout.splitlines()]
-    assert (
-        " ".join(said[0]) == "warned A message of 'counts' has 1 numbers, and 8 are needed; it was left out."
-    )
-    assert [line[:2] for line in said if line[0] in ("~/freeze", "~/save", "~/stop", "~/start")] == [
-        [name, "1"] for name in ("~/freeze", "~/save", "~/stop", "~/start")
-    ]
-    published = {
-        name: np.array([line[1:] for line in said if line[0] == name], dtype=float)
-        for name in ("~/force", "~/map", "~/flags")
-    }
-    for name, wanted in {
+        if k in (FROZEN, TARED):
+            lines.append(spoken(times[k], "~/freeze", [float(k == FROZEN)]))
+        if k in (TARED + 1, TOLD):
+            lines.append(spoken(times[k], "~/tare"))
+            replay.tare = range(k + replay.lag, k + replay.lag + round(0.8 / log.dt))
+        lines.append(spoken(times[k], "counts", raw[k]))
+        expected.append(replay.sample(k, int(times[k] - epoch), raw[k], FROZEN <= k < TARED))
+        if k % 80 == 79:
+            lines.append(spoken(times[k], "timer"))
+    lines += [spoken(times[-1], name) for name in ("~/save", "~/stop", "timer", "~/tare", "~/start")]
+    return run(program, start, lines), expected, folder, raw, initial
+
+
+def of_topic(printed: list[list[str]], topic: str, skip: int = 1) -> Any:
+    return np.array([line[skip:] for line in printed if line[0] == topic], dtype=float)
+
+
+def test_the_node_publishes_what_python_finds_to_the_last_digit(walked: Any, log: Log) -> None:
+    printed, expected, _, raw, initial = walked
+    for topic, wanted in {
         "~/force": [np.concatenate([one.force, one.force_std]) for one in expected],
         "~/map": [np.concatenate([one.scale, one.offset]) for one in expected],
         "~/flags": [one.flags for one in expected],
     }.items():
-        np.testing.assert_allclose(published[name], np.array(wanted), rtol=1e-6, atol=1e-7, err_msg=name)
-    learnt = published["~/map"]
-    assert np.abs(learnt[-1, 8:] - initial.offset).max() > 0.1
-    cop = [line for line in said if line[0] == "~/cop"][-1]
-    assert cop[1] == "level"
-    saved = yaml.safe_load((tmp_path / "saved.yaml").read_text())["surefoot"]["ros__parameters"]
-    np.testing.assert_allclose(saved["scale_N_per_count"] + saved["offset_N"], learnt[-1], rtol=1e-14)
+        np.testing.assert_array_equal(of_topic(printed, topic), np.array(wanted), err_msg=topic)
+    cop = of_topic(printed, "~/cop", 2)
+    np.testing.assert_array_equal(cop[:, :2], [one.cop for one in expected])
+    map_start = initial.scale * raw + initial.offset
+    for f, foot in enumerate(log.layout.feet):
+        wrench = of_topic(printed, f"~/wrench_{foot.name}", 3)
+        np.testing.assert_array_equal(wrench, [one.wrench[f] for one in expected])
+        start = map_start[:, 4 * f : 4 * f + 4] @ foot.wrench_map.T
+        subtracted = of_topic(printed, f"~/subtracted_{foot.name}", 3)
+        np.testing.assert_allclose(subtracted + wrench, start[: len(wrench)], atol=1e-9)
+    learnt = of_topic(printed, "~/map")
+    assert np.abs(learnt[FROZEN, 8:] - initial.offset).max() > 0.1
+
+
+def test_a_robot_that_hangs_is_tared(walked: Any) -> None:
+    """And one that walks is not, whatever it is told: a foot that bears load does not hang."""
+    printed, expected, *_ = walked
+    force = of_topic(printed, "~/force")[:, :8]
+    assert np.abs(force[TOLD - 10 : TOLD].mean(axis=0)).mean() > 0.7 * STEP
+    assert np.abs(force[-10:].mean(axis=0)).max() < 0.1 * STEP
+    walking = np.array([one.force for one in expected])[TARED + 20 : HUNG].sum(axis=1).mean()
+    assert walking > 40.0
+
+
+def test_services_answer_and_diagnostics_tell(walked: Any) -> None:
+    printed, expected, folder, *_ = walked
+    said = [" ".join(line) for line in printed]
+    assert said[0] == "warned A message of 'counts' has 1 numbers, and 8 are needed; it was left out."
+    answers = [
+        line for line in said if line.startswith("~/") and line.split()[1] in "01" and line[2] in "fst"
+    ]
+    services = [
+        line for line in answers if line.split()[0] in ("~/freeze", "~/tare", "~/save", "~/stop", "~/start")
+    ]
+    saved = folder / "saved.yaml"
+    hang = "~/tare 1 all feet are taken to hang in the air for the next 0.8 s"
+    assert services == [
+        "~/tare 0 'joint_states' never had the joint LHipYawPitch",
+        "~/freeze 1 nothing is learnt",
+        "~/freeze 1 learning goes on",
+        hang,
+        hang,
+        f"~/save 1 written to {saved}",
+        "~/stop 1 stopped; ~/start begins again",
+        "~/tare 0 stopped; ~/start first",
+        "~/start 1 begun from the starting map",
+    ]
+    last = expected[-1]
+    kept = told(saved)
+    assert kept == {"scale_N_per_count": last.scale.tolist(), "offset_N": last.offset.tolist()}
+    diagnostics = [line.split("|") for line in said if line.startswith("/diagnostics")]
+    levels = [line[0].split()[-1] for line in diagnostics]
+    assert diagnostics[2][2] == "learning"
+    assert diagnostics[-1][2] == "stopped"
+    assert levels[2] == "0"
+    second = dict(part.split("=") for part in diagnostics[2][3:])
+    assert second["samples"] == "80"
+    flags = np.bitwise_or.reduce([one.flags for one in expected[160:240]], axis=0)
+    names = [" ".join(flag.name for flag in Flag if flag & int(word)) for word in flags]
+    assert [value for key, value in second.items() if key.startswith("flags ")] == names
+    some = [one for one in expected[160:240] if one.nis_rows > 0 and np.isfinite(one.nis)]
+    nis = sum(one.nis for one in some) / sum(one.nis_rows for one in some)
+    assert float(second["nis per row"]) == pytest.approx(nis, rel=5e-3)
+    assert float(second["undetermined share"]) == pytest.approx(expected[239].undetermined.max(), rel=5e-3)
+    assert dict(part.split("=") for part in diagnostics[-1][3:])["tare of left"].endswith(" s ago")
+
+
+def test_parameters_that_lack_something_are_named(program: Path, parameters: Path, tmp_path: Path) -> None:
+    whole = told(parameters)
+    for change, problem in (
+        (
+            {},
+            "The parameter 'robot.dt' is missing; `surefoot calibrate walk "
+            "LOG --ros2` writes it, of a log with joints, an IMU and a drawing.",
+        ),
+        ({"offset_N": [0.0]}, "The parameter 'offset_N' needs 8 numbers, one a channel."),
+        (
+            {"model": {**whole["model"], "bodies": [1e3]}},
+            "The parameters are of a robot that this node has no room for.",
+        ),
+        (
+            {"timing": {**whole["timing"], "dt": [0.1, 0.1]}},
+            "The parameter 'timing.dt' has more numbers than there is room for.",
+        ),
+        (
+            {"feet": ["left"]},
+            "The parameters 'channels', 'joints', 'feet' and 'sole_frames' must name all of each.",
+        ),
+        (
+            {"readings_age_s": 0},
+            "parameter 'readings_age_s' has invalid type: expected [double] got [integer]",
+        ),
+    ):
+        path = tmp_path / "parameters"
+        write_parameters(path, parameters, **change)
+        if "missing" in problem:
+            path.write_text(
+                "\n".join(line for line in path.read_text().splitlines() if "robot.dt " not in line)
+            )
+        printed = run(program, path, [spoken(1, "counts", np.zeros(8))])
+        assert [" ".join(line) for line in printed] == [f"error {problem}", "nobody counts"]
+
+
+def test_it_goes_through_the_states_of_a_lifecycle(program: Path, parameters: Path, tmp_path: Path) -> None:
+    start = write_parameters(tmp_path / "parameters", parameters, autostart=False)
+    counts, steps = (
+        spoken(10**9, "counts", np.zeros(8)),
+        "configure counts activate counts deactivate counts cleanup",
+    )
+    lines = [
+        counts if one == "counts" else spoken(10**9, one)
+        for one in f"{steps} configure activate counts".split()
+    ]
+    printed = [line[0] for line in run(program, start, lines)]
+    sample = [
+        "~/force",
+        "~/map",
+        "~/flags",
+        "~/cop",
+        *[f"~/{what}_{foot}" for foot in ("left", "right") for what in ("wrench", "subtracted")],
+    ]
+    assert printed == ["nobody", *sample, "nobody", *sample]
+
+
+def test_ankle_sensors_come_as_wrenches(recorded_walk: Any, program: Path, tmp_path: Path) -> None:
+    """A sample is whole when both feet have come; one that comes again shows that the other's was lost."""
+    layout = FeetLayout(
+        tuple(
+            FootLayout.force_torque(name, position_sensor_sole=(0.0, 0.0, 0.045))
+            for name in ("left", "right")
+        )
+    )
+    initial = Parameters(np.ones(12), np.zeros(12))
+    setup = OnlineSetup(layout=layout, mass=5.3, initial=initial, lag=4, foot_length=0.17)
+    names = recorded_walk.model.joint_names
+    beliefs = Beliefs(recorded_walk.model, TelemetryLayout(len(names)), 0.01, 0.0, True, lag=4)
+    given = node_parameters(
+        setup, MomentumBeliefs(beliefs, np.zeros((2, 1, 3))), joints=dict.fromkeys(names, np.nan)
+    )
+    path = write_node_parameters(tmp_path / "ankles.yaml", given, "mine")
+    left, right = np.arange(1.0, 7.0), np.arange(7.0, 13.0)
+    lines = [
+        spoken(time * 10**7, f"wrench_{foot}", wrench)
+        for time, foot, wrench in (
+            (100, "left", left), (101, "right", right), (102, "right", 2.0 * right),
+            (103, "left", 2.0 * left), (104, "left", 3.0 * left), (105, "left", 4.0 * left),
+        )
+    ]  # fmt: skip
+    printed = run(program, write_parameters(tmp_path / "parameters", path), lines)
+    force, flags = of_topic(printed, "~/force")[:, :12], of_topic(printed, "~/flags").astype(int)
+    both = np.concatenate([left, right])
+    np.testing.assert_allclose(force, [both, 2.0 * both, np.concatenate([3.0 * left, 2.0 * right])])
+    missing = (flags & int(Flag.MISSING)) > 0
+    np.testing.assert_array_equal(missing, [[False] * 12, [False] * 12, [False] * 6 + [True] * 6])
+    stamps = [line[2] for line in printed if line[0] == "~/wrench_left"]
+    assert stamps == ["1.010000000", "1.030000000", "1.040000000"]

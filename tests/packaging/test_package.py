@@ -38,7 +38,9 @@ def test_the_version_is_said_alike_and_what_other_machines_run_exists() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"\n## [{version}] - 20" in (ROOT / "CHANGELOG.md").read_text()
-    assert f"<version>{version}</version>" in (ROOT / "examples" / "ros2" / "package.xml").read_text()
+    assert f"<version>{version}</version>" in (ROOT / "ros2" / "package.xml").read_text()
+    assert f"\nversion={version}\n" in (ROOT / "arduino" / "library.properties").read_text()
+    assert json.loads((ROOT / "arduino" / "library.json").read_text())["version"] == version
     makefile = (ROOT / "Makefile").read_text().replace("$(VENV)", ".venv")
     workflows = [yaml.safe_load(file.read_text()) for file in ROOT.glob(".github/workflows/*.yml")]
     steps = [step for workflow in workflows for job in workflow["jobs"].values() for step in job["steps"]]

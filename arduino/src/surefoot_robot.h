@@ -1,0 +1,1 @@
+../../calibration/native/surefoot_robot.h
