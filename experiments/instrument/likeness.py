@@ -7,7 +7,14 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.instrument.noise import FEWEST, Stretch, conversions, rests, step_of
+from surefoot.experiments.instrument.noise import (
+    FEWEST,
+    Stretch,
+    conversions,
+    rests,
+    settled,
+    step_of,
+)
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import AFTER
 from surefoot.sensors import LoadCells
@@ -31,7 +38,7 @@ def constant_stretches(
         if recording.has_loads and recording.load is None and not recording.unloaded[:, i].any():
             continue
         if recording.load is None:
-            parts = rests(recording.time, raw, recording.unloaded[:, i])
+            parts = settled(rests(recording.time, raw, recording.unloaded[:, i]))
             found += [(Stretch(one.time, one.value * scale[i]), 0.0, step) for one in parts]
             continue
         rows = conversions(raw).rows

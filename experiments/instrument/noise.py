@@ -25,6 +25,7 @@ ROUNDING = 1.0 / 12.0  # variance of rounding in steps squared
 SLOWER = 0.02  # share of repeated rows from which a chip may be slower than the rows
 BY_CHANCE = 8.0  # variance, by chance, of the number of conversions in as many rows as are counted together
 REGULAR = 0.25  # share of it below which a clock makes the repeats: a clock's is below 1
+NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 ONE_SQUARED = 0.455  # median of chi squared with one degree of freedom
 
 
@@ -99,6 +100,33 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     found = [Stretch(t[a:b], y[a:b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [one for one in found if len(one.time) >= FEWEST]
+
+
+def settled(parts: Sequence[Stretch]) -> list[Stretch]:
+    """Return of each stretch the longest part whose means of half a second follow each other as usual.
+
+    A plate goes on relaxing for some seconds after somebody has left it, and trembles when one walks by.
+    Stretches that are too short to tell are left as they are.
+    """
+    sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
+    steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
+    limit = QUIET / NORMAL * float(np.median(np.concatenate([np.zeros(0), *steps])) if parts else 0.0)
+    found = []
+    for one, size, step in zip(parts, sizes, steps, strict=True):
+        runs = np.split(np.arange(len(step) + 1), np.flatnonzero(step > limit) + 1)
+        run = max(runs, key=len)
+        rows = slice(size * run[0], size * (run[-1] + 1) if run[-1] < len(step) else None)
+        if len(step) < 2:
+            found.append(one)
+        elif len(run) > 2:
+            found.append(Stretch(one.time[rows], one.value[rows]))
+    return found
+
+
+def _means(one: Stretch, size: int) -> Floats:
+    """Return means of so many conversions each."""
+    blocks: Floats = one.value[: len(one.value) // size * size].reshape(-1, size)
+    return blocks.mean(axis=1)
 
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:

@@ -1,9 +1,12 @@
 """`surefoot twin`: presets read off recordings of simulated instruments, whose numbers are known."""
 
 import json
+import os
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import gymnasium as gym
 import numpy as np
@@ -271,3 +274,29 @@ def test_intervals_of_twenty_instruments_hold_nine_in_ten() -> None:
         held += [one for parts in found.values() for one in parts]
     assert len(held) > 400
     assert np.mean(held) >= 0.88
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not (Path(os.environ.get("SUREFOOT_DATA", "nowhere")) / "foot").is_dir(),
+    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
+)
+def test_real_instruments_have_twins_or_the_reason_why_not(
+    benchmark_script: Callable[[str], ModuleType],
+) -> None:
+    script, folder = benchmark_script("twin_recordings"), Path(os.environ["SUREFOOT_DATA"])
+    for name, alike in (("force plate 1", True), ("force plate 2", True), ("balance board", False)):
+        twin = script.find_twin(folder, name)
+        seen = {one.name: one.value for one in twin.parameters}
+        assert "conversion rate" not in seen
+        assert twin.alike == alike
+        # 10 kN in 16 bits, and ten grams of a board's cell.
+        assert seen["step of a reading"].value == pytest.approx(0.162 if alike else 0.099, rel=0.01)
+        assert seen["random walk of the offset"].low < 0.2
+    for name, message in (
+        ("force plate with a rocked pole", "no channel rests under one load"),
+        ("iCub's feet, swaying", "no channel rests under one load"),
+        ("iCub's six-axis sensor", "is of a six-axis sensor, and twins are made of load cells"),
+    ):
+        with pytest.raises(CalibrationRefused, match=message):
+            script.find_twin(folder, name)
