@@ -1,7 +1,7 @@
 """The twins of real instruments: what `surefoot twin` reads off public recordings, beside their data sheets.
 
     SUREFOOT_DATA=/path/to/recordings python benchmarks/twin_recordings.py        # about a minute
-    python docs/fill_tables.py docs/twin.md
+    python docs/study_tables.py out/results
 
 The recordings become tables as their owners would write them (docs/log-recipes.md), and are read by the
 command's own functions. ``$SUREFOOT_DATA`` has to hold ``foot/kistler2_600hz.npz``, ``wii_board_18min.npz``,

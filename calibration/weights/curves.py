@@ -123,12 +123,12 @@ class CurveFit:
 class _Shape(NamedTuple):
     """Readings in counts, increasing, and loads in N of a curve, shape (m,) each."""
 
-    count: NDArray[np.float64]
+    reading: NDArray[np.float64]
     load: NDArray[np.float64]
 
     def force(self, count: float) -> float:
         """Return the load of a reading between the outermost ones, in N."""
-        return float(PchipInterpolator(self.count, self.load)(np.clip(count, *self.count[[0, -1]])))
+        return float(PchipInterpolator(self.reading, self.load)(np.clip(count, *self.reading[[0, -1]])))
 
 
 def fit_curve(code: ArrayLike, load: ArrayLike) -> CurveFit | None:
@@ -159,7 +159,7 @@ def fit_curve(code: ArrayLike, load: ArrayLike) -> CurveFit | None:
     found = _SHAPES[name](*points)
     if found is None:
         return None
-    count, force = found if turned > 0.0 else _Shape(-found.count[::-1], found.load[::-1])
+    count, force = found if turned > 0.0 else _Shape(-found.reading[::-1], found.load[::-1])
     straight = count[0] + (force - force[0]) * (count[-1] - count[0]) / (force[-1] - force[0])
     return CurveFit(name, np.array([count, straight]), rms[name], rms["line"])
 

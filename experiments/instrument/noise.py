@@ -126,7 +126,8 @@ def settled(parts: Sequence[Stretch]) -> list[Stretch]:
 def _means(one: Stretch, size: int) -> Floats:
     """Return means of so many conversions each."""
     blocks: Floats = one.value[: len(one.value) // size * size].reshape(-1, size)
-    return blocks.mean(axis=1)
+    means: Floats = blocks.mean(axis=1)
+    return means
 
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:

@@ -45,7 +45,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         fit_curve(one[there], weighings.load[there])
         for one, there in zip(code.T, np.isfinite(code + weighings.load[:, None]).T, strict=True)
     ]
-    curves = Curves([one and one.knots for one in bent])
+    curves = Curves([None if one is None else one.knots for one in bent])
     code = curves.straighten(code)
     fit = fit_channels(code, weighings.load, names)
     std = _deviations(fit, code)
@@ -60,7 +60,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     }
     if curves.any:
         facts["curves"] = curves.as_plain()
-        facts["curve_std_N"] = [one and one.std for one in bent]
+        facts["curve_std_N"] = [None if one is None else one.std for one in bent]
     write_text(out, json.dumps(facts, indent=1))
     columns: dict[str, Cell] = {
         "cell": lambda i: names[i],

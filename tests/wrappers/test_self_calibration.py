@@ -131,18 +131,20 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
 
 
 def test_curves_of_weights_are_in_front_of_the_map(make_bare) -> None:
-    """As the file of `surefoot calibrate weights` has them; the library, which knows of none, is not asked."""
-    zero, map_ = HX711_LOAD_CELLS.zero_code, (HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset)
-    knots = zero + 8e6 * np.array([[-1.0, -0.02, 0.0, 0.02, 1.0], [-1.0, -0.04, 0.0, 0.01, 1.0]])
+    """As the file of `surefoot calibrate weights` has them; the library knows of none."""
+    nominal = Parameters(HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset)
+    knots = HX711_LOAD_CELLS.zero_code + 8e6 * np.array(
+        [[-1.0, -0.02, 0.0, 0.02, 1.0], [-1.0, -0.04, 0.0, 0.01, 1.0]]
+    )
     curves = Curves([None] * 5 + [knots] + [None] * 2)
-    initial = {"scale": map_[0].tolist(), "offset": map_[1].tolist(), "curves": curves.as_plain()}
+    initial = {**nominal._asdict(), "curves": curves.as_plain()}
     env = SelfCalibration(FootSensors(make_bare()), "none", initial=initial)
     env.reset(seed=2)
     for _ in range(5):
         env.step(STILL)
-    expected = Parameters(*map_).force(curves.straighten(env.env.raw))
+    expected = nominal.force(curves.straighten(env.env.raw))
     np.testing.assert_allclose(env.estimate.force, expected)
-    assert np.abs(expected - Parameters(*map_).force(env.env.raw))[5] > 0.1
+    assert np.abs(expected - nominal.force(env.env.raw))[5] > 0.1
 
 
 def test_a_calibrated_start_is_as_good_as_its_errors(make_bare) -> None:
