@@ -34,6 +34,7 @@ from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.standing import QuietStanding
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import fit_cop_correction
+from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.standing_start import standing_start
 from surefoot.calibration.window.config import Window
 
@@ -41,6 +42,7 @@ __all__ = [
     "GRAVITY",
     "METHODS",
     "CalibrationRefused",
+    "Curves",
     "Estimate",
     "FeetLayout",
     "FitResult",

@@ -24,6 +24,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
+from surefoot.calibration.weights.curves import Curves
 from surefoot.names import plain_name
 
 
@@ -41,6 +42,7 @@ class FootCalibrator:
         mass: Mass of the robot as it believes it, in kg.
         initial: The map to start from, the nominal one or that of known weights; by default readings are
             taken for newtons.
+        curves: Curves of channels that are not linear, as known weights show them, in front of all maps.
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
             telemetry that comes 20 ms late, 0 without delay.
@@ -78,6 +80,7 @@ class FootCalibrator:
         *,
         mass: float,
         initial: Parameters | None = None,
+        curves: Curves | None = None,
         dt: float = 1.0 / 80.0,
         lag: int = 2,
         **options: Any,
@@ -87,6 +90,11 @@ class FootCalibrator:
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
         self._options = options
+        self._curves = curves if curves is not None and curves.any else None
+        if self._curves is not None and len(self._curves.knots) != layout.channels:
+            raise ValueError(
+                f"'curves' are of {len(self._curves.knots)} channels, and the layout has {layout.channels}."
+            )
         self._state: Any = None
         self._begin()
 
@@ -140,9 +148,12 @@ class FootCalibrator:
             ValueError: If an array has a wrong shape, such as that of several robots.
         """
         raw = np.asarray(raw, dtype=np.float64)
+        if self._curves is not None:
+            self.setup.layout.check_reading(raw)
+            raw = self._curves.straighten(raw)
         dt = self.setup.dt if dt is None else dt
         if self._native is not None and self._native.takes(raw, reference, dt):
-            native = self.native()
+            native = self._in_library()
             if native is not None:
                 return self._native.update(native[1], raw, reference, dt)
         dt = as_number("dt", dt)
@@ -153,7 +164,13 @@ class FootCalibrator:
         return estimate
 
     def native(self) -> tuple[NativeFilter, NativeState] | None:
-        """Return the library's filter and its state, started if there was no sample; ``None`` in Python."""
+        """Return the library's filter and its state, started if there was no sample.
+
+        ``None`` where the filter runs in Python, or has curves in front of it that the library does not know.
+        """
+        return None if self._curves is not None else self._in_library()
+
+    def _in_library(self) -> tuple[NativeFilter, NativeState] | None:
         native, state = self._native, self._state
         if native is None:
             return None
@@ -233,6 +250,7 @@ class FootCalibrator:
             **({"gravity": repr(float(setup.gravity))} if setup.gravity != GRAVITY else {}),
             "dt": repr(float(setup.dt)),
             "lag": str(int(setup.lag)),
+            **({} if self._curves is None else {"curves": repr(self._curves.as_plain())}),
             **{f"initial.{name}": str(np.asarray(part, dtype=np.float64).tolist()) for name, part in maps},
             "wrench_map": f"{wrench_map.shape} {sha256(wrench_map.tobytes()).hexdigest()[:16]}",
         }

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters
+from surefoot.calibration import Curves, Parameters
 from surefoot.robot.beliefs.errors import BeliefErrors
 
 
@@ -15,7 +15,8 @@ class StartingMap:
 
     Args:
         initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset a channel, as
-            :class:`~surefoot.calibration.Parameters` or a mapping.
+            :class:`~surefoot.calibration.Parameters` or a mapping, which may hold ``curves`` as the file of
+            ``surefoot calibrate weights`` does.
         nominal: The data sheet's map, shape (K,).
         errors: How far a calibrated start is off.
 
@@ -23,22 +24,28 @@ class StartingMap:
         given: Whether it was given as numbers.
         calibrated: Whether it is a calibrated start.
         known: The map as it is known beforehand: the map as given, or else the data sheet's, shape (K,).
+        curves: The curves in front of it, if any.
 
     Raises:
         ValueError: If it is none of these.
     """
 
     def __init__(self, initial: Any, nominal: Parameters, errors: BeliefErrors) -> None:
+        self.curves: Curves | None = None
+        if isinstance(initial, Mapping) and "curves" in initial:
+            initial = dict(initial)
+            self.curves = Curves.from_plain(initial.pop("curves"), len(nominal.scale))
         read = _read(initial, len(nominal.scale))
         self.given = isinstance(read, Parameters)
         self.calibrated = isinstance(read, str) and read == "calibrated"
         self.known = read if isinstance(read, Parameters) else nominal
         self._errors = errors
 
-    def as_plain(self) -> str | dict[str, list[float]]:
+    def as_plain(self) -> str | dict[str, Any]:
         """Return the argument as plain words and numbers."""
         if self.given:
-            return {name: part.tolist() for name, part in self.known._asdict().items()}
+            curves = {} if self.curves is None else {"curves": self.curves.as_plain()}
+            return {name: part.tolist() for name, part in self.known._asdict().items()} | curves
         return "calibrated" if self.calibrated else "nominal"
 
     def off(self, true: Parameters, drawn: NDArray[np.float64]) -> Parameters:

@@ -63,7 +63,7 @@ def weights(
     accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2), or a curve."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
     _check_reason(accept)

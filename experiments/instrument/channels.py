@@ -76,7 +76,7 @@ def _facts(recording: Recording, i: int) -> ChannelFacts:
         low=float(there.min()) if len(there) else np.nan,
         high=float(there.max()) if len(there) else np.nan,
         step=step_of(raw),
-        repeats=conversions(recording.time, raw)[1] if timed else np.nan,
+        repeats=conversions(raw).repeats,
         curve=curve,
         noise=noise_of(curve),
         slope=slope,

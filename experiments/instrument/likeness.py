@@ -7,13 +7,19 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.instrument.noise import FEWEST, Stretch, conversions, rests, step_of
+from surefoot.experiments.instrument.noise import (
+    FEWEST,
+    Stretch,
+    conversions,
+    rests,
+    settled,
+    step_of,
+)
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import AFTER
 from surefoot.sensors import LoadCells
 from surefoot.sensors.devices.load_cells import load_cells
 
-SLOWER = 0.02  # share of repeated rows from which a chip is slower than the rows
 LONGEST = 12_000  # rows of a recording over which a preset is run
 SUMMED = 16  # conversions of a sum that shows drift
 
@@ -29,11 +35,13 @@ def constant_stretches(
     read = recording.raw if values is None else values
     for i, raw in enumerate(recording.raw.T):
         step = step_of(raw) * scale[i]
+        if recording.has_loads and recording.load is None and not recording.unloaded[:, i].any():
+            continue
         if recording.load is None:
-            parts = rests(recording.time, raw, recording.unloaded[:, i])
+            parts = settled(rests(recording.time, raw, recording.unloaded[:, i]))
             found += [(Stretch(one.time, one.value * scale[i]), 0.0, step) for one in parts]
             continue
-        rows, _ = conversions(recording.time, raw)
+        rows = conversions(raw).rows
         load = recording.load[:, i]
         edges = [0, *(np.flatnonzero(np.diff(load) != 0.0) + 1), len(load)]
         for start, end in pairwise(edges):
@@ -74,7 +82,8 @@ def compare(
     raw, still = recording.raw[rows], recording.unloaded[rows]
     log = replace(recording, time=recording.time[rows], raw=raw, load=load, unloaded=still)
     twin = simulate(recording, cells, periods)
-    seen = [_features(log, size), _features(twin, np.full(len(size), 1.0 / cells.counts_per_newton))]
+    step = 1.0 / cells.counts_per_newton
+    seen = [_features(log, size, step), _features(twin, np.full(len(size), step), step)]
     found = []
     for name in seen[0]:
         a, b = (one[name] for one in seen)
@@ -83,18 +92,22 @@ def compare(
     return tuple(found)
 
 
-def _features(recording: Recording, scale: Floats) -> dict[str, Floats]:
-    """Return independent numbers that show noise, drift and clock."""
+def _features(recording: Recording, scale: Floats, step: float) -> dict[str, Floats]:
+    """Return independent numbers that show noise, drift and clock; differences are whole steps in N."""
     noise, drift, runs = [], [], []
-    for one, _, _ in constant_stretches(recording, scale):
+    for one, _, own in constant_stretches(recording, scale):
         # Every second difference of neighbours shares no noise with the next.
-        noise.append(np.diff(one.value)[::2])
+        differences = np.diff(one.value)[::2]
+        coarse = 2.0 * own > step  # readings of the preset may have no steps at all
+        noise.append(np.rint(differences / own) * step if coarse else differences)
+        if not recording.has_loads:
+            continue  # an unknown load moves as well
         whole = len(one.value) // SUMMED * SUMMED
         means = one.value[:whole].reshape(-1, SUMMED).mean(axis=1)
         drift.append(np.diff(means)[::2])
     for raw in recording.raw.T:
-        rows, repeats = conversions(recording.time, raw)
-        if repeats >= SLOWER:
+        rows, _, slower = conversions(raw)
+        if slower:
             # Lateness beats with the rows: runs of one length follow each other.
             runs.append(np.diff(rows[::8])[::2].astype(float))
     names = (

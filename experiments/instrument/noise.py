@@ -22,6 +22,11 @@ BLOCK = 0.5  # s in which a channel rests or does not
 QUIET = 3.0  # spread of a block in that of the quietest ones up to which a channel rests in it
 WHITE = 0.3  # least ratio of von Neumann of a block at rest: white noise has 1, a slope 0
 ROUNDING = 1.0 / 12.0  # variance of rounding in steps squared
+SLOWER = 0.02  # share of repeated rows from which a chip may be slower than the rows
+BY_CHANCE = 8.0  # variance, by chance, of the number of conversions in as many rows as are counted together
+REGULAR = 0.25  # share of it below which a clock makes the repeats: a clock's is below 1
+NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
+ONE_SQUARED = 0.455  # median of chi squared with one degree of freedom
 
 
 class Stretch(NamedTuple):
@@ -47,17 +52,34 @@ class Noise(NamedTuple):
     interval: float  # s between conversions
 
 
-def conversions(time: Floats, raw: Floats) -> tuple[NDArray[np.intp], float]:
-    """Return the rows in which a new value came, and the share of rows that repeat the one before.
+class Conversions(NamedTuple):
+    """The rows of a channel in which a conversion was read."""
 
-    A channel that is so quiet that its conversions are alike repeats as well: whether repeats are of a slow
-    chip is for its noise to say.
+    rows: NDArray[np.intp]
+    repeats: float  # share of rows that repeat the one before
+    slower: bool  # whether the chip's own clock makes them: it is slower than the rows
+
+
+def conversions(raw: Floats) -> Conversions:
+    """Find the rows in which a new conversion was read.
+
+    The repeats of a slow chip come with its clock: the number of its conversions in some rows is the same to
+    one or two. A channel that is as quiet as its steps repeats by chance, so that this number has a
+    binomial's variance, and all of its rows are conversions.
     """
     there = np.flatnonzero(np.isfinite(raw))
-    if len(there) < 2:
-        return there, 0.0
-    fresh = np.concatenate([[True], np.diff(raw[there]) != 0.0])
-    return there[fresh], float(1.0 - fresh[1:].mean())
+    fresh = np.concatenate([[True], np.diff(raw[there]) != 0.0])[: len(there)]
+    repeats = float(1.0 - fresh[1:].mean()) if len(there) > 1 else 0.0
+    chance = repeats * (1.0 - repeats)
+    rows = int(np.ceil(BY_CHANCE / chance)) if repeats > SLOWER and chance > 0.0 else len(there) + 1
+    windows = len(there) // rows
+    if windows < FEWEST // 2:
+        return Conversions(there, repeats, False)
+    counts = fresh[: windows * rows].reshape(windows, rows).sum(axis=1)
+    # The median of windows leaves out those in which the load moves every reading, or rows were lost.
+    variance = 0.5 * float(np.median(np.diff(counts) ** 2)) / ONE_SQUARED
+    slower = variance < REGULAR * BY_CHANCE
+    return Conversions(there[fresh] if slower else there, repeats, slower)
 
 
 def step_of(raw: Floats) -> float:
@@ -69,13 +91,8 @@ def step_of(raw: Floats) -> float:
 
 
 def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretch]:
-    """Return the stretches in which a channel carries nothing or, if none is known, is quietest.
-
-    A row that repeats the one before is no new conversion, unless nothing else ever comes.
-    """
-    rows, repeats = conversions(time, raw)
-    if repeats > 0.9:
-        rows = np.flatnonzero(np.isfinite(raw))
+    """Return the stretches in which a channel carries nothing or, if none is known, is quietest."""
+    rows = conversions(raw).rows
     if len(rows) < FEWEST:
         return []
     t, y = time[rows], raw[rows]
@@ -83,6 +100,34 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     found = [Stretch(t[a:b], y[a:b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [one for one in found if len(one.time) >= FEWEST]
+
+
+def settled(parts: Sequence[Stretch]) -> list[Stretch]:
+    """Return of each stretch the longest part whose means of half a second follow each other as usual.
+
+    A plate goes on relaxing for some seconds after somebody has left it, and trembles when one walks by.
+    Stretches that are too short to tell are left as they are.
+    """
+    sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
+    steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
+    limit = QUIET / NORMAL * float(np.median(np.concatenate([np.zeros(0), *steps])) if parts else 0.0)
+    found = []
+    for one, size, step in zip(parts, sizes, steps, strict=True):
+        runs = np.split(np.arange(len(step) + 1), np.flatnonzero(step > limit) + 1)
+        run = max(runs, key=len)
+        rows = slice(size * run[0], size * (run[-1] + 1) if run[-1] < len(step) else None)
+        if len(step) < 2:
+            found.append(one)
+        elif len(run) > 2:
+            found.append(Stretch(one.time[rows], one.value[rows]))
+    return found
+
+
+def _means(one: Stretch, size: int) -> Floats:
+    """Return means of so many conversions each."""
+    blocks: Floats = one.value[: len(one.value) // size * size].reshape(-1, size)
+    means: Floats = blocks.mean(axis=1)
+    return means
 
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:

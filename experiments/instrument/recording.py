@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import config_beside
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
+from surefoot.experiments.instrument.noise import BLOCK
 from surefoot.experiments.logs.bag import is_bag, read_bag
 from surefoot.experiments.logs.columns import raw_names_of
+from surefoot.experiments.logs.contacts import FELT
 from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
@@ -45,6 +48,11 @@ class Recording:
     def has_times(self) -> bool:
         """Whether samples have times."""
         return bool(len(self.time) > 1 and np.isfinite(self.time).all())
+
+    @property
+    def has_loads(self) -> bool:
+        """Whether the load of any row is known, be it none."""
+        return self.load is not None or bool(self.unloaded.any())
 
 
 def read_recording(path: Path, topics: Path | None = None) -> Recording:
@@ -90,13 +98,18 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
         found = _channels(table, "walk", [])
         return Recording(**{**vars(found), "refusal": refusal})
     foot = (read.layout.wrench_map != 0.0).any(axis=1).argmax(axis=0)
+    swing = np.asarray(read.reference.swing)
+    if read.about.get("contacts") == FELT:
+        # A load that turns at its least is flat as well, but not for long.
+        size = round(BLOCK / read.dt)
+        swing = np.stack([binary_opening(one, np.ones(max(size, 1))) for one in swing.T], axis=-1)
     return Recording(
         file=path.name,
         kind="feet alone" if read.about.get("feet_alone") else "walk",
         names=tuple(raw_names_of(read.layout)),
         time=read.time,
         raw=read.raw,
-        unloaded=np.asarray(read.reference.swing)[:, foot],
+        unloaded=swing[:, foot],
         scale=np.asarray(read.nominal.scale),
         read=read,
         notices=tuple(read.about.get("notices", ())),

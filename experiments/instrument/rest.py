@@ -93,7 +93,7 @@ def fit_at_rest(stretches: Sequence[tuple[Stretch, float, float]]) -> AtRest | N
     k = int(np.argmin([least for least, _ in fits]))
     cost = partial(_cost, powers, k)
     best = fits[k][1]
-    found = [_interval(cost, best, cost(best), i) for i in range(len(start))]
+    found = [_interval(cost, best, cost(best), i, float(start[i])) for i in range(len(start))]
     return AtRest(found[0], found[1], found[2] if loaded else None, AVERAGED[k])
 
 
@@ -129,8 +129,13 @@ def _cost(powers: _Powers, averaged: int, theta: Floats) -> float:
     return float(0.5 * (powers.number * np.log(variance) + powers.squares / variance).sum())
 
 
-def _interval(cost: Callable[[Floats], float], best: Floats, least: float, i: int) -> Interval:
-    """Return the interval in which the profile of a cost rises by less than the quantile."""
+def _interval(
+    cost: Callable[[Floats], float], best: Floats, least: float, i: int, typical: float
+) -> Interval:
+    """Return the interval in which the profile of a cost rises by less than the quantile.
+
+    What is next to nothing has no size of its own: the upper end is looked for from a typical one.
+    """
     rise = 0.5 * float(chi2.ppf(SURE, 1))
 
     def profile(value: float) -> float:
@@ -140,7 +145,7 @@ def _interval(cost: Callable[[Floats], float], best: Floats, least: float, i: in
 
     ends = [0.0, float(np.inf)]
     for k, side in enumerate((-1.0, 1.0)):
-        far = best[i] + side * np.log(FAR)
+        far = max(best[i], typical if side > 0.0 else best[i]) + side * np.log(FAR)
         if profile(far) > 0.0:
             ends[k] = float(np.exp(brentq(profile, best[i], far, xtol=1e-3)))
     return Interval(float(np.exp(best[i])), *ends)

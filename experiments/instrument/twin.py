@@ -2,20 +2,21 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.instrument.likeness import SLOWER, compare, constant_stretches
-from surefoot.experiments.instrument.noise import FEWEST, conversions, step_of
+from surefoot.experiments.instrument.likeness import compare, constant_stretches
+from surefoot.experiments.instrument.noise import FEWEST, Conversions, conversions, step_of
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import Response, respond
 from surefoot.experiments.instrument.rest import SURE, AtRest, Interval, fit_at_rest, normal_interval
+from surefoot.experiments.logs.checks import check_increasing
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import Table, Verdict, number, span
 from surefoot.files import write_text
 from surefoot.sensors import LoadCells
@@ -23,6 +24,8 @@ from surefoot.sensors.stages.mechanics import Mechanics
 from surefoot.sensors.transport.wire import Wire
 
 ROUND = 1e-6  # by which a step may miss a count
+FINEST = 2.0**24  # steps in the range of readings that no converter has
+CUT = 0.01  # share of readings at zero, and none beyond, from which something has cut them off
 LATE = 1.05  # rows by which a conversion may be seen late, jitter of the rows included
 ITERATIONS = 20  # of counting a chip's conversions
 UNLIKE = 0.01  # probability below which a test tells twin and log apart, over all tests
@@ -68,12 +71,21 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
 
     Raises:
         CalibrationRefused: If there are no times, no scale in newtons, or no rest.
+        LogError: If times do not increase, or the recording's own command cannot read it.
     """
     if not recording.has_times:
         raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
+    if recording.kind == "six-axis sensor":
+        raise CalibrationRefused(
+            f"{recording.file}: is of a six-axis sensor, and twins are made of load cells.",
+            "'surefoot check' shows its noise and drift, 'surefoot calibrate ft' its matrix and offset.",
+        )
+    check_increasing(recording.time, recording.file)
+    if recording.refusal:
+        raise LogError(recording.refusal)
+    recording, cut = _leave_out_cut(recording)
     scale = _scale(recording)
-    conversion = [conversions(recording.time, raw) for raw in recording.raw.T]
-    rates = [_rate(recording, *one) for one in conversion]
+    rates = [_rate(recording, conversions(raw)) for raw in recording.raw.T]
     known = [one for one in rates if one is not None]
     size = np.full(len(scale), float(np.mean(scale)))
     at_rest = fit_at_rest(constant_stretches(recording, size))
@@ -94,13 +106,35 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
         at_rest = fit_at_rest(constant_stretches(recording, size, forgot)) or at_rest
         response = respond(recording.time, recording.raw, recording.load, rated, at_rest, rate)
     else:
-        rated = capacity or LoadCells().capacity
+        highest = np.abs(recording.raw - np.nanmedian(recording.raw, axis=0)) * scale
+        rated = capacity or max(LoadCells().capacity, float(np.nanmax(highest)))
+    if not recording.has_loads:
+        # What an unknown load does at rest is in the noise, and the drift is all its own.
+        noise = at_rest.noise._replace(low=0.0)
+        at_rest = AtRest(noise, Interval(0.0, 0.0, at_rest.offset.high), None, at_rest.settling)
     signed = scale if recording.scale is None else recording.scale
     slope = 1.0 / signed if response is None else response.scale
     preset, notes = _preset(recording, rated, slope, known, at_rest, response)
-    parameters = tuple(_parameters(recording, rates, at_rest, response))
+    parameters = tuple(_parameters(recording, preset, rates, at_rest, response))
     periods = np.array([np.nan if one is None else 1.0 / one.value for one in rates])
-    return Twin(recording, preset, parameters, compare(recording, preset, periods, size), notes)
+    tests = compare(recording, preset, periods, size)
+    return Twin(recording, preset, parameters, tests, cut + notes)
+
+
+def _leave_out_cut(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
+    """Leave out unloaded readings of channels that something has cut off at zero, and say so."""
+    raw, unloaded, notes = recording.raw.copy(), recording.unloaded.copy(), []
+    for i, (name, one) in enumerate(zip(recording.names, recording.raw.T, strict=True)):
+        there = one[np.isfinite(one)]
+        share = float((there == 0.0).mean()) if len(there) else 0.0
+        if share > CUT and (there.min() == 0.0 or there.max() == 0.0):
+            raw[unloaded[:, i] | (one == 0.0), i] = np.nan
+            unloaded[:, i] = False
+            notes.append(
+                f"{100 * share:.0f} % of the readings of '{name}' are 0 and none lies beyond: something has "
+                "cut them off, so that its unloaded readings show neither noise nor drift."
+            )
+    return replace(recording, raw=raw, unloaded=unloaded), tuple(notes)
 
 
 def _scale(recording: Recording) -> Floats:
@@ -120,9 +154,10 @@ def _scale(recording: Recording) -> Floats:
     return np.abs(recording.scale)
 
 
-def _rate(recording: Recording, rows: NDArray[np.intp], repeats: float) -> Interval | None:
+def _rate(recording: Recording, seen: Conversions) -> Interval | None:
     """Return the conversions a second of a chip that is slower than the rows; ``None`` for others."""
-    if repeats < SLOWER or len(rows) < FEWEST:
+    rows = seen.rows
+    if not seen.slower or len(rows) < FEWEST:
         return None
     time, row = recording.time[rows], float(np.median(np.diff(recording.time)))
     period, number_of = float(np.diff(time).mean()), np.zeros(0)
@@ -148,30 +183,46 @@ def _preset(
 ) -> tuple[LoadCells, tuple[str, ...]]:
     """Return the cells, and notes on open questions."""
     notes: list[str] = []
-    unit = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
-    unit = unit if np.isfinite(unit) else 1.0
-    if abs(unit - 1.0) > ROUND:
+    step = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
+    unit = step if np.isfinite(step) else 1.0
+    codes = unit * FINEST > float(np.max(np.nanmax(recording.raw, axis=0) - np.nanmin(recording.raw, axis=0)))
+    if not codes:
+        unit = float(np.mean(np.abs(slope)))
+        notes.append(
+            f"Readings step by {step:.2g}, finer than any converter: they were filtered or scaled since. The "
+            "preset reads newtons, and its noise is that after the filter."
+        )
+    elif abs(unit - 1.0) > ROUND:
         notes.append(f"Readings step by {unit:.4g}: a count of the preset is one such step.")
     counts, slope = recording.raw / unit, slope / unit
     row = float(np.median(np.diff(recording.time)))
     high, default = float(np.nanmax(np.abs(counts))), LoadCells()
-    binary = bool(np.nanmedian(counts) > 2.0 ** (default.adc_bits - 2))
+    binary = codes and bool(np.nanmedian(counts) > 2.0 ** (default.adc_bits - 2))
     bits = default.adc_bits if high > 2.0**15 else max(int(np.ceil(np.log2(high + 1.0))) + 1, 8)
+    bits = bits if codes else 0
     gain = default.rated_output * default.adc_gain * 2.0**bits
     signs = tuple(int(one) for one in np.sign(slope))
     size = float(np.mean(np.abs(slope)))
     rate = (min(one.value for one in rates), max(one.value for one in rates)) if rates else None
     if rate is None:
-        notes.append("No row repeats the one before: chips are as fast as the rows, or faster.")
+        notes.append("No clock of a chip shows in the rows: chips are as fast as they are, or faster.")
     own = 0.5 * (1 + at_rest.settling) / float(np.mean(rate)) if rate else 0.0
     delay = max(0.0, response.delay.value - own) if response and response.delay else 0.0
-    if response is None:
-        notes.append("No known load: scale, hysteresis, creep and delay are not seen.")
-        unloaded = np.where(recording.unloaded, counts, np.nan) if recording.unloaded.any() else counts
-        zero = np.nanmedian(unloaded, axis=0)
-    else:
+    zero = np.full(len(slope), np.nan)
+    if response is not None:
         zero = response.offset / unit
-    offset = (zero - (2.0 ** (bits - 1) if binary else 0.0)) / slope
+    elif recording.has_loads:
+        notes.append("No known load: scale, hysteresis, creep and delay are not seen.")
+        seen = np.isfinite(counts) & recording.unloaded
+        zero = np.array(
+            [np.median(one[at]) if at.any() else np.nan for one, at in zip(counts.T, seen.T, strict=True)]
+        )
+    else:
+        notes.append(
+            "No row is known to be unloaded: noise is at most that of the quietest parts, and scale, offset, "
+            "drift, hysteresis, creep and delay are not seen."
+        )
+    offset = ((zero - (2.0 ** (bits - 1) if binary else 0.0)) / slope)[np.isfinite(zero)]
     cells = LoadCells(
         capacity=capacity,
         rated_output=default.rated_output * size * capacity / gain,
@@ -182,7 +233,7 @@ def _preset(
         rate=rate,
         settling=at_rest.settling,
         initial_scale_std=float(np.std(np.abs(slope)) / size),
-        initial_offset_std=float(np.sqrt(np.mean(offset**2))),
+        initial_offset_std=float(np.sqrt(np.mean(offset**2))) if len(offset) else default.initial_offset_std,
         scale_drift=at_rest.scale.value if at_rest.scale else 0.0,
         offset_drift=at_rest.offset.value,
         mechanics=_mechanics(response),
@@ -205,8 +256,14 @@ def _mechanics(response: Response | None) -> Mechanics:
 
 
 def _parameters(
-    recording: Recording, rates: list[Interval | None], at_rest: AtRest, response: Response | None
+    recording: Recording,
+    cells: LoadCells,
+    rates: list[Interval | None],
+    at_rest: AtRest,
+    response: Response | None,
 ) -> Iterator[Parameter]:
+    if cells.adc_bits:
+        yield Parameter("step of a reading", "N", Interval(*3 * (1.0 / cells.counts_per_newton,)))
     yield Parameter("noise of a conversion", "N", at_rest.noise)
     yield Parameter("random walk of the offset", "N/√s", at_rest.offset)
     if at_rest.scale is not None:

@@ -84,7 +84,7 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
     if (step > max_gap).any():
         row = int(np.argmax(step > max_gap)) + 1
         raise LogError(
-            f"{file}: column 'time_s' leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s); "
+            f"{file}: column 'time_s' leaps by {step[row - 1]:.6g} s at row {row} (at most {max_gap:g} s); "
             "cut the log there and calibrate the parts one by one, or bridge it with --split-gaps."
         )
 
@@ -105,9 +105,10 @@ def check_increasing(time: NDArray[np.float64], file: str, *, repeats: bool = Fa
     if wrong.any():
         row = int(np.argmax(wrong)) + 1
         cure = "sort the rows" if repeats else "sort the rows and drop repeated times"
+        more = f"; {wrong.sum()} such rows in all" if wrong.sum() > 1 else ""
         raise LogError(
             f"{file}: column 'time_s' does not increase at row {row} "
-            f"({time[row - 1]:.6g} s, then {time[row]:.6g} s); {cure}."
+            f"({time[row - 1]:.13g} s, then {time[row]:.13g} s{more}); {cure}."
         )
 
 

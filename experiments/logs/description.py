@@ -9,6 +9,7 @@ from pydantic import AliasChoices, ConfigDict, Field, PlainValidator, model_vali
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.weights.curves import Curves
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 
 _UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}
@@ -95,6 +96,9 @@ class Description(Settings):
     calibrated: Annotated[Parameters, PlainValidator(_map)] | None = Field(
         None, validation_alias=AliasChoices("calibrated", "bench")
     )
+    curves: list[Any] | None = (
+        None  # of channels that are not linear, as `surefoot calibrate weights` has them
+    )
     dt_s: Positive = np.nan  # nominal time between rows; by default their median
     lag_samples: Annotated[int, Field(ge=0)] = 0
     seed: int | None = None  # of a simulated walk
@@ -103,7 +107,7 @@ class Description(Settings):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        channels = self.layout.channels
+        channels = len(self.straightening.knots)
         unread = np.isnan(self.nominal.offset).all()
         for values in (*self.nominal[: 1 if unread else 2], *(self.calibrated or ())):
             if values.shape != (channels,) or not np.isfinite(values).all():
@@ -116,6 +120,12 @@ class Description(Settings):
                 "very moment of each row; leave it out and give motion.delay_s in seconds"
             )
         return self
+
+    @property
+    def straightening(self) -> Curves:
+        """The curves in front of its maps."""
+        channels = self.layout.channels
+        return Curves.from_plain([None] * channels if self.curves is None else self.curves, channels)
 
     def facts(self) -> dict[str, Any]:
         """Fields of a log that a description fills."""

@@ -183,8 +183,12 @@ def read_log(
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
+    curves = description.straightening
+    raw = curves.straighten(stack(values, counts[1:]))
+    if curves.any:
+        facts["about"] = facts["about"] | {"curves": curves.as_plain()}
     if alone:
-        reference, facts = _reference_of_feet(table, stack(values, counts[1:]), facts)
+        reference, facts = _reference_of_feet(table, raw, facts)
     elif description.motion is None:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
@@ -195,7 +199,6 @@ def read_log(
         facts["about"] = facts["about"] | about
     if table.notices:
         facts["about"] = facts["about"] | {"notices": table.notices}
-    raw = stack(values, counts[1:])
     if np.isnan(facts["nominal"].offset).any():
         facts["nominal"] = _tare_map(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
     return Log(

@@ -134,6 +134,8 @@ def _factor(name: str, unit: str) -> float:
     known = UNITS[kinds[-1]] if kinds else {}
     if unit not in known:
         there = f"there are {', '.join(known)}" if known else "it has no unit"
+        if name.startswith("raw_"):
+            there = "what one is in newtons says nominal.scale_N_per_count of the description"
         raise LogError(f"units: '{name}' cannot be in '{unit}'; {there}.")
     return known[unit]
 

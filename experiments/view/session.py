@@ -65,6 +65,7 @@ class _Line:
 
     def __init__(self, env: SelfCalibration, sensors: FootSensors, method: str) -> None:
         setup, drawing = env.calibrator.setup, sensors.source.drawing
+        options: dict[str, Any] = {"age": setup.age, **layout_options(env.layout, drawing)}
         self.calibrator = FootCalibrator(
             env.layout,
             method,
@@ -72,8 +73,7 @@ class _Line:
             initial=sensors.instruments.nominal,
             dt=setup.dt,
             lag=setup.lag,
-            age=setup.age,
-            **layout_options(env.layout, drawing),
+            **options,
         )
         self.view = FootView(default_parts(drawing.flaw), env.layout, setup.mass, drawing.flaw)
         self.momentum = method_entry(method).momentum

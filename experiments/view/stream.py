@@ -90,7 +90,7 @@ class StreamFeet:
         if np.isnan(facts.nominal.offset).any():
             raise LogError(f"{description.name}: a stream needs 'offset_N' of the nominal map.")
         self._names = names_of(self.layout)
-        self._counts = raw_names_of(self.layout)
+        self._counts, self._curves = raw_names_of(self.layout), facts.straightening
         self.rows = 0
         self.shown: Shown | None = None
         self._time, self._alone = math.nan, False
@@ -123,7 +123,7 @@ class StreamFeet:
             # A robot that starts anew.
             self._begin()
         step = step if step > 0.0 else self.facts.dt_s
-        raw = np.array([_number(row, name) for name in self._counts])
+        raw = self._curves.straighten(np.array([_number(row, name) for name in self._counts]))
         reference = self._feel(row, raw) if alone else self._believe(row)
         raw_estimate, estimate = (one.update(raw, reference, step) for one in self._calibrators)
         self._time = time

@@ -75,6 +75,8 @@ def calibrate_log(
     if start.endswith(".json"):
         log, start = with_map(log, Path(start)), "calibrated"
     initial = starting_map(log, start)
+    if ros2 and "curves" in log.about:
+        raise LogError(f"{file}: a ROS 2 node takes no curves, and the map to start from has some.")
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
@@ -185,6 +187,7 @@ def _last(facts: Facts) -> dict[str, Any]:
         "channels": list(log.layout.channel_names),
         "scale_N_per_count": estimate.scale[-1].tolist(),
         "offset_N": estimate.offset[-1].tolist(),
+        **({"curves": log.about["curves"]} if "curves" in log.about else {}),
         "scale_std_N_per_count": None if spread is None else spread.scale[-1].tolist(),
         "offset_std_N": None if spread is None else spread.offset[-1].tolist(),
         "nis_per_row": nis_per_row(estimate),

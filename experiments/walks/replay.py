@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import (
+    Curves,
     Estimate,
     FootCalibrator,
     MomentumReference,
@@ -79,13 +80,16 @@ def with_map(log: Log, path: Path) -> Log:
     """Return a log whose calibrated map is that of a JSON file, as ``surefoot calibrate`` writes one.
 
     Channels go by their names as they stand in columns (``left_front_left``) or in the layout. Raises
-    LogError if the file holds no map, or not one for every channel.
+    LogError if the file holds no map, or not one for every channel. Channels with a curve have straight
+    readings from then on, and ``about`` holds the ``curves``.
     """
     given = parse_json(read_text(path, LogError), f"{path.name}: the map", LogError)
     try:
         names = [slug(str(name)) for name in given["channels"]]
         values = [[float(x) for x in given[key]] for key in ("scale_N_per_count", "offset_N")]
         maps = dict(zip(names, zip(*values, strict=True), strict=True))
+        curves = Curves.from_plain(given.get("curves", [None] * len(names)), len(names))
+        bent = dict(zip(names, curves.knots, strict=True))
     except (KeyError, TypeError, ValueError) as error:
         raise LogError(
             f"{path.name}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count "
@@ -99,7 +103,9 @@ def with_map(log: Log, path: Path) -> Log:
             f"of the weighings 'raw_{missing[0]}_count' and so on."
         )
     scale, offset = np.array([maps[name] for name in wanted]).T
-    return replace(log, calibrated=Parameters(scale, offset))
+    curves = Curves([bent[name] for name in wanted])
+    about = log.about | ({"curves": curves.as_plain()} if curves.any else {})
+    return replace(log, raw=curves.straighten(log.raw), calibrated=Parameters(scale, offset), about=about)
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:

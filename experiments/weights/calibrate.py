@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, fit_channels
+from surefoot.calibration import GRAVITY, Curves, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
+from surefoot.calibration.weights.curves import fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.tables import Cell, Table, decimal, number, table_of, with_deviation
+from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
 from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.files import write_text
 
@@ -28,7 +29,7 @@ class CalibratedCells:
 
 
 def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2).
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2), or a curve.
 
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
     and readings as ``raw_<cell>_count``, empty where not weighed. Readings that lie far off are left out.
@@ -39,8 +40,15 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
     findings, out_of_line = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
-    fit = fit_channels(np.where(out_of_line, np.nan, weighings.code), weighings.load, names)
-    std = _deviations(fit, weighings.code)
+    code = np.where(out_of_line, np.nan, weighings.code)
+    bent = [
+        fit_curve(one[there], weighings.load[there])
+        for one, there in zip(code.T, np.isfinite(code + weighings.load[:, None]).T, strict=True)
+    ]
+    curves = Curves([None if one is None else one.knots for one in bent])
+    code = curves.straighten(code)
+    fit = fit_channels(code, weighings.load, names)
+    std = _deviations(fit, code)
     notices = passed + weaker
     facts: dict[str, Any] = {
         "channels": names,
@@ -50,6 +58,9 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         "offset_std_N": [float(one) if np.isfinite(one) else None for one in std[:, 1]],
         "notices": list(notices),
     }
+    if curves.any:
+        facts["curves"] = curves.as_plain()
+        facts["curve_std_N"] = [None if one is None else one.std for one in bent]
     write_text(out, json.dumps(facts, indent=1))
     columns: dict[str, Cell] = {
         "cell": lambda i: names[i],
@@ -58,9 +69,13 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
             1e6 * fit.value.scale[i], 1e6 * std[i, 0]
         ),
         "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
+        "curve": lambda i: NOTHING if (one := bent[i]) is None else one.shape,
         "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
     }
-    table = table_of("weighings", "F = scale · count + offset", columns, range(len(names)))
+    if not curves.any:
+        del columns["curve"]
+    title = "F = scale · count + offset" + (", of counts that the curve makes straight" if curves.any else "")
+    table = table_of("weighings", title, columns, range(len(names)))
     return CalibratedCells(out, table, notices)
 
 

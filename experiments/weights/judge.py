@@ -16,6 +16,7 @@ from scipy.stats import t as student
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.weights.curves import LEAST, fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.checks import RAILS
 
@@ -25,7 +26,6 @@ NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 TAIL = 3.0  # degrees of freedom of Student's t
 ROUNDING = 1.0 / np.sqrt(12.0)  # std of a count that was rounded
 FOLLOWS = 5.0  # standard deviations that a slope must be from zero for a cell to follow its load
-BENT = 0.002  # share of the range of loads from which a curve is told; cheap cells are linear to 0.05 %
 HEAVIEST = 3000.0  # N, three times what any load cell of a foot is made for
 RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are made for half of it at most
 RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
@@ -270,24 +270,34 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
             return
         yield Finding("outliers", reason, "They are left out.", refuses=False)
     bend, at, doubt = _bend(table, i, line, kept)
-    if bend > max(FOLLOWS * doubt, BENT * span):
+    if (curve := fit_curve(code[kept], x)) is not None:
+        yield Finding(
+            "curve",
+            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it.",
+            f"A {curve.shape} takes its place; weights that were left out are found to {curve.std:.2g} N "
+            f"(by a line to {curve.line_std:.2g} N).",
+            curve.line_std,
+            LEAST * span,
+            refuses=False,
+        )
+    elif bend > max(FOLLOWS * doubt, LEAST * span):
         yield Finding(
             "curve",
             f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it, and "
             f"they scatter by {abs(line.scale / line.slope):.2g} N.",
             "Forces between the weights are that uncertain; weigh near the loads that matter.",
             bend,
-            BENT * span,
+            LEAST * span,
             refuses=False,
         )
-    elif (scatter := abs(line.scale / line.slope)) > FOLLOWS * BENT * span:
+    elif (scatter := abs(line.scale / line.slope)) > FOLLOWS * LEAST * span:
         yield Finding(
             "scatter",
             f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
             "or weights that do not rest on it alone.",
             "Weigh each load three times or more, up and down.",
             scatter,
-            FOLLOWS * BENT * span,
+            FOLLOWS * LEAST * span,
             refuses=False,
         )
 

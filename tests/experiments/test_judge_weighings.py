@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.calibration import GRAVITY
+from surefoot.calibration import GRAVITY, Curves
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.logs.format import Log, LogError, write_log
+from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walks.replay import with_map
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
 
@@ -168,6 +168,66 @@ def test_a_log_starts_from_a_file_of_weights(log: Log, tmp_path: Path, undrawn: 
     assert result.exit_code == 0, result.output
     last = json.loads((tmp_path / "walk.none.json").read_text())
     np.testing.assert_allclose(last["scale_N_per_count"], GRAVITY / 5e5)
+
+
+def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, undrawn: None) -> None:
+    """A channel of eight is a resistor; the others keep their lines bit for bit."""
+    names = ("left_front_left", "left_front_right", "left_rear_left", "left_rear_right")
+    names += tuple(name.replace("left", "right", 1) for name in names)
+    load = np.repeat([0.0, 0.5, 1.0, 2.0, 3.0, 4.0], 2)
+    code = np.rint(8e6 + 1000.0 * np.arange(8) + 5e5 * load[:, None])
+    maps = []
+    for bent in (False, True):
+        if bent:
+            code[:, 2] = np.rint(8e6 + 2e6 * load / (load + 2.0))
+        path = write(
+            Weighings(load * GRAVITY, code, tuple(f"raw_{name}_count" for name in names), "load_kg", GRAVITY),
+            tmp_path / "scales.csv",
+        )
+        result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
+        assert result.exit_code == 0, result.output
+        maps.append(json.loads((tmp_path / "scales.map.json").read_text()))
+    line, curve = maps
+    assert "curves" not in line
+    kept = [i for i in range(8) if i != 2]
+    for key in ("scale_N_per_count", "offset_N", "scale_std_N_per_count"):
+        assert [line[key][i] for i in kept] == [curve[key][i] for i in kept]
+    assert [one is None for one in curve["curves"]] == [i != 2 for i in range(8)]
+    (note,) = curve["notices"]
+    assert "Column 'raw_left_rear_left_count' is no line: under " in note
+    assert "A monotone cubic takes its place; weights that were left out are found to " in note
+
+    curves = Curves.from_plain(curve["curves"], 8)
+    started = with_map(log, tmp_path / "scales.map.json")
+    np.testing.assert_array_equal(started.raw, curves.straighten(log.raw))
+    assert started.calibrated is not None
+    read = started.calibrated.force(curves.straighten(code))
+    np.testing.assert_allclose(read, np.repeat(load[:, None] * GRAVITY, 8, axis=1), atol=0.02)
+    walk = write_log(log, tmp_path / "walk.parquet")
+    start = ["--start", str(tmp_path / "scales.map.json"), "--method", "none"]
+    result = RUNNER.invoke(app, ["calibrate", "walk", str(walk), *start, "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads((tmp_path / "walk.none.json").read_text())["curves"] == curve["curves"]
+    result = RUNNER.invoke(app, ["calibrate", "walk", str(walk), *start, "--ros2"])
+    assert (result.exit_code, result.stderr) == (
+        2,
+        "surefoot: walk.parquet: a ROS 2 node takes no curves, and the map to start from has some.\n",
+    )
+
+
+def test_a_description_may_hold_curves(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    described = json.loads((tmp_path / "walk.json").read_text())
+    knots = [[7e6, 8e6, 9e6], [7e6, 8.2e6, 9e6]]
+    described["curves"] = Curves([None] * 7 + [knots]).as_plain()
+    (tmp_path / "walk.json").write_text(json.dumps(described))
+    read = read_log(path)
+    np.testing.assert_array_equal(read.raw, Curves([None] * 7 + [knots]).straighten(log.raw))
+    assert read.about["curves"] == described["curves"]
+    described["curves"] = [None]
+    (tmp_path / "walk.json").write_text(json.dumps(described))
+    with pytest.raises(LogError, match="'curves' must be a list of 8, null for a channel without one"):
+        read_log(path)
 
 
 @pytest.mark.parametrize(

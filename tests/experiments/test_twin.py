@@ -1,22 +1,30 @@
 """`surefoot twin`: presets read off recordings of simulated instruments, whose numbers are known."""
 
 import json
+import os
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.instrument.likeness import compare
+from surefoot.experiments.instrument.noise import conversions
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.instrument.response import creep_of, loop_of
 from surefoot.experiments.instrument.twin import Twin, identify
+from surefoot.experiments.logs.table import LogError
 from surefoot.sensors import LoadCells
 from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
@@ -70,7 +78,7 @@ def hits(twin: Twin, cells: LoadCells, first: LoadCellState) -> dict[str, list[b
     for one in twin.parameters:
         name = one.name.partition(",")[0]
         channel = 0 if one.of == "all channels" else int(one.of.split("_")[1])
-        if len(truth[name]):
+        if len(truth.get(name, ())):
             found.setdefault(name, []).append(bool(one.value.low <= truth[name][channel] <= one.value.high))
     return found
 
@@ -182,6 +190,78 @@ def test_what_is_missing_is_said(rig: tuple[Recording, LoadCellState], tmp_path:
     pd.DataFrame({"raw_a_count": [1.0, 2.0]}).to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(CalibrationRefused, match=r"a\.csv: rows have no times\. Give time_s, or \[rates\]\."):
         identify(read_recording(tmp_path / "a.csv"))
+    with pytest.raises(
+        CalibrationRefused, match=r"is of a six-axis sensor, and twins are made of load cells\."
+    ):
+        identify(replace(rig[0], kind="six-axis sensor"))
+    with pytest.raises(
+        LogError, match=r"rig\.csv: column 'time_s' does not increase at row 7 .* drop repeated"
+    ):
+        identify(replace(rig[0], time=np.where(np.arange(len(rig[0].time)) == 7, 0.03, rig[0].time)))
+    with pytest.raises(LogError, match=r"rig\.csv: missing column"):
+        identify(replace(rig[0], refusal="rig.csv: missing column raw_b_count."))
+
+
+def test_repeats_of_a_clock_and_of_coarse_steps_are_told_apart() -> None:
+    rng = np.random.default_rng(5)
+    quiet = np.rint(rng.normal(0.3, 2.0, 6000))  # steps of half its noise: 14 % of the rows repeat by chance
+    found = conversions(quiet)
+    assert (found.slower, len(found.rows)) == (False, 6000)
+    for rate in (10.0, 78.0, 150.0):
+        number_of = np.floor(rate * np.arange(0.0, 30.0, 1.0 / HOST) + 0.3).astype(int)
+        found = conversions(np.rint(rng.normal(0.0, 40.0, number_of[-1] + 1))[number_of])
+        assert found.slower
+        assert len(found.rows) == pytest.approx(30.0 * rate, rel=0.02)
+    assert not conversions(np.full(500, 7.0)).slower
+
+
+class TestUnknownLoads:
+    """A plate and a board say in which unit they read, and nobody says what stands on them."""
+
+    def recording(self, raw: Floats, unloaded: NDArray[np.bool_]) -> Recording:
+        names, time = tuple(f"raw_{i}_count" for i in range(raw.shape[1])), np.arange(len(raw)) / HOST
+        return Recording("plate.csv", "feet alone", names, time, raw, unloaded, scale=np.ones(raw.shape[1]))
+
+    def readings(self, noise: float, step: float) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the newtons of a plate on which somebody stands from the 15th to the 25th second."""
+        rng, time = np.random.default_rng(2), np.arange(0.0, 40.0, 1.0 / HOST)
+        on = (time > 15.0) & (time < 25.0)
+        raw = 200.0 * on[:, None] + rng.normal(0.0, noise, (len(time), 2))
+        return (np.rint(raw / step) * step if step else raw), np.repeat(~on[:, None], 2, axis=1)
+
+    def test_coarse_readings_show_their_noise_and_no_clock(self) -> None:
+        twin = identify(self.recording(*self.readings(0.4, 0.162)))
+        named = {one.name: one.value for one in twin.parameters}
+        assert "conversion rate" not in named
+        assert named["noise of a conversion"].low < 0.4 < named["noise of a conversion"].high
+        assert named["step of a reading"].value == pytest.approx(0.162)
+        assert twin.preset.capacity > 200.0
+        assert twin.preset.code_range[1] > 200.0 / 0.162
+        assert twin.alike, twin.likeness
+
+    def test_filtered_readings_have_no_converter(self) -> None:
+        twin = identify(self.recording(*self.readings(0.4, 0.0)))
+        assert twin.preset.adc_bits == 0
+        assert twin.preset.noise_counts == pytest.approx(0.4, rel=0.03)
+        assert (
+            "finer than any converter: they were filtered or scaled since. The preset reads" in twin.notes[0]
+        )
+
+    def test_readings_that_are_cut_off_show_no_drift(self) -> None:
+        raw, unloaded = self.readings(0.4, 0.1)
+        twin = identify(self.recording(np.maximum(raw, 0.0), unloaded))
+        assert re.match(
+            r"\d\d % of the readings of 'raw_0_count' are 0 and none lies beyond: something has cut",
+            twin.notes[0],
+        )
+        assert twin.notes[-1].startswith(
+            "No row is known to be unloaded: noise is at most that of the quietest"
+        )
+        noise, drift = (one.value for one in twin.parameters[1:3])
+        assert noise.low == 0.0
+        assert noise.high > 0.4
+        assert (drift.value, drift.low) == (0.0, 0.0)
+        assert twin.preset.offset_drift == 0.0
 
 
 @pytest.mark.slow
@@ -194,3 +274,29 @@ def test_intervals_of_twenty_instruments_hold_nine_in_ten() -> None:
         held += [one for parts in found.values() for one in parts]
     assert len(held) > 400
     assert np.mean(held) >= 0.88
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not (Path(os.environ.get("SUREFOOT_DATA", "nowhere")) / "foot").is_dir(),
+    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
+)
+def test_real_instruments_have_twins_or_the_reason_why_not(
+    benchmark_script: Callable[[str], ModuleType],
+) -> None:
+    script, folder = benchmark_script("twin_recordings"), Path(os.environ["SUREFOOT_DATA"])
+    for name, alike in (("force plate 1", True), ("force plate 2", True), ("balance board", False)):
+        twin = script.find_twin(folder, name)
+        seen = {one.name: one.value for one in twin.parameters}
+        assert "conversion rate" not in seen
+        assert twin.alike == alike
+        # 10 kN in 16 bits, and ten grams of a board's cell.
+        assert seen["step of a reading"].value == pytest.approx(0.162 if alike else 0.099, rel=0.01)
+        assert seen["random walk of the offset"].low < 0.2
+    for name, message in (
+        ("force plate with a rocked pole", "no channel rests under one load"),
+        ("iCub's feet, swaying", "no channel rests under one load"),
+        ("iCub's six-axis sensor", "is of a six-axis sensor, and twins are made of load cells"),
+    ):
+        with pytest.raises(CalibrationRefused, match=message):
+            script.find_twin(folder, name)

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from surefoot.calibration import FootCalibrator, Moment, Parameters
+from surefoot.calibration import Curves, FootCalibrator, Moment, Parameters
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Plan
 from surefoot.robot.foot_view import DEFAULT
 from surefoot.sensors import ForceTorque, Wire
@@ -128,6 +128,23 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
     assert 0.0 < np.abs(left.scale - 1.0).max() < 0.006
     assert 0.0 < np.abs(left.offset).max() < 0.1
     assert np.abs(nominal.relative_to(true).scale - 1.0).max() > 0.05
+
+
+def test_curves_of_weights_are_in_front_of_the_map(make_bare) -> None:
+    """As the file of `surefoot calibrate weights` has them; the library knows of none."""
+    nominal = Parameters(HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset)
+    knots = HX711_LOAD_CELLS.zero_code + 8e6 * np.array(
+        [[-1.0, -0.02, 0.0, 0.02, 1.0], [-1.0, -0.04, 0.0, 0.01, 1.0]]
+    )
+    curves = Curves([None] * 5 + [knots] + [None] * 2)
+    initial = {**nominal._asdict(), "curves": curves.as_plain()}
+    env = SelfCalibration(FootSensors(make_bare()), "none", initial=initial)
+    env.reset(seed=2)
+    for _ in range(5):
+        env.step(STILL)
+    expected = nominal.force(curves.straighten(env.env.raw))
+    np.testing.assert_allclose(env.estimate.force, expected)
+    assert np.abs(expected - nominal.force(env.env.raw))[5] > 0.1
 
 
 def test_a_calibrated_start_is_as_good_as_its_errors(make_bare) -> None:
