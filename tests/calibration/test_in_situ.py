@@ -100,7 +100,7 @@ def test_units_and_mixture_of_the_channels_change_nothing(factory):
     walks = [np.cumsum(0.02 * NOISE * rng.standard_normal((600, 6)), axis=0) for _ in sets]
     sets = [replace(one, raw=one.raw + walk @ response.T) for one, walk in zip(sets, walks, strict=True)]
     counts = calibrate_in_situ(sets, factory_matrix=1.1 * matrix if factory else None)
-    for mixture in (matrix, rng.standard_normal((6, 6))):
+    for mixture in (matrix, rng.standard_normal((6, 6)))[factory:]:
         mixed = [replace(one, raw=one.raw @ mixture.T) for one in sets]
         made = 1.1 * matrix @ np.linalg.inv(mixture)
         fit = calibrate_in_situ(mixed, factory_matrix=made if factory else None)
@@ -262,7 +262,7 @@ def both_ways(path):
     return path, -path, path, -path
 
 
-@pytest.mark.parametrize("cooling", [False, True])
+@pytest.mark.parametrize("cooling", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
     """Where it only rises the coefficient takes the drift in, and that is said."""
     sets, per_kelvin, drift = warmed(both_ways if cooling else lambda path: [path] * 4, drift=2.0)
@@ -341,7 +341,7 @@ def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():
 @pytest.mark.parametrize("own", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_the_inertia_of_what_is_added_is_open_by_as_much_as_is_claimed(own):
     off = []
-    for seed in range(3):
+    for seed in range(2):
         sets, _ = moving_sets(np.random.default_rng([14, seed]), noise=0.1, own=own)
         fit = calibrate_in_situ(sets)
         off.append(errors(fit, "leg", 500.0) / np.sqrt(np.diag(fit.covariance)))
@@ -535,7 +535,7 @@ def read_late(one, late):
     return replace(one, raw=one.raw[10:], gravity=before, time=time)
 
 
-@pytest.mark.parametrize("share", [0.005, 0.02])
+@pytest.mark.parametrize("share", [0.005, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(share):
     """A foot's vertical force: how it came there from zero, where the offset is, no small swing shows."""
     matrix, rng = SENSORS["foot"][0], np.random.default_rng(41)
@@ -577,7 +577,7 @@ def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
 
 
 def test_arguments_are_left_alone():
-    sets, _ = noisy_sets("foot", np.random.default_rng(19))
+    sets, _ = noisy_sets("foot", np.random.default_rng(19), n=200)
     before = [one.raw.copy() for one in sets]
     first, second = calibrate_in_situ(sets), calibrate_in_situ(sets)
     for one, raw in zip(sets, before, strict=True):
@@ -592,7 +592,7 @@ def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
     # Along what was seen: the limb's own wrench.
     seen = np.linalg.solve(matrix, wrench_of_gravity(mass, com))
     scores = []
-    for seed in range(3):
+    for seed in range(2):
         sets, _ = noisy_sets("foot", np.random.default_rng([20, seed]), n=1000, count=1)
         # The rows lean by a rule of their own, whatever the shares of the fit that finds the limb.
         options = InSituOptions(factory_std=(0.1,) * 6)
@@ -606,7 +606,7 @@ def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
 
 def test_few_samples_show_no_hysteresis():
     rng = np.random.default_rng(21)
-    for _ in range(5):
+    for _ in range(2):
         sets, _ = noisy_sets("leg", rng, n=12)
         fit = calibrate_in_situ(sets, accept="few samples")
         assert fit.hysteresis is None

@@ -26,7 +26,7 @@ def leg_sets():
 
 @cache
 def sound_fit():
-    return calibrate_in_situ(leg_sets())
+    return calibrate_in_situ(leg_sets(), accept="for all cases")
 
 
 def with_raw(one, change):
@@ -289,8 +289,8 @@ def test_samples_that_are_off_by_a_little_stay(share, out):
 
 def test_takes_the_same_sets_unhurt():
     fit = sound_fit()
-    assert fit.result is FitResult.DETERMINED
-    assert fit.refusals == ()
+    # What was not refused needs no reason, and keeps none.
+    assert (fit.result, fit.accepted, fit.refusals) == (FitResult.DETERMINED, "", ())
     assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std
 
 
@@ -300,23 +300,24 @@ FREE = InSituOptions(factory_std=(1.0,) * 6)
 
 
 @pytest.mark.parametrize(
-    ("row", "column", "factor", "options"),
+    ("row", "column", "factor", "sets", "given"),
     [
-        (2, 4, -1.0, None),
-        pytest.param(0, 5, 10.0, FREE, marks=pytest.mark.slow),
-        pytest.param(1, 1, 0.1, FREE, marks=pytest.mark.slow),
+        (2, 4, -1.0, 4, {}),
+        *(
+            pytest.param(*entry, *log, marks=pytest.mark.slow)
+            for entry in ((2, 4, -1.0), (0, 5, 10.0), (1, 1, 0.1))
+            for log in ((4, {"options": FREE}), (1, {"limb": LIMB, "options": FREE}))
+        ),
     ],
 )
-def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor, options):
+def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor, sets, given):
     corrupt = MATRIX.copy()
     corrupt[row, column] *= factor
     message = re.escape(
         f"Likeliest: entry [{row}, {column}] of the factory matrix, {corrupt[row, column]:.4g}, is "
     )
     with pytest.raises(CalibrationRefused, match=message):
-        calibrate_in_situ(leg_sets(), factory_matrix=corrupt, options=options)
-    with pytest.raises(CalibrationRefused, match=message):
-        calibrate_in_situ(leg_sets()[:1], factory_matrix=corrupt, limb=LIMB, options=FREE)
+        calibrate_in_situ(leg_sets()[:sets], factory_matrix=corrupt, **given)
 
 
 def test_planar_motion_is_a_warning_beside_a_factory_matrix():
@@ -446,7 +447,7 @@ def twin_channels(sets):
     ]
 
 
-@pytest.mark.parametrize("spoil", [noise_channel, twin_channels])
+@pytest.mark.parametrize("spoil", [pytest.param(noise_channel, marks=pytest.mark.slow), twin_channels])
 def test_an_axis_that_nobody_saw_is_refused(spoil):
     with pytest.raises(CalibrationRefused):
         calibrate_in_situ(spoil(leg_sets()))
@@ -469,7 +470,13 @@ def test_a_temperature_that_stays_is_left_out():
     assert "'data set 4' has no temperature" in fit.warnings[0]
 
 
-@pytest.mark.parametrize("factory", [None, MATRIX], ids=["by the masses", "by the matrix"])
+@pytest.mark.parametrize(
+    "factory",
+    [
+        pytest.param(None, id="by the masses"),
+        pytest.param(MATRIX, id="by the matrix", marks=pytest.mark.slow),
+    ],
+)
 def test_a_limb_that_is_not_as_given_is_refused(factory):
     sets = leg_sets() if factory is None else leg_sets()[:1]
     sound = calibrate_in_situ(sets, factory_matrix=factory, limb=KnownLimb(MASS, 0.05))
@@ -493,7 +500,7 @@ def test_an_accelerometers_bias_is_taken_off():
     assert np.abs(off[:3]).max() < 0.02  # N; 0.3 m/s^2 of the leg's 4.9 kg are 1.5 N
 
 
-@pytest.mark.parametrize("seed", [8, 9])
+@pytest.mark.parametrize("seed", [8, pytest.param(9, marks=pytest.mark.slow)])
 def test_noise_of_an_accelerometer_is_no_limb_that_bends_or_lags(seed):
     rng = np.random.default_rng(seed)
     noisy = [replace(one, gravity=one.gravity + 0.1 * rng.standard_normal((600, 3))) for one in leg_sets()]
@@ -524,7 +531,7 @@ def test_a_channel_that_is_clipped_below_its_rail_is_named():
         calibrate_in_situ([sets[0], with_raw(sets[1], clip), *sets[2:]])
 
 
-@pytest.mark.parametrize("dwell", [0.0, 0.3])
+@pytest.mark.parametrize("dwell", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_limb_that_rests_at_its_turns_is_not_clipped(dwell):
     # Counts without noise, the same for as long as the limb rests at the end of its sweep.
     turn = np.clip(np.linspace(-1.0 - dwell, 1.0 + dwell, 1500), -1.0, 1.0)
@@ -583,18 +590,20 @@ def test_the_likeliest_cause_stays_with_a_fit_past_a_refusal():
     assert fit.limb.mass == pytest.approx(MASS, rel=0.01)
 
 
-def test_what_was_not_refused_needs_no_reason():
-    fit = calibrate_in_situ(leg_sets(), accept="for all cases")
-    assert (fit.result, fit.accepted, fit.refusals) == (FitResult.DETERMINED, "", ())
-
-
 @pytest.mark.parametrize("make", [planar, lambda sets: sets[:1], empty], ids=["plane", "one mass", "empty"])
 def test_what_has_no_answer_cannot_be_accepted(make):
     with pytest.raises(CalibrationRefused, match=r"It cannot be accepted: there is no answer without that\."):
         calibrate_in_situ(make(leg_sets()), accept="I know better")
 
 
-@pytest.mark.parametrize(("aged", "shown"), [(0.64, 0.64), (1.3, None), ([1.7, 1.6, 1.5, 1, 1, 1], None)])
+@pytest.mark.parametrize(
+    ("aged", "shown"),
+    [
+        (0.64, 0.64),
+        pytest.param(1.3, None, marks=pytest.mark.slow),
+        ([1.7, 1.6, 1.5, 1, 1, 1], None),
+    ],
+)
 def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(aged, shown):
     # Masses in lb read 0.45 times a matrix that has aged, each of its axes by itself.
     fit = calibrate_in_situ(leg_sets(), factory_matrix=np.multiply(np.reshape(aged, (-1, 1)), MATRIX))
@@ -602,7 +611,9 @@ def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(
     assert (found and float(found[1])) == (shown and pytest.approx(shown, rel=0.02))
 
 
-@pytest.mark.parametrize(("aged", "unit"), [(0.54, "masses are in lb"), (1.9, "converted")])
+@pytest.mark.parametrize(
+    ("aged", "unit"), [pytest.param(0.54, "masses are in lb", marks=pytest.mark.slow), (1.9, "converted")]
+)
 def test_a_factory_matrix_whose_scale_is_clearly_that_of_another_unit_is_refused(aged, unit):
     with pytest.raises(CalibrationRefused, match=f"Likeliest: .*{unit}"):
         calibrate_in_situ(leg_sets(), factory_matrix=aged * MATRIX)
