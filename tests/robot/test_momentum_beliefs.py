@@ -112,6 +112,7 @@ def test_soles_show_an_accelerometer_wrong_but_not_a_floor_that_leans(bias, beli
     assert R[2, 0] * 9.81 / bias == pytest.approx(1.0 - believed, abs=0.05)
 
 
+@pytest.mark.slow  # on a walk; a robot at rest is above
 def test_the_centre_of_mass_lies_over_the_soles_where_an_accelerometer_is_wrong():
     """Of an error as usual, 0.07 m/s^2, its tilt alone would move it by 2 mm."""
     errors = {"mass": 0.0, "com": 0.0}
