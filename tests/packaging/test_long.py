@@ -11,8 +11,6 @@ def test_all_that_is_listed_as_long_exists() -> None:
         file, *names = line.partition("[")[0].split("::")
         inside = parse((TESTS / file).read_text(encoding="utf-8")).body
         for name in names:
-            found = [
-                node for node in inside if isinstance(node, ClassDef | FunctionDef) and node.name == name
-            ]
-            assert found, f"tests/long.txt lists '{line}', which is not there: take the line out"
-            inside = found[0].body
+            there = {node.name: node for node in inside if isinstance(node, ClassDef | FunctionDef)}
+            assert name in there, f"tests/long.txt lists '{line}', which is not there: take the line out"
+            inside = there[name].body
