@@ -17,7 +17,7 @@ endif
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
 
-# What a change needs while it is made, in two minutes of two cores; with what takes half a second (tests/long.txt),
+# What a change needs while it is made, in two minutes of two cores; with what takes 0.2 s or more (tests/long.txt),
 # as CI runs it: make test MARKS="not slow".
 MARKS ?= not slow and not long
 test: $(VENV)/.dev

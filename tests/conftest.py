@@ -10,7 +10,7 @@ import pytest
 
 TESTS = Path(__file__).parent
 LONG = frozenset((TESTS / "long.txt").read_text(encoding="utf-8").splitlines())
-"""Files, functions and rows of them that take half a second or more: CI runs them, `make test` does not."""
+"""Files, functions and rows of them that take 0.2 s or more: CI runs them, `make test` does not."""
 
 sys.path.insert(0, str(TESTS))
 
