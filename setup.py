@@ -24,6 +24,12 @@ def place(sources: Any) -> Path:
     return Path("surefoot", sources.folder.relative_to(ROOT), sources.name + BUILD["ending"](PLATFORM))
 
 
+def is_current(sources: Any) -> bool:
+    """Return whether the library beside the sources was compiled from them."""
+    library = sources.library
+    return library.is_file() and sources.fingerprint().encode() in library.read_bytes()
+
+
 def readme() -> str:
     """Return README.md for where there are no files beside it: with links to this version."""
     home, tag = PROJECT["urls"]["Repository"], f"v{PROJECT['version']}"
@@ -39,6 +45,8 @@ class BuildWithLibraries(build_py):
         """Build the package, and the libraries if that can be."""
         super().run()
         for sources in LIBRARIES:
+            if self.editable_mode and is_current(sources):
+                continue  # compiled for another environment of this checkout
             target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)

@@ -8,7 +8,22 @@ from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
+TESTS = Path(__file__).parent
+LONG = frozenset((TESTS / "long.txt").read_text(encoding="utf-8").splitlines())
+"""Files, functions and rows of them that take 0.2 s or more: CI runs them, `make test` does not."""
+
+sys.path.insert(0, str(TESTS))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what takes long, before pytest selects by marks."""
+    for item in items:
+        if item.path.is_relative_to(TESTS):
+            file = item.path.relative_to(TESTS).as_posix()
+            name = f"{file}::{item.nodeid.partition('::')[2]}"
+            if LONG & {file, name, name.partition("[")[0]}:
+                item.add_marker("long")
 
 
 def pytest_collection_finish() -> None:

@@ -146,3 +146,16 @@ def moving_sets(rng, noise, slower=1.0, own=1.0):
         wrench = np.concatenate([force, torque], axis=1) + noise * NOISE * rng.standard_normal((1500, 6))
         sets.append(InSituSet(wrench @ response.T + 500.0, gravity, added, place, omega, alpha, time=time))
     return sets, inertia
+
+
+def errors(fit, sensor, offset):
+    """What a fit's matrix, offset and limb are off by, one after the other, shape (46,)."""
+    matrix, mass, com, _ = SENSORS[sensor]
+    return np.concatenate(
+        [
+            (fit.matrix - matrix).ravel(),
+            fit.offset - offset,
+            [fit.limb.mass - mass],
+            fit.limb.mass_com - mass * com,
+        ]
+    )

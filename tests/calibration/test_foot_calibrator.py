@@ -262,12 +262,13 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
     [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"lag": 2.0})],
 )
 def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
+    each_row = rows(log)
     for library in (installed(), None):
         monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=library: found)
         whole = {name: int(value) for name, value in options.items()}
         given, meant = make(method, **options), make(method, **whole)
         for k in range(100):
-            ours, theirs = (each.update(log.raw[k], rows(log)[k]) for each in (given, meant))
+            ours, theirs = (each.update(log.raw[k], each_row[k]) for each in (given, meant))
         np.testing.assert_array_equal(ours.scale, theirs.scale)
 
 

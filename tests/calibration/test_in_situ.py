@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_MASS, NOISE, SENSORS, make_set, moving_sets, noisy_sets, paper_sets, swept_gravity
+from _in_situ import (
+    ADDED_MASS,
+    NOISE,
+    SENSORS,
+    errors,
+    make_set,
+    moving_sets,
+    noisy_sets,
+    paper_sets,
+    swept_gravity,
+)
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -14,18 +24,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-
-def errors(fit, sensor, offset):
-    matrix, mass, com, _ = SENSORS[sensor]
-    return np.concatenate(
-        [
-            (fit.matrix - matrix).ravel(),
-            fit.offset - offset,
-            [fit.limb.mass - mass],
-            fit.limb.mass_com - mass * com,
-        ]
-    )
 
 
 def test_is_exact_without_noise(sensor):
@@ -100,7 +98,7 @@ def test_units_and_mixture_of_the_channels_change_nothing(factory):
     walks = [np.cumsum(0.02 * NOISE * rng.standard_normal((600, 6)), axis=0) for _ in sets]
     sets = [replace(one, raw=one.raw + walk @ response.T) for one, walk in zip(sets, walks, strict=True)]
     counts = calibrate_in_situ(sets, factory_matrix=1.1 * matrix if factory else None)
-    for mixture in (matrix, rng.standard_normal((6, 6))):
+    for mixture in (matrix, rng.standard_normal((6, 6)))[factory:]:
         mixed = [replace(one, raw=one.raw @ mixture.T) for one in sets]
         made = 1.1 * matrix @ np.linalg.inv(mixture)
         fit = calibrate_in_situ(mixed, factory_matrix=made if factory else None)
@@ -165,136 +163,6 @@ def test_masses_in_one_plane_leave_the_rotation_open():
     np.testing.assert_allclose(fit.rotation, turn, atol=5e-3)
 
 
-def test_finds_the_temperature_coefficient():
-    sets, offset = noisy_sets("leg", np.random.default_rng(9))
-    coefficient = np.array([5.0, -3.0, 2.0, 1.0, -4.0, 6.0])
-    warmed = []
-    for j, one in enumerate(sets):
-        kelvin = 25.0 + 10.0 * np.sin(np.linspace(0.0, 3.0 + j, 600))
-        warmed.append(replace(one, raw=one.raw + np.outer(kelvin, coefficient), temperature=kelvin))
-    fit = calibrate_in_situ(warmed, options=InSituOptions(drift=False))
-    np.testing.assert_allclose(fit.temperature_coefficient, coefficient, atol=0.6)
-    # Offsets are those of the mean temperature.
-    reference = np.mean([one.temperature for one in warmed])
-    assert fit.temperature_reference == pytest.approx(reference)
-    there = offset + reference * coefficient
-    np.testing.assert_allclose(fit.offsets, np.tile(there, (4, 1)), atol=8.0)
-    hot = fit.wrench(fit.offset + 20.0 * coefficient, temperature=reference + 20.0)
-    np.testing.assert_allclose(hot, 0.0, atol=0.5)
-
-
-def warmed_sets(rng, gain, swing=15.0, n=1500):
-    """Sets of a leg that warms and cools by 15 K, whose offsets and gains (1/K) go with it."""
-    sets, offset = noisy_sets("leg", rng, n=n)
-    matrix, coefficient, warmed = SENSORS["leg"][0], np.array([2.0, -1.0, 0.5, 0.4, -1.5, 2.0]), []
-    for j, one in enumerate(sets):
-        warmer = 0.5 * swing * np.sin(np.linspace(0.0, 2.2 + 0.7 * j, n) + j)
-        more = ((one.raw - offset) @ matrix.T * gain * warmer[:, None]) @ np.linalg.inv(matrix).T
-        raw = one.raw + more + np.outer(warmer, coefficient)
-        warmed.append(replace(one, raw=raw, temperature=25.0 + warmer + 0.05 * rng.standard_normal(n)))
-    return warmed, offset
-
-
-GAIN = 1e-3 * np.array([0.8, 0.6, -0.5, 0.7, 0.9, -0.6])
-
-
-def test_a_gain_that_goes_with_the_temperature_is_found():
-    warmed, _ = warmed_sets(np.random.default_rng([29, 0]), GAIN)
-    fit = calibrate_in_situ(warmed)
-    np.testing.assert_allclose(fit.temperature_gain, GAIN, atol=1.5e-4)
-    assert fit.warnings == ()
-    mass = SENSORS["leg"][1]
-    assert abs(fit.limb.mass - mass) < 4.0 * fit.limb_mass_std
-    # Readings of one load, cold and hot, are one wrench.
-    cold, hot = fit.temperature_reference - 7.0, fit.temperature_reference + 7.0
-    load = np.array([10.0, -20.0, 30.0, 1.0, -2.0, 0.5])
-    for kelvin in (cold, hot):
-        warmer = kelvin - fit.temperature_reference
-        raw = fit.response @ (load * (1.0 + warmer * fit.temperature_gain)) + fit.offset
-        raw = raw + warmer * fit.temperature_coefficient
-        np.testing.assert_allclose(fit.wrench(raw, temperature=kelvin), load, rtol=1e-9)
-        np.testing.assert_allclose(fit.at_reference(raw, kelvin), fit.response @ load + fit.offset, rtol=1e-9)
-    assert np.linalg.norm(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]) - np.eye(6)) < 0.05
-
-
-def test_gains_of_single_channels_that_go_with_the_temperature_are_warned_of():
-    rng = np.random.default_rng(32)
-    warmed, offset = warmed_sets(rng, GAIN)
-    each = 2e-4 * rng.standard_normal(6)
-    warmed = [
-        replace(one, raw=one.raw + (one.raw - offset) * each * (one.temperature - 25.0)[:, None])
-        for one in warmed
-    ]
-    told = "The gains of single channels follow the temperature, each its own way"
-    assert any(warning.startswith(told) for warning in calibrate_in_situ(warmed).warnings)
-
-
-def test_a_gain_that_stays_is_none():
-    warmed, _ = warmed_sets(np.random.default_rng(30), np.zeros(6))
-    fit = calibrate_in_situ(warmed)
-    assert fit.temperature_gain is None
-    assert fit.warnings == ()
-    assert fit.temperature_coefficient is not None
-
-
-def test_a_temperature_that_goes_with_gravity_is_left_out():
-    sets, _ = noisy_sets("leg", np.random.default_rng(31))
-    sets = [replace(one, temperature=25.0 + one.gravity[:, 0]) for one in sets]
-    fit = calibrate_in_situ(sets)
-    assert fit.temperature_coefficient is None
-    assert any("went with gravity" in warning for warning in fit.warnings)
-
-
-def warmed(ramps, drift):
-    """Sets of the leg whose temperature follows a path in K each while the offset drifts, and both rates."""
-    rng = np.random.default_rng(81)
-    sets, _ = noisy_sets("leg", rng, n=1500)
-    per_kelvin, rate = 2.0 * rng.standard_normal(6), drift * rng.standard_normal(6)
-    path = np.linspace(-7.5, 7.5, 1500)
-    found = []
-    for one, warmth in zip(sets, ramps(path), strict=True):
-        raw = one.raw + np.outer(warmth, per_kelvin) + np.outer(path, rate)
-        found.append(replace(one, raw=raw, temperature=25.0 + warmth))
-    return found, per_kelvin, rate
-
-
-def both_ways(path):
-    return path, -path, path, -path
-
-
-@pytest.mark.parametrize("cooling", [False, True])
-def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
-    """Where it only rises the coefficient takes the drift in, and that is said."""
-    sets, per_kelvin, drift = warmed(both_ways if cooling else lambda path: [path] * 4, drift=2.0)
-    fit = calibrate_in_situ(sets)
-    assert any("The temperature went with time" in warning for warning in fit.warnings) != cooling
-    taken = fit.temperature_coefficient - per_kelvin
-    np.testing.assert_allclose(taken, 0.0 if cooling else drift, atol=0.3)
-    assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
-
-
-@pytest.mark.slow
-def test_a_drift_that_hides_in_the_coefficients_of_single_sets_is_named_and_cured():
-    sets, _, _ = warmed(both_ways, drift=10.0)
-    with pytest.raises(CalibrationRefused, match="The offset drifted as the temperature changed") as refused:
-        calibrate_in_situ(sets)
-    assert "Let the sensor warm and cool within each set" in refused.value.cure
-    swinging, _, _ = warmed(lambda path: [7.5 * np.sin(path + j) for j in range(4)], drift=10.0)
-    for cured in (swinging, [replace(one, temperature=None) for one in sets]):
-        fit = calibrate_in_situ(cured)
-        assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
-
-
-def test_the_temperature_of_a_leaning_fit_is_its_own():
-    matrix, mass, com, _ = SENSORS["foot"]
-    sets, _ = noisy_sets("foot", np.random.default_rng(23), n=1000, count=1)
-    kelvin = 25.0 + 5.0 * np.sin(np.linspace(0.0, 9.0, 1000))
-    warm = replace(sets[0], temperature=kelvin, raw=sets[0].raw + np.outer(kelvin, np.full(6, 4.0)))
-    fit = calibrate_in_situ([warm], factory_matrix=matrix, limb=KnownLimb(mass, 0.005, com, 0.001))
-    assert fit.temperature_reference == pytest.approx(kelvin.mean())
-    np.testing.assert_allclose(fit.temperature_coefficient, 4.0, atol=0.8)
-
-
 def test_spikes_and_gaps_are_left_out():
     rng = np.random.default_rng(10)
     sets, _ = noisy_sets("leg", rng)
@@ -341,7 +209,7 @@ def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():
 @pytest.mark.parametrize("own", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_the_inertia_of_what_is_added_is_open_by_as_much_as_is_claimed(own):
     off = []
-    for seed in range(3):
+    for seed in range(2):
         sets, _ = moving_sets(np.random.default_rng([14, seed]), noise=0.1, own=own)
         fit = calibrate_in_situ(sets)
         off.append(errors(fit, "leg", 500.0) / np.sqrt(np.diag(fit.covariance)))
@@ -435,149 +303,8 @@ def test_a_known_limb_counts_for_as_much_as_it_is_sure(walk):
     assert known == pytest.approx(alone / np.sqrt(2.0), rel=0.05)
 
 
-def lagging(wrench, share, scale, first=None):
-    """A Prandtl-Ishlinskii element of its own make: plays at thresholds of ratio 3, from a first load on."""
-    slack = scale * 3.0 ** -np.arange(1.0, 7.0)
-    play, read = (wrench[0] if first is None else first)[:, None] * np.ones(6), np.empty_like(wrench)
-    for i, load in enumerate(wrench):
-        play = np.clip(play, load[:, None] - slack, load[:, None] + slack)
-        read[i] = load + share * np.log2(3.0) * (play - load[:, None]).sum(axis=1)
-    return read
-
-
-def lagging_sets(read_load, noise, gravity=None, seed=17):
-    """Sets of the paper, slowly swept, of a leg that reads loads as it will."""
-    matrix, mass, com, places = SENSORS["leg"]
-    rng, gravity = np.random.default_rng(seed), swept_gravity(1500) if gravity is None else gravity
-    sets = []
-    for added, place in zip(ADDED_MASS, places, strict=True):
-        wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
-        load = read_load(wrench) + noise * NOISE * rng.standard_normal(wrench.shape)
-        raw, time = load @ np.linalg.inv(matrix).T, np.arange(len(gravity)) / 10.0
-        sets.append(InSituSet(raw, gravity, added, place, time=time))
-    return sets
-
-
-def in_loops(wrench):
-    return lagging(wrench, 0.015, np.array([50.0, 50.0, 50.0, 10.0, 10.0, 2.0]))
-
-
-def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
-    mass, sets = SENSORS["leg"][1], lagging_sets(in_loops, noise=0.1)
-    fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
-    assert fit.hysteresis is not None
-    assert plain.hysteresis is None
-    np.testing.assert_allclose(fit.hysteresis[:2], 0.015, rtol=0.4)
-    assert abs(fit.limb.mass / mass - 1.0) < 0.5 * abs(plain.limb.mass / mass - 1.0)
-    assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
-    assert fit.delay == 0.0
-
-
-def creeping(wrench, share, times, dt=0.1):
-    """Loads and what they crept, by exponentials that each add a share in the end; in use for long before."""
-    read, at = wrench.copy(), np.tile(wrench.mean(axis=0), (len(times), 1))
-    decay = np.exp(-dt / np.array(times))[:, None]
-    for i, load in enumerate(wrench):
-        at = load + decay * (at - load)
-        read[i] += share * at.sum(axis=0)
-    return read
-
-
-def with_backlash(wrench, share=0.03):
-    half = 0.5 * share * np.array([30.0, 38.0, 12.0, 8.0, 7.0, 1.7])
-    read, at = np.empty_like(wrench), np.zeros(6)
-    for i, load in enumerate(wrench):
-        read[i] = at = np.clip(at, load - half, load + half)
-    return read
-
-
-def raster(n=1500):
-    """Gravity while a hip turns to both sides once and sweeps from front to back meanwhile."""
-    share = np.linspace(0.0, 1.0, n)
-    a, b = (
-        np.radians(35.0) * np.sin(2.0 * np.pi * 15.0 * share),
-        np.radians(45.0) * np.sin(2.0 * np.pi * share),
-    )
-    return 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
-
-
-@pytest.mark.parametrize(
-    ("read_load", "gravity", "share"),
-    [
-        # Neither time constant is one of the law's.
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015),
-        (with_backlash, raster(), 0.03),
-    ],
-)
-def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share):
-    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.3, gravity=gravity, seed=42))
-    np.testing.assert_allclose(fit.hysteresis[:5], share, rtol=0.35)
-    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.003)
-    off = errors(fit, "leg", 0.0)
-    scale = np.sqrt(np.diag(fit.covariance))
-    nees = off / scale @ np.linalg.solve(fit.covariance / np.outer(scale, scale), off / scale)
-    assert nees / len(off) < 3.0
-
-
-def test_a_late_imu_is_told_from_hysteresis():
-    # It cancels part of a loop, and what is left is wrong by as much.
-    fit = calibrate_in_situ([read_late(one, 0.06) for one in lagging_sets(in_loops, noise=0.3)])
-    assert fit.delay == pytest.approx(0.06, abs=0.01)
-    assert fit.hysteresis is not None
-    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.005)
-    assert any("The IMU is late by" in warning for warning in fit.warnings)
-
-
-def read_late(one, late):
-    """A set without its first second, whose gravity is that of before."""
-    time = one.time[10:]
-    before = np.stack([np.interp(time - late, one.time, column) for column in one.gravity.T], axis=1)
-    return replace(one, raw=one.raw[10:], gravity=before, time=time)
-
-
-@pytest.mark.parametrize("share", [0.005, 0.02])
-def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(share):
-    """A foot's vertical force: how it came there from zero, where the offset is, no small swing shows."""
-    matrix, rng = SENSORS["foot"][0], np.random.default_rng(41)
-    response, scale = np.linalg.inv(matrix), np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
-    sets, offset = paper_sets("foot", rng, n=600)
-    read = []
-    for one in sets:
-        load = lagging((one.raw - offset) @ matrix.T, share, scale[:, None], np.zeros(6))
-        load += 0.2 * NOISE * rng.standard_normal(load.shape)
-        read.append(replace(one, raw=load @ response.T + offset, time=np.arange(600) / 10.0))
-    fit = calibrate_in_situ(read)
-    spread = matrix @ fit.covariance[fit.columns.offset, fit.columns.offset] @ matrix.T
-    off = np.abs(matrix @ (fit.offset - offset)) / np.sqrt(np.diag(spread))
-    assert (off < 2.5).all()
-    assert off[2] > 0.4
-
-
-def test_channels_that_lag_are_no_loads_that_lag():
-    matrix = SENSORS["leg"][0]
-
-    def read_load(wrench):
-        return lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0)) @ matrix.T
-
-    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.1))
-    assert fit.hysteresis is None
-    assert (fit.channel_hysteresis > 0.005).all()
-    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.015)
-    assert fit.stats.residual_rms < 10.0  # where the loops are 300 counts wide
-
-
-@pytest.mark.parametrize(("seed", "samples"), [([1, 0], 600)])
-def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
-    sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
-    fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
-    assert fit.hysteresis is None
-    assert fit.channel_hysteresis is None
-    # A delay is less sure beside loops that might be there.
-    np.testing.assert_allclose(np.diag(fit.covariance), np.diag(plain.covariance), rtol=0.01)
-
-
 def test_arguments_are_left_alone():
-    sets, _ = noisy_sets("foot", np.random.default_rng(19))
+    sets, _ = noisy_sets("foot", np.random.default_rng(19), n=200)
     before = [one.raw.copy() for one in sets]
     first, second = calibrate_in_situ(sets), calibrate_in_situ(sets)
     for one, raw in zip(sets, before, strict=True):
@@ -592,7 +319,7 @@ def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
     # Along what was seen: the limb's own wrench.
     seen = np.linalg.solve(matrix, wrench_of_gravity(mass, com))
     scores = []
-    for seed in range(3):
+    for seed in range(2):
         sets, _ = noisy_sets("foot", np.random.default_rng([20, seed]), n=1000, count=1)
         # The rows lean by a rule of their own, whatever the shares of the fit that finds the limb.
         options = InSituOptions(factory_std=(0.1,) * 6)
@@ -602,14 +329,6 @@ def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
         spread = np.array([np.diag(seen.T @ fit.covariance[row, row] @ seen) for row in rows])
         scores.append(np.abs(error[:3]) / np.sqrt(spread + (0.005 * mass) ** 2))
     assert np.median(scores) < 3.0
-
-
-def test_few_samples_show_no_hysteresis():
-    rng = np.random.default_rng(21)
-    for _ in range(5):
-        sets, _ = noisy_sets("leg", rng, n=12)
-        fit = calibrate_in_situ(sets, accept="few samples")
-        assert fit.hysteresis is None
 
 
 def test_one_thread_solves_and_the_others_come_back(monkeypatch):

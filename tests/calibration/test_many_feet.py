@@ -96,7 +96,7 @@ def calibrate(layout, method, raw, reference):
 
 
 @pytest.mark.parametrize("feet", [4, 6])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_each_foots_error_is_less_than_half(feet, seed):
     force, reference = move(feet, seed)
     raw, layout = read(force, seed), layout_of(feet)

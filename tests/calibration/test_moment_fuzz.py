@@ -69,7 +69,7 @@ def fuzz(robots, samples, sweep, every=1):
 
 @pytest.fixture(scope="module")
 def fuzzed():
-    return fuzz(40, 160, sweep=16)
+    return fuzz(40, 160, sweep=16, every=2)
 
 
 def test_fuzzed_samples_lose_nothing(fuzzed):

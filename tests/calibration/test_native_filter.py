@@ -50,12 +50,15 @@ LAYOUTS = {
 }
 
 
+walk_once = cache(walk)
+
+
 class Log:
     """Two thousand samples of one robot, to be spoilt: readings, beliefs, times, and when it is retracted."""
 
     def __init__(self, layout, seed=1, noise=0.05):
         rng = self.rng = np.random.default_rng([61, seed])
-        own = walk(seed, 0.1, SAMPLES * DT - 3.0, 3.0, BAD)
+        own = walk_once(seed, 0.1, SAMPLES * DT - 3.0, 3.0, BAD)
         cells, ankles = NOMINAL.force(own.raw), None
         if "cells" not in layout:
             ankles = on_ankles(seed, 0.1, SAMPLES * DT - 1.0).force[:SAMPLES]
@@ -353,7 +356,9 @@ def named(value):
 def test_the_library_is_the_python_of_other_methods(library, method, layout, lag, event, options):
     log = Log(layout)
     event(log)
-    state, _ = play(*robot(library, layout, lag, method, **options), log, exchange=1234)
+    if event is clean:
+        log.force = log.force[:900]
+    state, _ = play(*robot(library, layout, lag, method, **options), log, exchange=789)
     if method in ("window", "quasi-static"):
         assert (np.abs(state.theta - 1.0)[: len(log.force[0])] > 0.01).any(), "nothing was learnt"
 
@@ -394,8 +399,17 @@ def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layo
     play_garbage(single, fuzzer("-DSF_SINGLE"), tmp_path, layout, method)
 
 
-@pytest.mark.parametrize("method", ["window", "tare"])
-@pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
+@pytest.mark.parametrize(
+    ("layout", "method"),
+    [
+        ("cells", "tare"),
+        ("both", "window"),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (("ankles", "tare"), ("both", "tare"), ("cells", "window"), ("ankles", "window"))
+        ),
+    ],
+)
 def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout, method):
     monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(setup_of(layout), method))

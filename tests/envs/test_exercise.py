@@ -311,7 +311,9 @@ def test_robots_that_cannot_exercise_are_told_why(robot, reason):
         ExerciseEnv(robot)
 
 
-@pytest.mark.parametrize("robot", ["nao", "g1", "t1", pytest.param("op3", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "robot", ["nao", "g1", *(pytest.param(robot, marks=pytest.mark.slow) for robot in ("t1", "op3"))]
+)
 def test_known_robots_lift_a_foot(robot):
     if robot != "nao" and importlib.util.find_spec(PACKAGE) is None:
         pytest.skip(f"{robot} needs the models of the package {PACKAGE.replace('_', '-')}")

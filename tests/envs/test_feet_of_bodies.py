@@ -100,7 +100,7 @@ def test_a_simulation_that_blows_up_goes_on_without_a_sample():
 @pytest.mark.parametrize("bad", [np.nan, 7e11])
 def test_no_reward_is_nan(bad):
     """A task whose simulation blows up pays a finite reward, and the episode ends."""
-    env = gym.make("surefoot/NaoWalk-v0")
+    env = gym.make("surefoot/NaoWalk-v0", duration=6.0)
     env.reset(seed=2)
     env.unwrapped.data.qvel[10] = bad
     _, reward, terminated, _, _ = env.step(np.zeros(env.action_space.shape, np.float32))

@@ -35,7 +35,13 @@ def model():
     return load_nao_spec().compile()
 
 
-@pytest.fixture(scope="module", params=WALKS.values(), ids=WALKS.keys())
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(walk, id=name, marks=pytest.mark.slow if name in ("slow", "backwards", "arc") else ())
+        for name, walk in WALKS.items()
+    ],
+)
 def pattern(request):
     if request.param is None:
         return plan_route(ROUTE)

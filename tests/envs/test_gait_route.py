@@ -30,8 +30,8 @@ def ground_of(*legs):
 
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.04, -0.1), (-0.04, 0.0)])
 def test_a_route_of_one_leg_is_that_walk(speed, turn_rate):
-    """The walk is 8 s long with a second of standing at either end: the leg takes 6 s."""
-    walk, route = plan_walk(speed, turn_rate, 8.0), plan_route((Leg(6.0, speed, turn_rate),), 8.0)
+    """The walk is 6 s long with a second of standing at either end: the leg takes 4 s."""
+    walk, route = plan_walk(speed, turn_rate, 6.0), plan_route((Leg(4.0, speed, turn_rate),), 6.0)
     assert route.footsteps == walk.footsteps
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(route, name), getattr(walk, name), err_msg=name)

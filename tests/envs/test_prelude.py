@@ -95,7 +95,7 @@ def test_unknown_motions_are_refused(stage, name, match):
 
 
 def test_a_walk_begins_after_its_prelude_as_it_does_without(short):
-    walks = [NaoWalkEnv(duration=5.0, push_impulse=(0.0, 0.0), prelude=one) for one in (short, None)]
+    walks = [NaoWalkEnv(duration=6.0, push_impulse=(0.0, 0.0), prelude=one) for one in (short, None)]
     commands = []
     for env in walks:
         env.reset(seed=0)
@@ -119,7 +119,7 @@ def test_a_walk_begins_after_its_prelude_as_it_does_without(short):
 
 
 def test_it_stops_where_the_robot_rests_and_nowhere_else(short):
-    env = NaoWalkEnv(duration=5.0, push_impulse=(0.0, 0.0), prelude=short)
+    env = NaoWalkEnv(duration=6.0, push_impulse=(0.0, 0.0), prelude=short)
     env.reset(seed=0)
     steps, rests = 0, 0
     while env.prelude.playing:

@@ -100,7 +100,7 @@ def test_cells_agree_with_the_contact_forces_while_in_contact(episode):
 
 def test_cells_agree_with_the_contact_forces_while_walking():
     """Within 0.5 % and 0.5 mm under a foot that carries; landing and lifting plates add their own inertia."""
-    env = NaoWalkEnv(speed=0.1, duration=8.0)
+    env = NaoWalkEnv(speed=0.1, duration=6.0)
     env.reset(seed=0)
     weight = env.model.body_subtreemass[0] * GRAVITY
     light = 0

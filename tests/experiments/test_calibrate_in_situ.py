@@ -50,6 +50,14 @@ def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "write_in_situ_page", lambda path, found: path)
 
 
+@pytest.fixture(scope="module")
+def plain(short: Path, tmp_path_factory: pytest.TempPathFactory) -> CalibratedSensor:
+    """The short log's calibration without a page, with a reason that nothing needs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "write_in_situ_page", lambda path, found: path)
+        return calibrate_in_situ_log(short, folder=tmp_path_factory.mktemp("plain"), accept="no matter what")
+
+
 def test_all_files_are_written(result: CalibratedSensor) -> None:
     assert sorted(result.files) == ["calibration", "icub", "report", "ros2", "yaml"]
     folder = result.files["report"].parent
@@ -135,13 +143,14 @@ def test_a_refusal_that_is_accepted_is_said_in_every_file(short: Path, tmp_path:
     assert any("has no room for what was refused" in notice for notice in result.notices)
 
 
-def test_a_reason_without_a_refusal_is_not_needed(short: Path, tmp_path: Path, no_page: None) -> None:
-    result = calibrate_in_situ_log(short, folder=tmp_path, accept="no matter what")
-    assert "icub" in result.files
-    assert any("Nothing was refused" in notice for notice in result.notices)
+def test_a_reason_without_a_refusal_is_not_needed(plain: CalibratedSensor) -> None:
+    assert "icub" in plain.files
+    assert any("Nothing was refused" in notice for notice in plain.notices)
 
 
-def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: Path, undrawn: None) -> None:
+def test_a_drivers_newtons_are_calibrated_as_counts_are(
+    tmp_path: Path, short: Path, plain: CalibratedSensor, undrawn: None
+) -> None:
     """By the maker's matrix the counts become a driver's wrench; the true wrench stays what it was."""
     config = config_beside(short)
     matrix, counted = config.factory.matrix, pq.read_table(short)
@@ -156,7 +165,6 @@ def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: P
     sheet = {"full_scale": config.sensor.full_scale}
     told = config.model_dump() | {"units": {"raw": "N"}, "factory": {}, "sensor": sheet}
     result = calibrate_in_situ_log(path, InSituConfig.read(told, "driver.toml"), folder=tmp_path)
-    plain = calibrate_in_situ_log(short, folder=tmp_path)
     # Where the data leave a matrix to the maker's, each of the two may choose another share of it.
     load = driven - driven.mean(axis=0)
     true = load @ (plain.fit.matrix @ np.linalg.inv(matrix)).T

@@ -203,13 +203,14 @@ def test_an_interruption_ends_in_one_line(tmp_path: Path, module: str) -> None:
     code = (
         "import os, signal, sys\n"
         "from surefoot.__main__ import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it\n"
         "def heard(event, given):\n"
         f"    if event == 'import' and given[0] == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.addaudithook(heard)\n"
         f"sys.argv = ['surefoot', 'sweep', '--out', {str(tmp_path)!r}]\n"
         "main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert (done.stderr, done.stdout) == ("Stopped.\n", "")
     # CPython may end by the signal itself, which a shell calls 130 as well.
     assert done.returncode in (130, -signal.SIGINT)

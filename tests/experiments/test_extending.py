@@ -114,7 +114,7 @@ def test_a_sensors_name_must_be_free(own):
     with pytest.raises(ValueError, match=r"There is no LoadCells preset 'mien'; there are .*'mine'"):
         preset("mien")
     with pytest.raises(ValueError, match=r"There is no foot sensor preset 'mien'; there are .*'mine'"):
-        FootSensors(gym.make("surefoot/NaoWalk-v0"), "mien")
+        FootSensors(gym.make("surefoot/NaoStand-v0"), "mien")
     with pytest.raises(ValueError, match=r"The module of 'gone:mine' cannot be imported .* Python path"):
         preset("gone:mine")
 

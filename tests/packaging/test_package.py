@@ -88,27 +88,34 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
 
 
 @pytest.mark.parametrize(
-    ("statement", "missing", "extra"),
+    ("statements", "missing", "extra"),
     [
-        ("import surefoot.envs", "gymnasium", "sim"),
-        ("surefoot.wrappers.FootSensors", "mujoco", "sim"),
-        ("surefoot.robot.NominalModel", "mujoco", "sim"),
-        ("import surefoot.wrappers.gpu", "torch", "gpu"),
-        ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
-        ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
-        ("import surefoot.wrappers.vector.sb3_log", "stable_baselines3", "rl"),
+        (["import surefoot.envs"], "gymnasium", "sim"),
+        (["surefoot.wrappers.FootSensors", "surefoot.robot.NominalModel"], "mujoco", "sim"),
+        (["import surefoot.wrappers.gpu"], "torch", "gpu"),
+        (["from surefoot.experiments import read_log"], "pyarrow", "experiments"),
+        (
+            ["import surefoot.wrappers.vector.sb3", "import surefoot.wrappers.vector.sb3_log"],
+            "stable_baselines3",
+            "rl",
+        ),
     ],
 )
-def test_what_an_extra_brings_is_asked_for_by_its_name(statement: str, missing: str, extra: str) -> None:
+def test_what_an_extra_brings_is_asked_for_by_its_name(
+    statements: list[str], missing: str, extra: str
+) -> None:
     printed = run_python(
-        "import sys\n"
-        f"sys.modules['{missing}'] = None\n"
-        "import surefoot\n"
-        f"try:\n    {statement}\n"
-        "except ModuleNotFoundError as error:\n    print(error)\n"
+        f"import sys\nsys.modules['{missing}'] = None\nimport surefoot\n"
+        + "".join(
+            f"try:\n    {statement}\nexcept ModuleNotFoundError as error:\n    print(error)\n"
+            for statement in statements
+        )
     )
-    assert missing in printed
-    assert f'pip install "surefoot[{extra}]"' in printed
+    said = printed.splitlines()
+    assert len(said) == len(statements)
+    for line in said:
+        assert missing in line
+        assert f'pip install "surefoot[{extra}]"' in line
 
 
 @pytest.mark.parametrize(

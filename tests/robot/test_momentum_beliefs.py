@@ -12,7 +12,7 @@ from surefoot.robot.beliefs.strapdown import Strapdown, touching
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 
-def walking(seconds=8.0, **options):
+def walking(seconds=10.0, **options):
     env = gym.make("surefoot/NaoWalk-v0", duration=seconds, disable_env_checker=True)
     return SelfCalibration(FootSensors(env), "moment", **options)
 
@@ -55,7 +55,7 @@ def test_the_frame_stands_still():
 
 
 def test_it_calibrates_a_robot_that_walks():
-    env = walking(10.0)
+    env = walking()
     env.reset(seed=3)
     off = {"moment": [], "start": []}
     for step in range(760):
@@ -71,7 +71,7 @@ def test_it_calibrates_a_robot_that_walks():
 
 
 def test_copies_and_saved_robots_go_on(tmp_path):
-    env = walking(4.0)
+    env = walking()
     env.reset(seed=0)
     still = np.zeros(env.action_space.shape)
     for _ in range(120):
@@ -83,7 +83,7 @@ def test_copies_and_saved_robots_go_on(tmp_path):
     for _ in range(60):
         first, second = one.step(still), two.step(still)
         np.testing.assert_array_equal(first[0]["foot_force"], second[0]["foot_force"])
-    other = walking(4.0)
+    other = walking()
     other.reset(seed=1)
     other.load(tmp_path / "robot.npz")
     other.step(still)
@@ -112,6 +112,7 @@ def test_soles_show_an_accelerometer_wrong_but_not_a_floor_that_leans(bias, beli
     assert R[2, 0] * 9.81 / bias == pytest.approx(1.0 - believed, abs=0.05)
 
 
+@pytest.mark.slow  # on a walk; a robot at rest is above
 def test_the_centre_of_mass_lies_over_the_soles_where_an_accelerometer_is_wrong():
     """Of an error as usual, 0.07 m/s^2, its tilt alone would move it by 2 mm."""
     errors = {"mass": 0.0, "com": 0.0}

@@ -393,12 +393,13 @@ def test_what_does_not_fit_is_found(library):
     assert not fits({**timing, "points": 0, "rolls": 1}, momentum=False)
 
 
-def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
-    """A program in C, with nothing of Python, and sanitizers that look for misuse of memory."""
+@pytest.mark.parametrize("flags", [("-O0",), pytest.param(SANITIZED, marks=pytest.mark.slow)])
+def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path, flags):
+    """A program in C, with nothing of Python; and with sanitizers that look for misuse of memory."""
     monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     (tmp_path / "main.c").write_text(PROGRAM)
-    compile_program(NATIVE, tmp_path / "main.c", tmp_path / "main", *SANITIZED)
+    compile_program(NATIVE, tmp_path / "main.c", tmp_path / "main", *flags)
     native, told, lines = NativeBeliefs(library, python(model)), [], []
     for packet in motion(len(model.joint_names))[:400]:
         native.update((packet,))

@@ -187,12 +187,16 @@ def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
     same_packets(packets, others)
 
 
+@pytest.fixture(scope="module")
+def fuzzer(tmp_path_factory) -> Path:
+    """The program of garbage, with sanitizers."""
+    path = tmp_path_factory.mktemp("fuzz") / "fuzz"
+    compile_program(NATIVE, Path(__file__).parent / "fuzz_telemetry.c", path, *SANITIZED)
+    return path
+
+
 @pytest.mark.parametrize("name", ["usual", "a packet each substep", "jitter that holds packets up"])
-def test_garbage_stays_within_the_arrays(library, tmp_path, name: str) -> None:
-    source = Path(__file__).parent / "fuzz_telemetry.c"
+def test_garbage_stays_within_the_arrays(library, fuzzer, tmp_path, name: str) -> None:
     (tmp_path / "config").write_bytes(NativeTelemetry(library, *TABLE[name]).config.tobytes())
-    compile_program(NATIVE, source, tmp_path / "fuzz", *SANITIZED)
-    done = subprocess.run(
-        [tmp_path / "fuzz", tmp_path / "config"], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([fuzzer, tmp_path / "config"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -42,7 +42,7 @@ def bare(name: str) -> gym.Env[Any, Any]:
     return AsItWas(env) if name.startswith("surefoot/") else env
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [120, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("name", "config"),
     [

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import surefoot  # noqa: F401
+from surefoot.native.threads import LEAST
 from surefoot.sensors.faults.channels import KINDS
 from surefoot.wrappers import FootSensors, TruthRow, VectorFootSensors, VectorSelfCalibration
 
@@ -137,15 +138,16 @@ def test_what_cannot_be_set_changes_nothing():
 
 
 def test_the_number_of_threads_changes_nothing():
-    seen = []
+    seen, count = [], 2 * LEAST
+    copies = robots(count).env
     for threads in (1, 3):
-        feet = robots(48, severity=(0.0, 2.0), faults={"dies": 0.1})
+        feet = VectorFootSensors(copies, severity=(0.0, 2.0), faults={"dies": 0.1})
         feet.sensors.threads = threads
         env = VectorSelfCalibration(feet)
         env.reset(seed=0)
-        found = [env.step(np.tile(STILL, (48, 1)))[0] for _ in range(40)]
-        env.reset(options={"reset_mask": np.arange(48) % 5 == 0})
-        observation, *_, infos = env.step(np.tile(STILL, (48, 1)))
+        found = [env.step(np.tile(STILL, (count, 1)))[0] for _ in range(20)]
+        env.reset(options={"reset_mask": np.arange(count) % 5 == 0})
+        observation, *_, infos = env.step(np.tile(STILL, (count, 1)))
         told = infos["surefoot"]
         learnt = {"flags": told["flags"], "covariance": told["covariance"], **told["parameters"]}
         seen.append([*found, observation, feet.true_parameters()._asdict(), learnt])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from _gpu import DEVICE
+from _gpu import DEVICE, warp
 
 from surefoot.calibration import (
     METHODS,
@@ -20,13 +20,10 @@ from surefoot.calibration import (
     Reference,
     nao_shoe_layout,
 )
-
-warp = pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
-
-from surefoot.wrappers.gpu.batch import views  # noqa: E402
-from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule  # noqa: E402
-from surefoot.wrappers.gpu.kernels import kernel  # noqa: E402
-from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule  # noqa: E402
+from surefoot.wrappers.gpu.batch import views
+from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
+from surefoot.wrappers.gpu.kernels import kernel
+from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "gpu_stack.py"
 LAYOUT, MASS, DT, N = nao_shoe_layout(), 5.305, 1 / 80, 4
@@ -101,13 +98,16 @@ def assert_same(one, other, robots=slice(None)):
             )
 
 
+LAGS = [pytest.param(0, marks=pytest.mark.slow), 2]
+
+
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("lag", [0, 2])
+@pytest.mark.parametrize("lag", LAGS)
 def test_robots_are_calibrators_side_by_side(method, lag, log):
     compare_with_alone(method, lag, log, row)
 
 
-@pytest.mark.parametrize("lag", [0, 2])
+@pytest.mark.parametrize("lag", LAGS)
 def test_robots_that_measure_velocities_are_calibrators_side_by_side(lag, log):
     compare_with_alone("moment", lag, log, momentum_row)
 
@@ -117,15 +117,15 @@ def compare_with_alone(method, lag, log, given):
     module, single = make(method, lag=lag, dtype=torch.float64), make(method, lag=lag)
     options = {"standing_start": False} if method in ("window", "quasi-static") else {}
     alone = [FootCalibrator(LAYOUT, method, mass=MASS, dt=DT, lag=lag, **options) for _ in range(N)]
-    for k in range(150):
+    for k in range(110):
         raw, reference = given(log, k)
-        if k == 100:
+        if k == 70:
             module.reset([1])
             single.reset([1])
         ours, theirs = module(raw.double(), reference), single(raw, reference)
         for i, calibrator in enumerate(alone):
             own = type(reference)(*(part[i].cpu().numpy() for part in reference))
-            if i == 1 and 100 <= k <= 100 + lag:
+            if i == 1 and 70 <= k <= 70 + lag:
                 nowhere = np.zeros(2, dtype=bool)
                 own = own._replace(com=own.com * np.nan, stance=nowhere, swing=nowhere)
             expected = calibrator.update(raw[i].double().cpu().numpy(), own)
@@ -301,6 +301,7 @@ def test_a_calibrator_can_be_copied(log):
             assert_same(other(*row(log, k)), estimate)
 
 
+@pytest.mark.slow  # a kernel of its own
 def test_ankle_sensors_are_those_of_a_calibrator_alone(log):
     ankles = FeetLayout(
         tuple(

@@ -11,12 +11,9 @@ import torch
 from _gpu import DEVICE
 
 from surefoot.sensors import Fault, ForceTorque, LoadCells, Wire, parse_fault
+from surefoot.sensors.devices.native_faults import FAULTS
 from surefoot.sensors.presets import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE
 from surefoot.wrappers import FootSensors
-
-pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
-
-from surefoot.sensors.devices.native_faults import FAULTS
 from surefoot.wrappers.gpu.batch import mask_of, views
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 

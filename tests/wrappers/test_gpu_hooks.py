@@ -5,10 +5,9 @@ import inspect
 from abc import ABC, abstractmethod
 from types import SimpleNamespace
 
+import _gpu  # noqa: F401  (skips without Warp, and compiles fast)
 import pytest
 import torch
-
-pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
 
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 from surefoot.wrappers.gpu.hooks import modifier_class, noise_model_class, observation_term_class

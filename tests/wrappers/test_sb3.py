@@ -49,6 +49,7 @@ def _actions(count: int, size: float = 0.3) -> Any:
         yield rng.uniform(-size, size, (ROBOTS, 11)).astype(np.float32)
 
 
+@pytest.mark.slow  # each process imports torch; Gymnasium's own are beside VectorFootSensors
 def test_processes_of_their_own_go_through_ends_of_episodes_as_one_process_does() -> None:
     near, far = _venv(), _venv(SubprocVecEnv)
     try:

@@ -166,11 +166,12 @@ def _new_kernel(package: str, lines: Sequence[str], body: str) -> Any:
         extra_build_dependencies=[path for folder in folders for path in sorted(folder.glob("*.[ch]"))],
     )
     module = wp.get_module(f"surefoot_{package}_{sha256((preamble + body).encode()).hexdigest()[:12]}")
+    level = wp.config.optimization_level
     chosen = {
         "extra_build_options": options,
         "enable_backward": False,
         "fuse_fp": False,  # a product and a sum are rounded one after the other, as everywhere
-        "optimization_level": 3,
+        "optimization_level": 3 if level is None else level,
         "cpu_compiler_flags": "-march=native",  # Warp's own flags inline all of it, which takes a minute
     }
     wp.set_module_options(chosen, module=module)

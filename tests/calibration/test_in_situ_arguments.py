@@ -1,0 +1,94 @@
+"""Arguments of in-situ calibration without meaning, and its limits."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from _in_situ_leg import leg_sets
+
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ, limits
+
+ARGUMENTS = {
+    "no set": (lambda s: ([], {}), "Give at least one set of readings."),
+    "other channels": (
+        lambda s: ([s[0], replace(s[1], raw=np.ones((600, 7)))], {}),
+        "All sets must have the same number of channels, got [6, 7].",
+    ),
+    "blank reason": (
+        lambda s: (s, {"accept": " \n"}),
+        "'accept' must say why a refusal may be passed, got ' \\n'; leave it empty if none may.",
+    ),
+    "factory shape": (
+        lambda s: (s, {"factory_matrix": np.eye(5)}),
+        "'factory_matrix' must have shape (6, 6), got (5, 5).",
+    ),
+    "factory rank": (
+        lambda s: (s, {"factory_matrix": np.ones((6, 6))}),
+        "'factory_matrix' must be finite and of rank 6",
+    ),
+}
+
+
+@pytest.mark.parametrize(("make", "message"), ARGUMENTS.values(), ids=ARGUMENTS.keys())
+def test_bad_arguments(make, message):
+    sets, options = make(leg_sets())
+    with pytest.raises(ValueError, match=re.escape(message)):
+        calibrate_in_situ(sets, **options)
+
+
+SETS = {
+    "channels": ({"raw": np.ones((5, 4))}, "'raw' must have shape (n, k) with k >= 6, got (5, 4)."),
+    "gravity": ({"gravity": np.ones((4, 3))}, "'gravity' must have shape (5, 3), got (4, 3)."),
+    "rate alone": ({"angular_velocity": np.ones((5, 3))}, "give angular velocity and acceleration together"),
+    "time": (
+        {"time": [0.0, 1.0, 1.0, 2.0, 3.0]},
+        "'time' must be finite and increase from sample to sample.",
+    ),
+    "mass": ({"added_mass": -0.1}, "'added_mass' must be at least 0 kg and finite, got -0.1."),
+    "place": ({"added_com": [0.0, np.nan, 0.0]}, "'added_com' must be finite"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), SETS.values(), ids=SETS.keys())
+def test_bad_sets(change, message):
+    good = {"raw": np.ones((5, 6)), "gravity": np.ones((5, 3)), "name": "one"}
+    with pytest.raises(ValueError, match=re.escape(message)):
+        InSituSet(**(good | change))
+
+
+OPTIONS = {
+    "shares": ({"factory_std": (0.1, 0.1)}, "'factory_std' must hold six positive shares, one an axis"),
+    "range": ({"code_range": (5.0, 5.0)}, "'code_range' must be (lowest, highest), got (5.0, 5.0)."),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), OPTIONS.values(), ids=OPTIONS.keys())
+def test_bad_options(change, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        InSituOptions(**change)
+
+
+def test_every_limit_has_a_unit_and_a_source_and_is_used():
+    table = {name: value for name, value in vars(limits).items() if isinstance(value, limits.Limit)}
+    assert len(table) > 40
+    assert all(value.unit and value.source for value in table.values())
+    package = Path(limits.__file__).parent
+    code = " ".join(path.read_text() for path in package.glob("*.py"))
+    assert [name for name in table if f"limits.{name}" not in code] == []
+
+
+def test_a_known_limb_is_checked():
+    with pytest.raises(ValueError, match="'mass_std' must be positive and finite, got 0"):
+        KnownLimb(1.0, 0)
+    with pytest.raises(ValueError, match="'com' must be three finite numbers in m"):
+        KnownLimb(1.0, 0.1, com=np.ones(2))
+
+
+def test_a_rotation_needs_a_limb_at_rest():
+    sets = leg_sets()
+    still = np.zeros((600, 3))
+    moving = [replace(one, angular_velocity=still, angular_acceleration=still) for one in sets]
+    with pytest.raises(ValueError, match="'estimate_rotation' needs a limb at rest"):
+        calibrate_in_situ(moving, options=InSituOptions(estimate_rotation=True))

@@ -1,0 +1,159 @@
+"""In-situ fits of sensors that lag behind their load."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from _in_situ import ADDED_MASS, NOISE, SENSORS, errors, noisy_sets, paper_sets, swept_gravity
+from _in_situ_stacked import wrench_of_gravity
+
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, calibrate_in_situ
+
+
+def lagging(wrench, share, scale, first=None):
+    """A Prandtl-Ishlinskii element of its own make: plays at thresholds of ratio 3, from a first load on."""
+    slack = scale * 3.0 ** -np.arange(1.0, 7.0)
+    play, read = (wrench[0] if first is None else first)[:, None] * np.ones(6), np.empty_like(wrench)
+    for i, load in enumerate(wrench):
+        play = np.clip(play, load[:, None] - slack, load[:, None] + slack)
+        read[i] = load + share * np.log2(3.0) * (play - load[:, None]).sum(axis=1)
+    return read
+
+
+def lagging_sets(read_load, noise, gravity=None, seed=17):
+    """Sets of the paper, slowly swept, of a leg that reads loads as it will."""
+    matrix, mass, com, places = SENSORS["leg"]
+    rng, gravity = np.random.default_rng(seed), swept_gravity(1500) if gravity is None else gravity
+    sets = []
+    for added, place in zip(ADDED_MASS, places, strict=True):
+        wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
+        load = read_load(wrench) + noise * NOISE * rng.standard_normal(wrench.shape)
+        raw, time = load @ np.linalg.inv(matrix).T, np.arange(len(gravity)) / 10.0
+        sets.append(InSituSet(raw, gravity, added, place, time=time))
+    return sets
+
+
+def in_loops(wrench):
+    return lagging(wrench, 0.015, np.array([50.0, 50.0, 50.0, 10.0, 10.0, 2.0]))
+
+
+def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
+    mass, sets = SENSORS["leg"][1], lagging_sets(in_loops, noise=0.1)
+    fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
+    assert fit.hysteresis is not None
+    assert plain.hysteresis is None
+    np.testing.assert_allclose(fit.hysteresis[:2], 0.015, rtol=0.4)
+    assert abs(fit.limb.mass / mass - 1.0) < 0.5 * abs(plain.limb.mass / mass - 1.0)
+    assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
+    assert fit.delay == 0.0
+
+
+def creeping(wrench, share, times, dt=0.1):
+    """Loads and what they crept, by exponentials that each add a share in the end; in use for long before."""
+    read, at = wrench.copy(), np.tile(wrench.mean(axis=0), (len(times), 1))
+    decay = np.exp(-dt / np.array(times))[:, None]
+    for i, load in enumerate(wrench):
+        at = load + decay * (at - load)
+        read[i] += share * at.sum(axis=0)
+    return read
+
+
+def with_backlash(wrench, share=0.03):
+    half = 0.5 * share * np.array([30.0, 38.0, 12.0, 8.0, 7.0, 1.7])
+    read, at = np.empty_like(wrench), np.zeros(6)
+    for i, load in enumerate(wrench):
+        read[i] = at = np.clip(at, load - half, load + half)
+    return read
+
+
+def raster(n=1500):
+    """Gravity while a hip turns to both sides once and sweeps from front to back meanwhile."""
+    share = np.linspace(0.0, 1.0, n)
+    a, b = (
+        np.radians(35.0) * np.sin(2.0 * np.pi * 15.0 * share),
+        np.radians(45.0) * np.sin(2.0 * np.pi * share),
+    )
+    return 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("read_load", "gravity", "share"),
+    [
+        # Neither time constant is one of the law's.
+        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015),
+        (with_backlash, raster(), 0.03),
+    ],
+)
+def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share):
+    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.3, gravity=gravity, seed=42))
+    np.testing.assert_allclose(fit.hysteresis[:5], share, rtol=0.35)
+    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.003)
+    off = errors(fit, "leg", 0.0)
+    scale = np.sqrt(np.diag(fit.covariance))
+    nees = off / scale @ np.linalg.solve(fit.covariance / np.outer(scale, scale), off / scale)
+    assert nees / len(off) < 3.0
+
+
+def test_a_late_imu_is_told_from_hysteresis():
+    # It cancels part of a loop, and what is left is wrong by as much.
+    fit = calibrate_in_situ([read_late(one, 0.06) for one in lagging_sets(in_loops, noise=0.3)])
+    assert fit.delay == pytest.approx(0.06, abs=0.01)
+    assert fit.hysteresis is not None
+    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.005)
+    assert any("The IMU is late by" in warning for warning in fit.warnings)
+
+
+def read_late(one, late):
+    """A set without its first second, whose gravity is that of before."""
+    time = one.time[10:]
+    before = np.stack([np.interp(time - late, one.time, column) for column in one.gravity.T], axis=1)
+    return replace(one, raw=one.raw[10:], gravity=before, time=time)
+
+
+@pytest.mark.parametrize("share", [0.005, pytest.param(0.02, marks=pytest.mark.slow)])
+def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(share):
+    """A foot's vertical force: how it came there from zero, where the offset is, no small swing shows."""
+    matrix, rng = SENSORS["foot"][0], np.random.default_rng(41)
+    response, scale = np.linalg.inv(matrix), np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
+    sets, offset = paper_sets("foot", rng, n=600)
+    read = []
+    for one in sets:
+        load = lagging((one.raw - offset) @ matrix.T, share, scale[:, None], np.zeros(6))
+        load += 0.2 * NOISE * rng.standard_normal(load.shape)
+        read.append(replace(one, raw=load @ response.T + offset, time=np.arange(600) / 10.0))
+    fit = calibrate_in_situ(read)
+    spread = matrix @ fit.covariance[fit.columns.offset, fit.columns.offset] @ matrix.T
+    off = np.abs(matrix @ (fit.offset - offset)) / np.sqrt(np.diag(spread))
+    assert (off < 2.5).all()
+    assert off[2] > 0.4
+
+
+def test_channels_that_lag_are_no_loads_that_lag():
+    matrix = SENSORS["leg"][0]
+
+    def read_load(wrench):
+        return lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0)) @ matrix.T
+
+    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.1))
+    assert fit.hysteresis is None
+    assert (fit.channel_hysteresis > 0.005).all()
+    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.015)
+    assert fit.stats.residual_rms < 10.0  # where the loops are 300 counts wide
+
+
+@pytest.mark.parametrize(("seed", "samples"), [([1, 0], 600)])
+def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
+    sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
+    fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
+    assert fit.hysteresis is None
+    assert fit.channel_hysteresis is None
+    # A delay is less sure beside loops that might be there.
+    np.testing.assert_allclose(np.diag(fit.covariance), np.diag(plain.covariance), rtol=0.01)
+
+
+def test_few_samples_show_no_hysteresis():
+    rng = np.random.default_rng(21)
+    for _ in range(2):
+        sets, _ = noisy_sets("leg", rng, n=12)
+        fit = calibrate_in_situ(sets, accept="few samples")
+        assert fit.hysteresis is None
