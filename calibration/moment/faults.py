@@ -103,7 +103,8 @@ class ChannelConstants(NamedTuple):
 
     Attributes:
         leap: Change of a force in one sample in N that no foot makes.
-        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone.
+        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone, in N,
+            shape (K,).
         landing_kept: Share of the count of landings that a sample keeps.
         renewal: Share of how cells share loads that one block decides.
         prior: How they do so at first, in body weights squared, shape (K, K).
@@ -112,7 +113,7 @@ class ChannelConstants(NamedTuple):
     """
 
     leap: float
-    leap_alone: float
+    leap_alone: Array
     landing_kept: float
     renewal: float
     prior: Array
@@ -132,12 +133,14 @@ class ChannelFaults:
 
     def __init__(self, setup: OnlineSetup, leap: float, leap_alone: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
-        self._leap, self._leap_alone = leap * setup.weight, leap_alone * setup.weight
+        self._leap = leap * setup.weight
         self._landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
         self._weight, foot = setup.weight, setup.layout.foot_of_channel
         self._foot_of_channel = foot
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
+        # A foot of one cell has none that could tell its landing from an error.
+        self._leap_alone = np.where(self._same_foot.any(axis=1), leap_alone, leap) * setup.weight
 
     @property
     def constants(self) -> ChannelConstants:

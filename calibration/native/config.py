@@ -149,7 +149,7 @@ def _side_by_side(parts: Iterable[NamedTuple]) -> dict[str, Any]:
 def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
     """Return a robot's constants by the names in ``sf_config``."""
     setup, layout = front.setup, front.setup.layout
-    unused = ChannelConstants(0.0, 0.0, 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+    unused = ChannelConstants(0.0, np.zeros(0), 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
     return {
         **(unused if faults is None else faults.constants)._asdict(),
         "channels": layout.channels,

@@ -112,7 +112,7 @@ typedef struct {
     sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
-    sf_real leap, leap_alone, landing_kept, renewal;
+    sf_real leap, leap_alone[SF_CHANNELS], landing_kept, renewal;
     sf_real prior[SF_CHANNELS * SF_CHANNELS];
 } sf_config;
 
@@ -623,7 +623,7 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         step[i] = sf_fabs(force[i] - s->last[i]) *
                   sf_clip(sf_fabs(scale[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
-        leaping[i] = step[i] > (corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone);
+        leaping[i] = step[i] > (corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone[i]);
         any = any || leaping[i];
         kinds[i] = s->kind[i];
     }

@@ -56,7 +56,7 @@ def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
                 f"A mask of robots must have shape ({num_envs},), got {tuple(env_ids.shape)}; give their "
                 "numbers to name only some."
             )
-        # Beyond the last robot a GPU would end the whole process's work; a captured step cannot wait for the check.
+        # Beyond the last robot a GPU would end all of the process; a step that is captured cannot wait.
         capturing = device.type == "cuda" and torch.cuda.is_current_stream_capturing()
         if env_ids.dtype != torch.bool and len(env_ids) and not capturing:
             low, high = torch.stack(torch.aminmax(env_ids)).tolist()
