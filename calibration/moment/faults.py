@@ -103,7 +103,7 @@ class ChannelConstants(NamedTuple):
 
     Attributes:
         leap: Change of a force in one sample in N that no foot makes.
-        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone, in N,
+        leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
             shape (K,).
         landing_kept: Share of the count of landings that a sample keeps.
         renewal: Share of how cells share loads that one block decides.
