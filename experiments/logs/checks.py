@@ -81,10 +81,12 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
             f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
             f"{''.join(near)}give time in seconds and the step that belongs to it."
         )
-    if (step > max_gap).any():
-        row = int(np.argmax(step > max_gap)) + 1
+    # Seconds since 1970 are as coarse as that.
+    leaps = step > max_gap + 1e-6
+    if leaps.any():
+        row = int(np.argmax(leaps)) + 1
         raise LogError(
-            f"{file}: column 'time_s' leaps by {step[row - 1]:.6g} s at row {row} (at most {max_gap:g} s); "
+            f"{file}: column 'time_s' leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s); "
             "cut the log there and calibrate the parts one by one, or bridge it with --split-gaps."
         )
 
