@@ -5,7 +5,7 @@
     python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
     python benchmarks/step.py --robots NaoBalance --launchers
-    python benchmarks/step.py --write out/results/speed && python docs/fill_tables.py docs/speed.md
+    python benchmarks/step.py --write out/results/speed/tables && python docs/study_tables.py out/results
 
 The last one, on a machine with nothing else to do, makes the tables of docs/speed.md, in some ten minutes.
 
@@ -273,7 +273,7 @@ def memory_of(name: str, count: int) -> float:
 
 
 def save(folder: Path, name: str, heads: list[str], rows: list[list[str]]) -> None:
-    """Write a table that docs/fill_tables.py puts into a page, and how it was made."""
+    """Write a table that docs/study_tables.py takes, and how it was made."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([heads, *rows])
