@@ -16,7 +16,19 @@ BUILD = runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))
 LIBRARIES = list(BUILD["sources_below"](ROOT))
 # `make wheels` names the platform of each wheel; without, it is this machine's.
 PLATFORM = os.environ.get("SUREFOOT_PLATFORM")
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT, HOMES = SETTINGS["project"], SETTINGS["tool"]["setuptools"]["package-dir"]
+
+
+def packages() -> list[str]:
+    """Return the names of all packages: folders with an ``__init__.py`` below those of ``package-dir``."""
+    found = set()
+    for name, home in HOMES.items():
+        # The links in surefoot/ lead to folders that have an entry of their own.
+        for folder, _, files in os.walk(ROOT / home):
+            if "__init__.py" in files:
+                found.add(".".join([name, *Path(folder).relative_to(ROOT / home).parts]))
+    return sorted(found)
 
 
 def place(sources: Any) -> Path:
@@ -68,6 +80,7 @@ class WheelOfOnePlatform(bdist_wheel):
 
 
 setup(
+    packages=packages(),
     # What pip brings for the time of the build; no setting of pyproject.toml can ask for a compiler.
     setup_requires=BUILD["requirements"](),
     cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform},

@@ -11,8 +11,8 @@ from surefoot.experiments.instrument.noise import (
     FEWEST,
     Stretch,
     conversions,
+    find_settled,
     rests,
-    settled,
     step_of,
 )
 from surefoot.experiments.instrument.recording import Recording
@@ -38,7 +38,7 @@ def constant_stretches(
         if recording.has_loads and recording.load is None and not recording.unloaded[:, i].any():
             continue
         if recording.load is None:
-            parts = settled(rests(recording.time, raw, recording.unloaded[:, i]))
+            parts = find_settled(rests(recording.time, raw, recording.unloaded[:, i]))
             found += [(Stretch(one.time, one.value * scale[i]), 0.0, step) for one in parts]
             continue
         rows = conversions(raw).rows

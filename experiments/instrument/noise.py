@@ -102,7 +102,7 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
     return [one for one in found if len(one.time) >= FEWEST]
 
 
-def settled(parts: Sequence[Stretch]) -> list[Stretch]:
+def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
     """Return of each stretch the longest part whose means of half a second follow each other as usual.
 
     A plate goes on relaxing for some seconds after somebody has left it, and trembles when one walks by.

@@ -272,11 +272,11 @@ def test_what_the_library_is_not_made_for_is_left_to_python(library: Library) ->
     assert of_library(None, LoadCells()) is None
     for config in (
         LoadCells(rate=None, settling=2),
-        LoadCells(channels=20),
+        LoadCells(channels=36),
         LoadCells(settling=9),
         LoadCells(wire=Wire(delay=0.01, under_way=17)),
         LoadCells(mechanics=Mechanics(creep_shares=(0.1,) * 5, creep_time_constants=(1.0,) * 5)),
-        ForceTorque(sensors=3),
+        ForceTorque(sensors=9),
         ForceTorque(wire=Wire(delay=0.01, under_way=17)),
         StrainGauges(matrix=tuple(map(tuple, np.tile(REDUNDANT, 2).tolist()))),
         StrainGauges(creep_shares=(0.1,) * 5, creep_time_constants=(1.0,) * 5),
