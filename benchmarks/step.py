@@ -28,7 +28,6 @@ import json
 import os
 import platform
 import pstats
-import resource
 import shlex
 import sys
 import time
@@ -269,7 +268,9 @@ def memory_of(name: str, count: int) -> float:
     stack = Stack(VectorSelfCalibration(VectorFootSensors(bare, robot.config), "moment"), True)
     stack.reset()
     stack.run(1)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+    # `ru_maxrss` would count what the process that started this one had taken.
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e9
 
 
 def save(folder: Path, name: str, heads: list[str], rows: list[list[str]]) -> None:
