@@ -59,6 +59,8 @@ class NominalModel:
         self._data = mujoco.MjData(self._model)
         self.gravity = float(np.linalg.norm(self._model.opt.gravity))
         self._torso = self._model.body(torso).id
+        # Older MuJoCo would leave out a centre of mass that is no longer where the torso's origin is.
+        self._model.body_sameframe[self._torso] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._mass = self._model.body_mass.copy()
         self._inertia = self._model.body_inertia.copy()
         self._torso_com = self._model.body_ipos[self._torso].copy()
