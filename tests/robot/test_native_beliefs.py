@@ -223,7 +223,12 @@ def numbers(beliefs: Beliefs | NativeBeliefs, now: float) -> np.ndarray:
 @pytest.mark.parametrize("momentum", [False, True])
 @pytest.mark.parametrize(("averaged", "lag", "plans"), [(True, 5, True), (False, 9, False)])
 @pytest.mark.parametrize(
-    "name", [name if name == "nao" else pytest.param(name, marks=pytest.mark.slow) for name in ROBOTS]
+    "name",
+    [
+        name if name == "nao" else pytest.param(name, marks=pytest.mark.slow)
+        for name in ROBOTS
+        if "feet" not in name  # below
+    ],
 )
 def test_the_library_is_the_python(library, name, averaged, lag, plans, momentum):
     model = robot(name)
