@@ -140,14 +140,14 @@ def _escape(cell: str) -> str:
     return text.replace('"', '""').replace(" ± ", "\u00a0±\u00a0")
 
 
-def named_tables(folder: Path) -> Iterator[tuple[Path, str, dict[str, str]]]:
+def tables_on_pages(folder: Path) -> Iterator[tuple[Path, str, dict[str, str]]]:
     """Page, name, and columns and rows of each table that the pages below a folder name."""
     for page in sorted(folder.rglob("*.md")):
         for block in _BLOCK.finditer(page.read_text(encoding="utf-8")):
             yield page, block[1], dict(re.findall(r"^:(\w+): *(.*)$", block[2], re.MULTILINE))
 
 
-def named_figures(folder: Path) -> set[tuple[str, str]]:
+def figures_on_pages(folder: Path) -> set[tuple[str, str]]:
     """Folder and name of each figure of docs/data to which pages below a folder link."""
     texts = (page.read_text(encoding="utf-8") for page in folder.rglob("*.md"))
     return {figure for text in texts for figure in _FIGURE.findall(text)}
@@ -185,10 +185,10 @@ def main(results: Path) -> None:
         ValueError: If a study wrote some of its tables and figures and not the others.
     """
     wanted: dict[str, set[str]] = {}
-    for _, name, _ in named_tables(DOCS):
+    for _, name, _ in tables_on_pages(DOCS):
         folder, _, file = name.partition("/")
         wanted.setdefault(folder, {f"tables/{MADE}"}).add(f"tables/{file}.csv")
-    for folder, file in named_figures(DOCS):
+    for folder, file in figures_on_pages(DOCS):
         wanted.setdefault(folder, {f"tables/{MADE}"}).add(f"figures/{file}")
     there = sorted(folder for folder in wanted if (results / folder / "tables" / MADE).is_file())
     for folder in there:

@@ -135,8 +135,8 @@ class ChannelFaults:
         self.stand_in = StandIn(setup, memory)
         self._leap = leap * setup.weight
         self._landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
-        self._weight, foot = setup.weight, setup.layout.foot_of_channel
-        self._foot_of_channel = foot
+        self._weight = setup.weight
+        self._foot_of_channel = foot = setup.layout.foot_of_channel
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
         # A foot of one cell has none that could tell its landing from an error.

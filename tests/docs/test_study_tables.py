@@ -118,8 +118,8 @@ def test_what_is_missing_is_an_error_that_names_it(
 
 def test_all_that_pages_name_is_there_and_nothing_else(script: ModuleType) -> None:
     data = ROOT / "docs" / "data"
-    named = {data / folder / name for folder, name in script.named_figures(ROOT / "docs")}
-    for page, name, options in script.named_tables(ROOT / "docs"):
+    named = {data / folder / name for folder, name in script.figures_on_pages(ROOT / "docs")}
+    for page, name, options in script.tables_on_pages(ROOT / "docs"):
         table = script.read_table(data, name, **options)
         assert len({len(line) for line in table.lines}) == 1, page
         named |= {data / f"{name}.csv", (data / name).parent / MADE}
