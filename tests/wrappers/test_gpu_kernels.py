@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(compiler() is None, reason="t
 HEADERS = "".join(
     f'#include "{name}.h"\n'
     for name in (
-        "device", "surefoot_calibration", "surefoot_moment", "surefoot_strapdown", "surefoot_view",
+        "device", "surefoot_moment", "surefoot_strapdown", "surefoot_view",
         "surefoot_window", "surefoot_feet", "surefoot_telemetry",
     )
 )  # fmt: skip
