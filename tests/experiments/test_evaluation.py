@@ -223,7 +223,7 @@ def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
     balance, walk = (controller_hash("shipped", TASKS[name].env_id) for name in ("balance", "walk"))
     assert balance != walk
     assert controller_hash("shipped") not in (balance, walk)
-    assert evaluation_plan(feeds=("true",)).files == {"shipped": balance}
+    assert evaluation_plan(feeds=("true",), task="balance").files == {"shipped": balance}
     tasks = {"balance": SHORT, "walk": WALK, "balance-hard": SHORT, "walk-hard": WALK}
     for task, options in tasks.items():
         for sensors in SENSORS:
@@ -357,7 +357,11 @@ def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn
     assert f"| true | – | {own:.2f} ±" in text
     assert "1100" not in text
     assert "policy file" not in text
-    assert "the episodes of the seeds 20000 to 20002, the same for all rows" in text
+    seeds = "the episodes of the seeds 20000 to 20002, the same for all rows"
+    assert f"over episodes of the task `balance-hard`: {seeds}" in text
+    scored(str(mine / "policy.npz"), "--task", "balance", "--out", str(mine / "own"))
+    shutil.copy(mine / "own" / "evaluation.csv", mine)
+    assert f"over {seeds}" in write_card(mine).read_text(encoding="utf-8")
     # What an earlier policy left is none of a later one's.
     shipped_policy("randomised").save(mine / "policy.npz")
     assert "None yet" in write_card(mine).read_text()
