@@ -94,7 +94,7 @@ def weights(
 
 def demo(
     out: Out = Path("out/demo"),
-    seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
+    seeds: Annotated[int, Option(help="Walks, of which up to four are walked in closed loops.", min=1)] = 8,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
     as_json: Json = False,

@@ -147,7 +147,7 @@ def _loop_cases(
     options: WalkStudyOptions, speeds: tuple[float, ...]
 ) -> dict[tuple[float, float], list[Case]]:
     """List the closed loops of the stabiliser, by severity and speed in m/s: episodes of a sweep."""
-    seeds, duration = tuple(range(options.seeds)), options.loop_duration
+    seeds, duration = tuple(range(options.seeds))[: options.loop_seeds], options.loop_duration
     plans = {
         (severity, speed): EpisodePlan(
             ("stabiliser",), feeds, (f"speed-{speed:g}",), (severity,), seeds, duration=duration

@@ -340,6 +340,7 @@ class WalkStudyOptions:
     settle: float = STAND_TIME + 10.0  # errors count from this time in s on
     quick: bool = False  # without long scenarios
     loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
+    loop_seeds: int | None = None  # of each closed loop at most
     loop_duration: float = STAND_TIME + 20.0  # in s, standing included
     factors: tuple[float, ...] = ()  # of the window's weights
     sensitivity_seeds: int = 5  # walks on which each weight is scaled
@@ -407,12 +408,13 @@ def full_options(
     )
 
 
-def demo_options(out: Path = Path("out/demo"), seeds: int = 4, jobs: int = 2) -> WalkStudyOptions:
+def demo_options(out: Path = Path("out/demo"), seeds: int = 8, jobs: int = 2) -> WalkStudyOptions:
     """Return the same at one speed, with fewer walks: less than two minutes on two cores."""
     return replace(
         full_options(out, seeds, jobs),
         scenarios=paper_names(0.04),
         loops={3.0: LOOPED},
+        loop_seeds=4,
         factors=(),
         film_duration=STAND_TIME + 10.0,
     )

@@ -16,6 +16,7 @@ from surefoot.experiments.study.tables import (
     Verdict,
     count_of,
     decimal,
+    interval_text,
     mean_of,
     number,
     plural,
@@ -35,6 +36,8 @@ METRICS = (
 )
 """Errors with the factor to their unit, what to call them, and what was set out to be reached."""
 
+
+CALIBRATED = "moment"  # the method that others are held against
 
 WALKING_TABLES = {
     0.02: {"window": MethodErrors(0.0059, 0.4339), "quasi-static": MethodErrors(0.0108, 1.2949)},
@@ -192,6 +195,7 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
     """Errors of each way to read the feet, and who falls by it."""
     own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
     raw = int(loop[loop["feed"] == "none"]["fell"].sum())
+    cop = own.pivot(index="seed", columns="method", values="cop")
 
     def error(metric: str, factor: float) -> Cell:
         def cell(way: tuple[str, Frame]) -> str:
@@ -200,6 +204,13 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
 
         return cell
 
+    def behind(way: tuple[str, Frame]) -> str:
+        if way[0] == CALIBRATED or not {way[0], CALIBRATED} <= set(cop):
+            return ""
+        gap = mean_interval(cop[way[0]] - cop[CALIBRATED])
+        said = interval_text(gap, 1e3)
+        return Verdict.of(gap.mean > 0.0, said) if gap.apart else said
+
     def fall(way: tuple[str, Frame]) -> str:
         falls, said = int(way[1]["fell"].sum()), count_of("fell")(way[1])
         return said if falls == raw else Verdict.of(falls < raw, said)
@@ -207,13 +218,14 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
     columns: dict[str, Cell] = {
         "what reads the feet": lambda way: look_of(way[0]).label,
         "CoP off by (mm)": error("cop", 1e3),
+        f"more than {CALIBRATED}, paired (mm)": behind,
         "vertical force off by (N)": error("vgrf", 1.0),
         "walks that fall": fall,
     }
     note = (
-        "Errors while walking at the bad start, rms from the settling time on. Falls: the controller is fed "
-        f"the CoP of cells that are {loop['severity'].iloc[0]:g} times as bad; green, fewer than on raw "
-        "readings."
+        "Errors while walking at the bad start, rms from the settling time on; paired: on the same walks, "
+        "coloured where the interval leaves zero out. Falls: the controller is fed the CoP of cells that are "
+        f"{loop['severity'].iloc[0]:g} times as bad; green, fewer than on raw readings."
     )
     return table_of("lead", title, columns, by_way(loop, "feed").items(), note)
 

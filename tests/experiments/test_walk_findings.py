@@ -114,10 +114,15 @@ def test_what_comes_first_is_counted() -> None:
     said = findings.lead_finding(runs)
     assert "fed the raw CoP the robot falls in 2 of 3 walks, fed the true CoP in 0 and" in said
     yardsticks = scores(5.0).assign(condition="bad-start")
+    raw = yardsticks[yardsticks["method"] == "none"]
+    yardsticks = pd.concat([yardsticks, raw.assign(method="moment", cop=0.2 * raw["cop"])])
     rows = {row[0]: row for row in tables.lead_table(yardsticks, runs, "bad-start", "In short").rows}
-    assert rows["window (CoP paper)"][1:] == ("5.20 ± 0.20", "0.500 ± 0.000", "0 of 3")
-    assert rows["window (CoP paper)"][3].good
-    assert not isinstance(rows["raw (none)"][3], Verdict)
+    window = rows["window (CoP paper)"]
+    assert window[1:] == ("5.20 ± 0.20", "3.16 ± 0.16", "0.500 ± 0.000", "0 of 3")
+    assert window[2].good
+    assert window[4].good
+    assert rows["moment"][2] == rows["true CoP"][2] == ""
+    assert not isinstance(rows["raw (none)"][4], Verdict)
 
 
 def test_the_papers_table_2_comes_out() -> None:
