@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.feet import check_names
-from surefoot.envs.instrumentation.made import make
+from surefoot.envs.instrumentation.made import Made, make
 from surefoot.envs.instrumentation.means import MeanTruth, foot_places
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
@@ -124,35 +124,18 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if soles and in_place is False:
             raise ValueError("'soles' changes the model: leave 'in_place' alone.")
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
-        self.untouched = "there is no description of it: give 'spec'"
-        if foreign:
-            self.untouched = "dm_control's physics holds it"
+        self.untouched = (
+            "dm_control's physics holds it" if foreign else "there is no description of it: give 'spec'"
+        )
         base = self._base
         self.instrumentation: Instrumentation | None = None
+        samples = count_substeps(base)
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
-            forced = bool(soles or in_place)
             boxes = not (getattr(env, "render_mode", None) if visuals is None else visuals)
-            samples = count_substeps(base)
             made = make(description, base.model, feet, soles=soles, boxes=boxes, samples=samples, **given)
-            if made.different and (spec is not None or forced):
-                raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
-            holder = find_holder(env)
-            if holder and forced:
-                raise ValueError(
-                    f"The environment's model cannot be replaced: {_find_view_of_model(holder)}."
-                )
-            if made.model is None:
-                self.untouched = f"its file is of another robot: {made.different}"
-            elif holder:
-                self.untouched = _find_view_of_model(holder)
-            else:
-                self.untouched = "" if forced else find_notice(env, made.model)
-                self.instrumentation = None if self.untouched else made.instrumentation
-                chosen = made.boxed if self.untouched else made.model
-                if chosen is not None:
-                    swap_in(base, copy(chosen))
+            self._instrument(made, named=spec is not None, forced=bool(soles or in_place))
         self._reader: SensorReader | FeetReader
         self.seldom = False
         if self.instrumentation is not None:
@@ -161,15 +144,33 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
             self.drawing = self._reader.drawing
-            self.seldom = count_substeps(base) > 1
+            self.seldom = samples > 1
             if self.seldom and in_place is not False:
-                warnings.warn(_warn_of_aliasing(env, self.untouched, count_substeps(base)), stacklevel=2)
+                warnings.warn(_warn_of_aliasing(env, self.untouched, samples), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
         self._mean_truth = MeanTruth(foot_places(self.truth.layout))
         self.tells = True
+
+    def _instrument(self, made: Made, *, named: bool, forced: bool) -> None:
+        """Put a model with sensors into the environment, or say in ``untouched`` why it was left alone."""
+        if made.different and (named or forced):
+            raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
+        holder = find_holder(self.env)
+        if holder and forced:
+            raise ValueError(f"The environment's model cannot be replaced: {_find_view_of_model(holder)}.")
+        if made.model is None:
+            self.untouched = f"its file is of another robot: {made.different}"
+        elif holder:
+            self.untouched = _find_view_of_model(holder)
+        else:
+            self.untouched = "" if forced else find_notice(self.env, made.model)
+            self.instrumentation = None if self.untouched else made.instrumentation
+            chosen = made.boxed if self.untouched else made.model
+            if chosen is not None:
+                swap_in(self._base, copy(chosen))
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_rng": self.unwrapped._np_random}
