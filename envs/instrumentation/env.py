@@ -110,19 +110,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._base = cast(Any, _holder(env))
         _refuse(env, self._base, prefix)
         foreign = isinstance(self._base, _Physics)
-        if foreign and (soles or in_place or spec is not None):
-            raise ValueError(
-                "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
-                "exchange: leave them out, and put what is needed into the task's own MJCF."
-            )
-        description = None if foreign else find_description(spec, self._base)
-        if description is None and (soles or in_place):
-            raise ValueError(
-                f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
-                "needed: give 'spec', a file or a mujoco.MjSpec."
-            )
-        if soles and in_place is False:
-            raise ValueError("'soles' changes the model: leave 'in_place' alone.")
+        description = _describe(self._base, foreign, soles, spec, in_place)
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
         self.untouched = (
             "dm_control's physics holds it" if foreign else "there is no description of it: give 'spec'"
@@ -255,6 +243,26 @@ def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:
         f"The feet of {env} are read once a control step, at its end, and not in each of its {substeps} "
         f"substeps ({reason}): contact forces that change within a step are aliased; real sensors average."
     )
+
+
+def _describe(
+    base: Any, foreign: bool, soles: Any, spec: str | Path | mujoco.MjSpec | None, in_place: bool | None
+) -> mujoco.MjSpec | None:
+    """Return the description of an environment's robot, if there is one; refuse changes of what has none."""
+    if foreign and (soles or in_place or spec is not None):
+        raise ValueError(
+            "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
+            "exchange: leave them out, and put what is needed into the task's own MJCF."
+        )
+    description = None if foreign else find_description(spec, base)
+    if description is None and (soles or in_place):
+        raise ValueError(
+            f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
+            "needed: give 'spec', a file or a mujoco.MjSpec."
+        )
+    if soles and in_place is False:
+        raise ValueError("'soles' changes the model: leave 'in_place' alone.")
+    return description
 
 
 def _check_types(cells: Any, soles: Any) -> None:
