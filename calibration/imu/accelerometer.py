@@ -241,7 +241,7 @@ def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
 
 
 def _robust_start(force: NDArray[np.float64], unknowns: int) -> tuple[NDArray[np.float64], float]:
-    """Fit with Huber's loss; return the unknowns and the scale of the residuals, or refuse a moving sensor."""
+    """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
     from scipy.optimize import least_squares
 
     start = _algebraic_start(force, unknowns)

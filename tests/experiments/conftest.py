@@ -1,5 +1,6 @@
 """Made logs and episodes: small, seeded, and known to the last digit."""
 
+import dataclasses
 import importlib.util
 from collections.abc import Callable
 from importlib.resources import files
@@ -84,6 +85,22 @@ def log() -> Log:
         truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
         about={"speed_m_s": 0.0},
     )
+
+
+@pytest.fixture
+def full(log: Log) -> Log:
+    """Give a log with beliefs of both kinds."""
+    reference = log.reference
+    momentum = MomentumReference(
+        com=reference.com,
+        com_velocity=0.1 * reference.com_acceleration,
+        angular_momentum=0.1 * reference.angular_momentum_rate,
+        position_sole=reference.position_sole,
+        R_level_sole=reference.R_level_sole,
+        stance=reference.stance,
+        swing=reference.swing,
+    )
+    return dataclasses.replace(log, momentum=momentum)
 
 
 @pytest.fixture(scope="session")

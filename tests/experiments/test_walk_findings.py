@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.study.tables import Verdict, number, with_interval
+from surefoot.experiments.study.tables import Verdict, with_interval
 from surefoot.experiments.walks import findings, tables
 from surefoot.experiments.walks.findings import (
     claims_of,
@@ -128,21 +128,6 @@ def test_what_comes_first_is_counted() -> None:
 def test_the_papers_table_2_comes_out() -> None:
     _, difference = paper_table_2()
     assert difference < 1e-8
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (1e-12, "0"),
-        (0.000123, "0.000123"),
-        (1234.5, "1234"),
-        (9.999, "10.00"),
-        (float("nan"), "–"),
-    ],
-)
-def test_numbers_have_three_digits(value: float, text: str) -> None:
-    assert number(value) == text
 
 
 def test_one_seed_has_no_interval() -> None:
