@@ -144,18 +144,6 @@ def test_one_case_repeated_by_the_command(results: WalkStudyResults, tmp_path: P
     assert float(shown[1]) == pytest.approx(expected, rel=6e-3)
 
 
-def test_what_is_there_is_not_done_again(results: WalkStudyResults, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("walks.run.score_run", "walks.scenarios.record_walk", "episodes.episode.episode_row"):
-        monkeypatch.setattr(f"surefoot.experiments.{name}", _must_not_run)
-    again = run_walk_study(results.options)
-    for name in ("scores", "yardsticks", "sensitivity", "loop"):
-        pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))
-
-
-def _must_not_run(*_: object, **__: object) -> None:
-    raise AssertionError("this was done before and is kept")
-
-
 def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
     ends = {"none": [5.0, 9.5, 30.0, 9.0], "moment": [30.0, 30.0, 30.0, 9.0]}
     loop = pd.DataFrame(
