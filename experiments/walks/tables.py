@@ -217,10 +217,10 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
 
     columns: dict[str, Cell] = {
         "what reads the feet": lambda way: look_of(way[0]).label,
+        "walks that fall": fall,
         "CoP off by (mm)": error("cop", 1e3),
         f"more than {CALIBRATED}, paired (mm)": behind,
         "vertical force off by (N)": error("vgrf", 1.0),
-        "walks that fall": fall,
     }
     note = (
         "Errors while walking at the bad start, rms from the settling time on; paired: on the same walks, "

@@ -118,11 +118,11 @@ def test_what_comes_first_is_counted() -> None:
     yardsticks = pd.concat([yardsticks, raw.assign(method="moment", cop=0.2 * raw["cop"])])
     rows = {row[0]: row for row in tables.lead_table(yardsticks, runs, "bad-start", "In short").rows}
     window = rows["window (CoP paper)"]
-    assert window[1:] == ("5.20 ± 0.20", "3.16 ± 0.16", "0.500 ± 0.000", "0 of 3")
-    assert window[2].good
-    assert window[4].good
-    assert rows["moment"][2] == rows["true CoP"][2] == ""
-    assert not isinstance(rows["raw (none)"][4], Verdict)
+    assert window[1:] == ("0 of 3", "5.20 ± 0.20", "3.16 ± 0.16", "0.500 ± 0.000")
+    assert window[1].good
+    assert window[3].good
+    assert rows["moment"][3] == rows["true CoP"][3] == ""
+    assert not isinstance(rows["raw (none)"][1], Verdict)
 
 
 def test_the_papers_table_2_comes_out() -> None:
