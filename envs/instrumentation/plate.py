@@ -63,7 +63,7 @@ class SolePlate:
 
     @property
     def across(self) -> NDArray[np.float64]:
-        """Horizontal forces of the cells, along x and then y, per load (fx, fy, tz) at the sole's origin, (8, 3)."""
+        """Horizontal forces of the cells, along x, then y, per load (fx, fy, tz) at the origin, (8, 3)."""
         y, x = self._load_of_cells[1], -self._load_of_cells[2]
         turn = np.concatenate([y.mean() - y, x - x.mean()]) / (4.0 * (x.var() + y.var()))
         even = np.repeat(np.eye(2), 4, axis=0) / 4.0

@@ -147,7 +147,7 @@ class FeetTruth:
         return wrench.reshape(*wrench.shape[:-2], -1) @ self.shear_map()
 
     def shear_map(self) -> Array:
-        """Return the map from :attr:`wrench_sole` to the cells' horizontal forces, (6 F, 8 F): x first, then y."""
+        """Return the map from :attr:`wrench_sole` to the cells' horizontal forces, (6 F, 8 F): x, then y."""
         return self.layout.shear_of_wrench
 
     @property

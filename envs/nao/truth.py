@@ -138,7 +138,7 @@ class Truth:
         return self.plate @ self.shear_map()
 
     def shear_map(self) -> NDArray[np.float64]:
-        """Return the map from :attr:`plate` to the cells' horizontal forces, (12, 16): along x first, then y."""
+        """Return the map from :attr:`plate` to the cells' horizontal forces, (12, 16): along x, then y."""
         return self.channels.shear_of_plates.reshape(12, 16)
 
     @cached_property

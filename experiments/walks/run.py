@@ -26,6 +26,7 @@ from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
@@ -35,6 +36,7 @@ from surefoot.experiments.walks.run_score import (
     running_rmse,
     score_run,
     trace_of,
+    walk_of,
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import (
@@ -68,6 +70,7 @@ class WalkStudyResults:
     errors: Frame = field(default_factory=pd.DataFrame)  # running, of the CoP: time (s), cop (m)
     yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
     traces: Frame = field(default_factory=pd.DataFrame)  # ends of walks
+    cycles: Frame = field(default_factory=pd.DataFrame)  # a row a run and foot, see ``walks.gait_cycle``
     sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
     timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
@@ -206,7 +209,7 @@ def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
 def _collect(
     results: WalkStudyResults, store: Store, scored: list[Case], scaled: dict[tuple[str, float], list[Case]]
 ) -> None:
-    for name in ("scores", "errors", "yardsticks", "traces"):
+    for name in ("scores", "errors", "yardsticks", "traces", "cycles"):
         setattr(results, name, store.rows(name, scored))
     if not len(results.scores):
         for name, error in store.failures(scored).items():
@@ -233,7 +236,7 @@ def score_case(
     """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario, with changed options.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
-    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
+    and for the scenarios of the CoP paper ``yardsticks``, ``traces`` and ``cycles``.
     """
     changed = dict(changes or {})
     name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
@@ -325,6 +328,12 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: 
         if scenario.paper:
             rows = yardsticks_of(stream, method, played.force, options.settle)
             found.setdefault("yardsticks", []).extend(rows)
+            ways = {method: played.force} | ({"truth": stream.truth.force} if method == TRUE_MAP else {})
+            found.setdefault("cycles", []).extend(
+                {**walk_of(stream), "seed": stream.seed, "method": way, **cycle}
+                for way, force in ways.items()
+                for cycle in cycle_rows(stream, force)
+            )
             if stream.seed == 0:
                 found["traces"] = trace_of(stream, method, played.force)
     return found

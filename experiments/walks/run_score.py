@@ -229,7 +229,7 @@ def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]
     ways = {method: force} | ({"truth": truth.force} if method == TRUE_MAP else {})
     return [
         {
-            **_walk(stream),
+            **walk_of(stream),
             "method": name,
             "time": log.time[shown],
             "cop": cop_world(one, log.layout, truth.position_sole, truth.R_world_sole)[shown],
@@ -244,13 +244,14 @@ def _baseline(stream: Stream) -> Floats:
     return found
 
 
-def _walk(stream: Stream) -> dict[str, Any]:
+def walk_of(stream: Stream) -> dict[str, Any]:
+    """Return the condition and the speed in m/s of a walk."""
     about = stream.log.about
     return {"condition": str(about["condition"]), "speed": float(about["speed_m_s"])}
 
 
 def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
-    return {**_walk(stream), "seed": stream.seed, "method": name, "against": against}
+    return {**walk_of(stream), "seed": stream.seed, "method": name, "against": against}
 
 
 def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[str, float]:

@@ -108,7 +108,7 @@ class CellsUnderFeet:
         return counts, after
 
     def load(self, truth: Any) -> Floats:
-        """Return the loads that they read in each substep in N, shape (S, K), or (S, 3 K) of those with shear."""
+        """Return the loads that they feel in each substep in N, shape (S, K), or (S, 3 K) with shear."""
         vertical = self._vertical(truth)
         if not self.config.shear_std:
             return vertical
@@ -128,7 +128,7 @@ class CellsUnderFeet:
         return force
 
     def cell_map(self, truth: Any) -> tuple[Floats, Floats] | None:
-        """Return the map from a truth's loads to the cells' forces: factors and N to add, as many as :meth:`load`.
+        """Return the map from a truth's loads to the cells' forces, as of :meth:`load`: factors and N to add.
 
         ``None`` where the library does not find these loads: of single cells in a simulation of plates.
         """

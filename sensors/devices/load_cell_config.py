@@ -82,9 +82,9 @@ class LoadCells:
     is what a robot's foot was seen to do."""
 
     shear_std: float = 0.0
-    """Standard deviation of the share of a horizontal force that a cell reads as a vertical one, newtons a newton,
-    along each axis of the sole, each cell its own. A cell with it feels three forces. Data sheets of cheap bar cells do not
-    give it; 0.02 is chosen, of six-axis sensors in use 0.01 was seen."""
+    """Standard deviation of the share of a horizontal force that a cell reads as a vertical one, newtons a
+    newton, along each axis of the sole, each cell its own; such a cell feels three forces. Data sheets of bar
+    cells do not give it; 0.1 is chosen, for a bar that a sole above its axis bends."""
 
     settling: int = 1
     """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings

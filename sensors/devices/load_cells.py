@@ -204,9 +204,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         counts = held = np.where(converts, counts, held)
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)
-        return counts, LoadCellState(
-            period, due, charge, held, error, thermal, window, felt, brought, shares
-        )
+        return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought, shares)
 
     return Corruption(init, apply)
 
@@ -252,8 +250,8 @@ def static_counts(
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
-    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis, creep and shear, which no
-    map of counts can undo, are left out.
+    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis, creep and shear,
+    which no map of counts can undo, are left out.
 
     Returns:
         Scale in N per count and offset in N, both (K,): the true load is scale * counts + offset.

@@ -9,8 +9,6 @@ with shares :math:`k` that are constant from power-up, each cell its own. No map
 a walking robot it looks like a change of the offset that comes with every step.
 """
 
-import numpy as np
-
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal

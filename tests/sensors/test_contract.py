@@ -113,6 +113,7 @@ FAULTS = (
     Fault("dead", 7, stop=0.05),
 )
 
+
 def sideways(stage: Corruption[Any]) -> Corruption[Any]:
     """Feed a stage with vertical loads and with shear of a third and of minus a fifth of them."""
     return chain(stateless(lambda load, rng, dt: np.concatenate([load, load / 3, -load / 5], axis=-1)), stage)
@@ -176,7 +177,11 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
         False,
     ),
     "shear": (lambda: sideways(shear(0.1)), 8, False),
-    "whole load cells that feel shear": (lambda: sideways(load_cells(LoadCells(shear_std=0.1, **WHOLE))), 8, True),
+    "whole load cells that feel shear": (
+        lambda: sideways(load_cells(LoadCells(shear_std=0.1, **WHOLE))),
+        8,
+        True,
+    ),
     "load cells, drifting scales only": (cells_with(offset_drift=0.0), 8, True),
     "load cells, drifting offsets only": (cells_with(scale_drift=0.0, input_noise=0.0), 8, True),
 }

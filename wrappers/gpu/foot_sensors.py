@@ -59,7 +59,7 @@ _DEVICES = {
     True: (CELLS, "device->channels", "sf_loads(device)", "cells"),
     False: (FORCE_TORQUE, "6 * device->sensors", "K", "ankles"),
 }
-"""For load cells and for others: how the library has them, their channels and loads there, who draws for them."""
+"""For load cells and for others: the library's kind, channels and loads there, who draws for them."""
 
 
 class FootSensorsModule(BatchModule):
@@ -149,8 +149,8 @@ class FootSensorsModule(BatchModule):
 
         Args:
             force: True forces in N (for six-axis sensors wrenches in N and N m) at the end of the step, shape
-                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K); with shear 3 K, all
-                vertical ones first, then those along the sole's x and y.
+                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K); 3 K with
+                shear, all vertical ones first, then those along the sole's x, then y.
             step: Number of the simulation step, if the module has no ``counter``.
 
         Returns:
