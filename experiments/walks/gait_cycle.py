@@ -97,7 +97,7 @@ def _rms_over_stance(spread: Floats) -> float:
 
 
 def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:
-    """Return the statistics of one speed's cycles, a row a method in each condition; by name, titles of these."""
+    """Return the statistics of one speed's cycles, a row a method in each condition; titles by names."""
 
     def pooled(name: str, form: str, factor: float = 1.0) -> Cell:
         def cell(item: tuple[str, Frame]) -> str:
