@@ -40,6 +40,8 @@ from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.experiments.study.page import MADE, save_tables
 from surefoot.experiments.study.tables import Table, decimal
+from surefoot.experiments.walks.record import lift
+from surefoot.experiments.walks.walkers import G1_FEET, make_g1
 from surefoot.files import write_text
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
@@ -53,8 +55,8 @@ METHODS = ("none", "tare", "window", "moment", "integrated")
 LOADED = 0.05
 """Share of the weight from which on a foot's centre of pressure counts."""
 
-HELD_FROM, HELD_FOR, HELD_RAMP = 12.0, 8.0, 0.5
-"""When something lifts the robot, for how long and within what time it does so, in s."""
+HELD = 12.0, 20.0
+"""From when to when something lifts the robot, in s."""
 
 SETTLE, DURATION = 10.0, 30.0
 """From when on errors count, and how long a scene lasts, in s."""
@@ -154,20 +156,11 @@ class Stream(NamedTuple):
     fell: bool
 
 
-def g1_by_policy(policy: str) -> gym.Env[Any, Any]:
-    """Make the G1 that walks by a published policy."""
-    sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
-    from g1_policy import G1Walk
-
-    walker: gym.Env[Any, Any] = G1Walk(policy)
-    return walker
-
-
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     """Make a scene's environment, and its controller."""
     if scene.robot.startswith("g1"):
         policy = "fastsac_g1_29dof" if scene.robot.endswith("fastsac") else "ppo_g1_29dof"
-        env = g1_by_policy(policy)
+        env = make_g1(policy)
         base: Any = env.unwrapped
         return env, lambda time: base.policy(base.state(), np.array(scene.command(time), float))
     if scene.robot in EXERCISE:
@@ -190,7 +183,7 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
     """Play a scene once."""
     scene = SCENES[name]
     base, act = make(scene)
-    feet = ("left_ankle_roll_link", "right_ankle_roll_link") if name.startswith("g1") else None
+    feet = G1_FEET if name.startswith("g1") else None
     usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
@@ -223,9 +216,8 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
 
 def _outside(scene: Scene, time: float, weight: float) -> Floats:
     """Return the outside force on the torso in N."""
-    since, left = time - HELD_FROM, HELD_FROM + HELD_FOR - time
     force = np.zeros(3)
-    force[2] = scene.lifted * weight * np.clip(min(since, left) / HELD_RAMP, 0.0, 1.0)
+    force[2] = weight * lift(time, scene.lifted, *HELD)
     if scene.pushed and time % 3.0 < 0.1:
         force[1] = scene.pushed * weight / 0.1 * (1.0 if int(time / 3.0) % 2 else -1.0)
     return force

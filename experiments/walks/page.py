@@ -99,7 +99,7 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
         *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
-    overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS[:2]]
+    overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
     summary = (*overviews, timing, alarms)
     sections = [
         Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),

@@ -137,7 +137,7 @@ def overview_table(
         **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
     }
     parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
-    name = "overview" + error.removeprefix("cop")
+    name = "overview" if error == "cop" else f"overview_{error.removeprefix('cop_')}"
     return table_of(name, f"{heading}, all scenarios", columns, [p for p in parts if len(p[1])])
 
 
