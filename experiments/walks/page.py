@@ -22,7 +22,7 @@ from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural,
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.record import CONDITIONS, Condition
-from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import (
     PAPER_SCENARIOS,
     TRUE_MAP,
@@ -264,13 +264,19 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
 
 
 def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
-    parts = _by_yardstick(results.sensitivity, (YARDSTICKS[0], YARDSTICKS[2]))
+    of_stand = results.sensitivity["weight"] == STANDING
+    parts = _by_yardstick(results.sensitivity[~of_stand], (YARDSTICKS[0], YARDSTICKS[2]))
+    standing = _by_yardstick(results.sensitivity[of_stand], YARDSTICKS)
+    fixed = _by_yardstick(results.yardsticks[results.yardsticks["method"] == "window"], YARDSTICKS)
     curves = figures.sensitivity_curves(folder / "sensitivity.svg", parts)
     return Section(
         "sensitivity",
         "How much hangs on the window's weights",
         (_say_paper("sensitivity"),),
-        tables=tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
+        tables=(
+            *(tables.sensitivity_table(part, title) for title, part in parts.items()),
+            tables.standing_table(fixed, standing),
+        ),
         figures=_figure(curves, "Sensitivity", "weights"),
     )
 

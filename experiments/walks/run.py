@@ -51,6 +51,9 @@ from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
+STANDING = (
+    "of a quiet stand"  # in the place of a weight that is scaled: w_F and w_P as the CoP paper has them
+)
 LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
@@ -136,9 +139,10 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
 def _weight_cases(
     options: WalkStudyOptions, chosen: tuple[Scenario, ...]
 ) -> dict[tuple[str, float], list[Case]]:
-    """List the cases of the window with one of its weights scaled, by weight and factor."""
+    """List the cases of the window with a weight scaled, by weight and factor, and with those of standing."""
     fewer = replace(options, seeds=min(options.seeds, options.sensitivity_seeds))
-    return {
+    of_stand = [score_case(s, "window", fewer, {"stand": STAND_TIME}) for s in chosen if s.paper]
+    return ({(STANDING, 1.0): of_stand} if options.factors else {}) | {
         (weight, factor): [score_case(s, "window", fewer, {changed: factor}) for s in chosen if s.paper]
         for weight, changed in WEIGHTS.items()
         for factor in options.factors

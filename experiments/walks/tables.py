@@ -290,3 +290,22 @@ def sensitivity_table(runs: Frame, title: str) -> Table:
     columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
     name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
     return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))
+
+
+def standing_table(fixed: Mapping[str, Frame], standing: Mapping[str, Frame]) -> Table:
+    """Return the window's errors with its weights and with those of a quiet stand, on the same walks."""
+    rows = []
+    for title, stood in standing.items():
+        for speed, part in stood.groupby("speed"):
+            plain = fixed[title][fixed[title]["seed"].isin(part["seed"]) & (fixed[title]["speed"] == speed)]
+            both = [
+                with_interval(one[metric], factor) for metric, factor, *_ in METRICS for one in (plain, part)
+            ]
+            rows.append((f"{title}, {speed:g} m/s", *both))
+    columns = [
+        f"{label.replace(' rmse', '')}{what}" for _, _, label, _ in METRICS for what in ("", ", of standing")
+    ]
+    note = "w_F and w_P as they are, and of the quiet stand before the walk, as in the paper."
+    return Table(
+        "standing_weights", "The window's weights of a quiet stand", ("walks", *columns), tuple(rows), note
+    )
