@@ -99,7 +99,7 @@ def _rms_over_stance(spread: Floats) -> float:
 def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:
     """Return the statistics of one speed's cycles, a row a method in each condition; titles by names."""
 
-    def pooled(name: str, form: str, factor: float = 1.0) -> Cell:
+    def pool(name: str, form: str, factor: float = 1.0) -> Cell:
         def cell(item: tuple[str, Frame]) -> str:
             means, spreads = item[1][name], item[1][f"{name}_std"]
             if not means.notna().any():
@@ -116,9 +116,9 @@ def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:
         "condition": lambda item: item[0],
         "method": lambda item: look_of(item[1]["method"].iloc[0]).label,
         "cycles": lambda item: decimal(item[1]["cycles"].sum()),
-        **{f"peak vGRF, {foot} (weights)": of_foot(foot, pooled("peak", ".3f")) for foot in FEET},
-        **{f"duty factor, {foot} (%)": of_foot(foot, pooled("duty", ".1f", 100.0)) for foot in FEET},
-        "cycle (s)": pooled("period", ".3f"),
+        **{f"peak vGRF, {foot} (weights)": of_foot(foot, pool("peak", ".3f")) for foot in FEET},
+        **{f"duty factor, {foot} (%)": of_foot(foot, pool("duty", ".1f", 100.0)) for foot in FEET},
+        "cycle (s)": pool("period", ".3f"),
         **{
             f"CoP repeats within, {foot} (mm)": of_foot(
                 foot, lambda item: number(1e3 * float(np.sqrt((item[1]["repeat"] ** 2).mean())))

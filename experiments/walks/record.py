@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import surefoot
-from surefoot.calibration import MomentumReference, Parameters, Reference
+from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
 from surefoot.experiments.arrays import Floats, stack_rows
@@ -165,18 +165,20 @@ def record_walk(
     base, act = _walker(speed, duration, policy, env_options)
     # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
     youngest = min(condition.age for condition in conditions)
-    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
-    on: dict[str, Any] = {"config": None, "feet": G1_FEET} if policy else {"config": carried}
+    averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
+    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None, averaged=averaged)
+    bare: Any = base.unwrapped
+    weight = float(bare.model.body_subtreemass[0]) * GRAVITY
+    on = {"config": sized(carried, weight), "feet": G1_FEET} if policy else {"config": carried}
     worn = FootSensors(base, **on, **(sensors or {}))
     env, source = SelfCalibration(worn, "moment", **(beliefs or {})), worn.source
     _, info = env.reset(seed=seed)
-    dt, weight = source.dt, source.drawing.weight
+    dt = source.dt
     known = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
     feet = [
         FootInstruments(sized(c.cells, weight) if policy and c.cells else c.cells, c.ankle, index=i, **known)
         for i, c in enumerate(conditions)
     ]
-    bare: Any = env.unwrapped
     torso = bare.model.body(source.drawing.torso).id
     time: list[float] = []
     believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}

@@ -24,7 +24,7 @@ from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.sensors.stages.shear import felt
+from surefoot.sensors.stages.shear import mix
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class CellsUnderFeet:
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
         load = self.load(truth)[-1]
-        load = felt(load, state.shear) if self.config.shear_std else load
+        load = mix(load, state.shear) if self.config.shear_std else load
         return state._replace(charge=load * (state.period - state.due))
 
     def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:

@@ -39,12 +39,12 @@ def shear(std: float) -> Corruption[Array]:
         return share
 
     def apply(reading: Array, state: Array, rng: Rng, dt: float) -> tuple[Array, Array]:
-        return felt(reading, state), state
+        return mix(reading, state), state
 
     return Corruption(init, apply)
 
 
-def felt(load: Array, share: Array) -> Array:
+def mix(load: Array, share: Array) -> Array:
     """Return the forces, shape (..., K), that cells of the shares k, (2, K), take for vertical ones."""
     K = share.shape[-1]
     found: Array = load[..., :K] + share[0] * load[..., K : 2 * K] + share[1] * load[..., 2 * K :]
