@@ -344,10 +344,10 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: 
 
 
 def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
-    rows = []
+    rows, shears = [], any(c.cells and c.cells.shear_std for c in scenario.walk.conditions)
     for stream in streams_of(scenario, options)[0]:
-        # A bound knows of no fault: what it says of a channel that fails would mean nothing.
-        if not stream.faults:
+        # A bound knows of no fault, hand or shear: what it says of these would mean nothing.
+        if not (stream.faults or scenario.walk.held[0] or shears):
             limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
             named = {f"bound_{part}": value for part, value in limit.items()}
             rows.append({"scenario": scenario.name, "seed": stream.seed, **named})

@@ -151,6 +151,7 @@ def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
         "fault, method": lambda runs: f"{titles[runs['scenario'].iloc[0]]}, {short_label(_method(runs))}",
         **{name: _of_methods(cell) for name, cell in _FAULTS.items()},
         "CoP afterwards (mm)": mean_of("after", 1e3),
+        "foot's CoP afterwards (mm)": mean_of("after_foot", 1e3),
     }
     title = "Cells that fail while the robot walks"
     note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
@@ -233,7 +234,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
                 paper = published.get(method)
                 cells.append("" if paper is None else number(factor * getattr(paper, metric)))
             cells += [with_interval(truth[metric], factor) for metric, _, _, factor in PAPER_METRICS]
-            rows.append((*cells, with_interval(truth["cell"])))
+            rows.append((*cells, with_interval(truth["cop_foot"], 1e3), with_interval(truth["cell"])))
     columns = ["condition", "method"]
     for _, what, unit, _ in PAPER_METRICS:
         columns += [f"{what} against baseline ({unit})", "paper"]
@@ -246,7 +247,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
     return Table(
         f"walking_{speed:g}".replace(".", "_"),
         f"Table {name}: {speed:g} m/s" if name else f"{speed:g} m/s",
-        (*columns, "single cell against truth (N)"),
+        (*columns, "foot's CoP against truth (mm)", "single cell against truth (N)"),
         tuple(rows),
         note,
     )
