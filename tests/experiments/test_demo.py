@@ -107,11 +107,12 @@ def test_the_page_is_whole(results: WalkStudyResults, report: tuple[Report, str]
             "In short: 0.1 m/s",
             ">What was done<",
             "1. Calibrating while walking",
-            "2. Closing the loop",
-            "3. Known weights",
-            "4. How much hangs on the window&#39;s weights",
-            "5. Repeat any part",
-            "6. What was set out to reach",
+            "2. Gait cycles",
+            "3. Closing the loop",
+            "4. Known weights",
+            "5. How much hangs on the window&#39;s weights",
+            "6. Repeat any part",
+            "7. What was set out to reach",
         )
     ]
     assert places == sorted(places)
