@@ -140,7 +140,7 @@ def overview_table(
         **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
     }
     parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
-    name = "overview" + error.removeprefix("cop")
+    name = "overview" if error == "cop" else f"overview_{error.removeprefix('cop_')}"
     return table_of(name, f"{heading}, all scenarios", columns, [p for p in parts if len(p[1])])
 
 
@@ -154,6 +154,7 @@ def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
         "fault, method": lambda runs: f"{titles[runs['scenario'].iloc[0]]}, {short_label(_method(runs))}",
         **{name: _of_methods(cell) for name, cell in _FAULTS.items()},
         "CoP afterwards (mm)": mean_of("after", 1e3),
+        "foot's CoP afterwards (mm)": mean_of("after_foot", 1e3),
     }
     title = "Cells that fail while the robot walks"
     note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
@@ -245,7 +246,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
                 paper = published.get(method)
                 cells.append("" if paper is None else number(factor * getattr(paper, metric)))
             cells += [with_interval(truth[metric], factor) for metric, _, _, factor in PAPER_METRICS]
-            rows.append((*cells, with_interval(truth["cell"])))
+            rows.append((*cells, with_interval(truth["cop_foot"], 1e3), with_interval(truth["cell"])))
     columns = ["condition", "method"]
     for _, what, unit, _ in PAPER_METRICS:
         columns += [f"{what} against baseline ({unit})", "paper"]
@@ -258,7 +259,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
     return Table(
         f"walking_{speed:g}".replace(".", "_"),
         f"Table {name}: {speed:g} m/s" if name else f"{speed:g} m/s",
-        (*columns, "single cell against truth (N)"),
+        (*columns, "foot's CoP against truth (mm)", "single cell against truth (N)"),
         tuple(rows),
         note,
     )
@@ -302,3 +303,22 @@ def sensitivity_table(runs: Frame, title: str) -> Table:
     columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
     name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
     return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))
+
+
+def standing_table(fixed: Mapping[str, Frame], standing: Mapping[str, Frame]) -> Table:
+    """Return the window's errors with its weights and with those of a quiet stand, on the same walks."""
+    rows = []
+    for title, stood in standing.items():
+        for speed, part in stood.groupby("speed"):
+            plain = fixed[title][fixed[title]["seed"].isin(part["seed"]) & (fixed[title]["speed"] == speed)]
+            both = [
+                with_interval(one[metric], factor) for metric, factor, *_ in METRICS for one in (plain, part)
+            ]
+            rows.append((f"{title}, {speed:g} m/s", *both))
+    columns = [
+        f"{label.replace(' rmse', '')}{what}" for _, _, label, _ in METRICS for what in ("", ", of standing")
+    ]
+    note = "w_F and w_P as they are, and of the quiet stand before the walk, as in the paper."
+    return Table(
+        "standing_weights", "The window's weights of a quiet stand", ("walks", *columns), tuple(rows), note
+    )

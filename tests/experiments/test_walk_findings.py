@@ -33,6 +33,7 @@ def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.Dat
             "against": against,
             "cop": 1e-3 * (value + spread * seed),
             "vgrf": value / 10,
+            "cop_foot": 1e-3,
             "cell": 0.5,
         }
         for method, value in level.items()
@@ -152,6 +153,7 @@ def scores_of(scenario: str, cop: dict[str, list[float]], **changes: object) -> 
         "worse_vgrf": False, "worse_cell": False, "converged": 4.0, "spread": 1e-4,
         "nees_end": np.nan, "nees_cop": np.nan, "nis": np.nan, "nis_rows": 0.0, "parameters": 16.0,
         "alarms": 0.0, "hours": 0.5, "found": np.nan, "isolated": np.nan, "named": np.nan, "after": np.nan,
+        "after_foot": np.nan,
         "bound_cop": np.nan, "bound_vgrf": np.nan, "bound_cell": np.nan,
     }  # fmt: skip
     return pd.DataFrame(rows).assign(**(common | changes))

@@ -60,6 +60,7 @@ ALONE = {
     "warming": {"config": CONFIGS["warming"]},
     "bars": {"config": "hx711-bar-cells"},
     "late": {"config": replace(HX711_LOAD_CELLS, settling=4, wire=Wire(delay=0.03, jitter=0.004))},
+    "shear": {"config": replace(HX711_LOAD_CELLS, shear_std=0.05)},
     "ankles": {"config": "icub-force-torque"},
     "broken": {"faults": ["from t=0.05 s to t=0.1 s cell left/2 drops 50 %", "at t=0 s cell right/1 spikes"]},
 }

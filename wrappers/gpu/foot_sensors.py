@@ -40,7 +40,7 @@ _BODY = """
     unsigned char *starts = (unsigned char *)marks.data + robot;
     const sf_{kind}_config *device = (const sf_{kind}_config *)config.data;
     const int K = {channels};
-    const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * K;
+    const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * {loads};
     sf_real *counts = (sf_real *)found.data + (size_t)robot * K;
     sf_feet feet;
     memset(&feet, 0, sizeof feet);
@@ -56,10 +56,10 @@ _BODY = """
 """
 
 _DEVICES = {
-    True: (CELLS, "device->channels", "cells"),
-    False: (FORCE_TORQUE, "6 * device->sensors", "ankles"),
+    True: (CELLS, "device->channels", "sf_loads(device)", "cells"),
+    False: (FORCE_TORQUE, "6 * device->sensors", "K", "ankles"),
 }
-"""For load cells and for others: how the library has them, their channels there, who draws for them."""
+"""For load cells and for others: the library's kind, channels and loads there, who draws for them."""
 
 
 class FootSensorsModule(BatchModule):
@@ -133,7 +133,7 @@ class FootSensorsModule(BatchModule):
         self._first = len(more), first
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
         self._kernel = self._build()
-        kind, _, self._part = _DEVICES[self._blocks]
+        kind, *_, self._part = _DEVICES[self._blocks]
         parts = self._device(kind, self.config), self._device(FAULTS, self._broken)
         self._config, self._faults_config = (self._record(part.constants) for part in parts)
         streams = [device_streams(SENSOR_STREAM, seed + robot) for robot in range(num_envs)]
@@ -149,7 +149,8 @@ class FootSensorsModule(BatchModule):
 
         Args:
             force: True forces in N (for six-axis sensors wrenches in N and N m) at the end of the step, shape
-                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K).
+                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K); 3 K with
+                shear, all vertical ones first, then those along the sole's x, then y.
             step: Number of the simulation step, if the module has no ``counter``.
 
         Returns:
@@ -160,7 +161,8 @@ class FootSensorsModule(BatchModule):
             ValueError: If their shape or device is not the module's.
         """
         tails = (("channels",), ("S", "channels")) if self._blocks else (("channels",),)
-        force = self._bring(force, "force", tails, self.channels).contiguous()
+        loads = getattr(self.config, "loads", self.channels)
+        force = self._bring(force, "force", tails, loads).contiguous()
         advances = self._begins(step)
         if advances or self._asked:
             count, first = self._first
@@ -237,7 +239,7 @@ class FootSensorsModule(BatchModule):
 
     def _build(self) -> Kernel:
         """Return the kernel, with room for these sensors."""
-        kind, channels, _ = _DEVICES[self._blocks]
+        kind, channels, loads, _ = _DEVICES[self._blocks]
         config = self.config
         cells = isinstance(config, LoadCells)
         sizes = {
@@ -249,7 +251,7 @@ class FootSensorsModule(BatchModule):
             "FAULTS": max(16, len(self._broken.faults)),
         }
         fits = tuple(f"surefoot_{name}_fits" for name in (kind.name, FAULTS.name))
-        body = _BODY.format(kind=kind.name, channels=channels)
+        body = _BODY.format(kind=kind.name, channels=channels, loads=loads)
         return kernel("sensors", ("surefoot_feet",), body, fits, tuple(sizes.items()), DTYPES[self.dtype])
 
     def _device(self, kind: Kind, config: Any) -> NativeDevice:
@@ -263,7 +265,7 @@ class FootSensorsModule(BatchModule):
 
     def _draw(self, streams: Iterable[tuple[Stream, ...]]) -> tuple[Tensor, Tensor, Tensor]:
         """Draw sensors of some robots, each from its own two streams; return records and streams in bytes."""
-        kind, _, _ = _DEVICES[self._blocks]
+        kind, *_ = _DEVICES[self._blocks]
         makers = [
             (self._device(*of), of[0].build(of[1])) for of in ((kind, self.config), (FAULTS, self._broken))
         ]
