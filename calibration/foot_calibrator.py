@@ -25,6 +25,7 @@ from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.curves import Curves
+from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
 
 
@@ -41,7 +42,8 @@ class FootCalibrator:
             options as a value, such as ``Moment(scale_std=0.2)``.
         mass: Mass of the robot as it believes it, in kg.
         initial: The map to start from, the nominal one or that of known weights; by default readings are
-            taken for newtons.
+            taken for newtons. Also the JSON file that ``surefoot calibrate weights`` writes, or its contents,
+            with its curves.
         curves: Curves of channels that are not linear, as known weights show them, in front of all maps.
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
@@ -79,13 +81,16 @@ class FootCalibrator:
         method: str | MethodOptions = "moment",
         *,
         mass: float,
-        initial: Parameters | None = None,
+        initial: Parameters | str | PathLike[str] | Mapping[str, Any] | None = None,
         curves: Curves | None = None,
         dt: float = 1.0 / 80.0,
         lag: int = 2,
         **options: Any,
     ) -> None:
         self.method, options = resolve_method(method, options)
+        if initial is not None and not isinstance(initial, Parameters):
+            initial, own = read_map(initial, layout.channel_names)
+            curves = own if curves is None else curves
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )

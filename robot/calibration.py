@@ -118,7 +118,8 @@ class CalibrationSetup:
         self.given = options
         self.errors = belief_errors(errors)
         instruments, drawing = equipment.instruments, equipment.drawing
-        self.start = StartingMap(initial, instruments.nominal, self.errors)
+        names = instruments.layout.channel_names
+        self.start = StartingMap(initial, instruments.nominal, self.errors, names)
         check_stream(owner, stream)
         show = default_parts(flaw_of(instruments.layout, drawing.flaw)) if show is None else show
         check_parts(show)

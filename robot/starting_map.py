@@ -1,12 +1,13 @@
 """The map that a calibrator starts from, as a user gives it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Curves, Parameters
+from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.robot.beliefs.errors import BeliefErrors
 
 
@@ -15,10 +16,11 @@ class StartingMap:
 
     Args:
         initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset a channel, as
-            :class:`~surefoot.calibration.Parameters` or a mapping, which may hold ``curves`` as the file of
-            ``surefoot calibrate weights`` does.
+            :class:`~surefoot.calibration.Parameters` or a mapping, which may hold ``curves``; or the JSON
+            file of ``surefoot calibrate weights``, also as its contents.
         nominal: The data sheet's map, shape (K,).
         errors: How far a calibrated start is off.
+        names: Names of the channels, for the maps of files.
 
     Attributes:
         given: Whether it was given as numbers.
@@ -30,9 +32,14 @@ class StartingMap:
         ValueError: If it is none of these.
     """
 
-    def __init__(self, initial: Any, nominal: Parameters, errors: BeliefErrors) -> None:
+    def __init__(
+        self, initial: Any, nominal: Parameters, errors: BeliefErrors, names: Sequence[str] = ()
+    ) -> None:
         self.curves: Curves | None = None
-        if isinstance(initial, Mapping) and "curves" in initial:
+        if is_file_of_map(initial):
+            initial, curves = read_map(initial, names)
+            self.curves = curves if curves.any else None
+        elif isinstance(initial, Mapping) and "curves" in initial:
             initial = dict(initial)
             self.curves = Curves.from_plain(initial.pop("curves"), len(nominal.scale))
         read = _read(initial, len(nominal.scale))

@@ -30,6 +30,15 @@ def plain_name(name: str) -> str:
     return plain
 
 
+def slug(name: str) -> str:
+    """Return a name as it stands in column names.
+
+    >>> slug("left/front_left")
+    'left_front_left'
+    """
+    return name.replace("/", "_").replace("-", "_").replace(" ", "_")
+
+
 def page(name: str) -> str:
     """Return the address of a page of the documentation of this version: a wheel has no ``docs`` folder."""
     try:

@@ -207,11 +207,13 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         save_hardware(path, [self.robot])
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote.
+        """Go on with the hardware of a file that :meth:`save` wrote, or of a map of known weights.
+
+        A ``.json`` of ``surefoot calibrate weights`` gives load cells the errors that its map undoes.
 
         Raises:
             RuntimeError: If the environment has not been reset.
-            ValueError: If the file is of another robot, or of other sensors.
+            ValueError: If the file is of another robot, or of other sensors, or its map has curves.
         """
         load_hardware(path, [self.robot])
 

@@ -64,7 +64,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         method: A key of :data:`surefoot.calibration.METHODS`.
         initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, the map that a
             calibration from known weights would have found just before the episode; or
-            :class:`~surefoot.calibration.Parameters` (also as a mapping).
+            :class:`~surefoot.calibration.Parameters` (also as a mapping), or the JSON file of
+            ``surefoot calibrate weights``.
         show: Parts of the observation; ``None`` for the first four. For a policy that scales nothing itself,
             ``("foot_load", "cop_foot", "cop", "cop_valid")``: none of it exceeds the order of one.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.

@@ -64,18 +64,25 @@ def walk(
 @app.command(epilog=f"The table: {page('weights')}")
 def weights(
     weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
-    out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
+    out: Annotated[
+        Path | None, Option(help="Where to write the map as JSON; its page lies beside it.")
+    ] = None,
     accept: Accept = None,
     as_json: Json = False,
 ) -> None:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2), or a curve."""
+    from surefoot.experiments.study.progress import working
     from surefoot.experiments.weights.calibrate import fit_weighings
+    from surefoot.experiments.weights.page import write_weights_page
 
     _check_reason(accept)
     with one_line_errors():
         path = weighings.with_suffix(".map.json") if out is None else out
         result = fit_weighings(weighings, path, accept or "")
-    show([result.table], {"map": result.path}, notices=result.notices, as_json=as_json)
+        with working("drawing the report"):
+            page_path = write_weights_page(path.with_suffix(".html"), result)
+    files = {"map": result.path, "report": page_path}
+    show([result.table], files, notices=result.notices, as_json=as_json)
 
 
 @app.command(epilog=f"The table: {page('in-situ-log')}")

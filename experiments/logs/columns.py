@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.experiments.arrays import Floats
+from surefoot.names import slug
 
 _VECTORS = {
     "com": "m",
@@ -24,11 +25,6 @@ PHASES = ("stance", "swing")
 MOMENTUM = "momentum"
 """What columns begin with that hold beliefs as momentum."""
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}
-
-
-def slug(name: str) -> str:
-    """Return a name as it stands in column names."""
-    return name.replace("/", "_").replace("-", "_").replace(" ", "_")
 
 
 def channel_slugs(layout: FeetLayout) -> list[str]:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import (
-    Curves,
     Estimate,
     FootCalibrator,
     MomentumReference,
@@ -18,12 +17,11 @@ from surefoot.calibration import (
     replay,
 )
 from surefoot.calibration.setup import OnlineSetup
+from surefoot.calibration.weights.known_map import read_map
 from surefoot.calibration.window.config import confidence_from_standing
 from surefoot.experiments.arrays import Floats, take_rows
-from surefoot.experiments.logs.columns import channel_slugs, slug
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.files import parse_json, read_text
 
 
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
@@ -110,29 +108,9 @@ def with_map(log: Log, path: Path) -> Log:
     LogError if the file holds no map, or not one for every channel. Channels with a curve have straight
     readings from then on, and ``about`` holds the ``curves``.
     """
-    given = parse_json(read_text(path, LogError), f"{path.name}: the map", LogError)
-    try:
-        names = [slug(str(name)) for name in given["channels"]]
-        values = [[float(x) for x in given[key]] for key in ("scale_N_per_count", "offset_N")]
-        maps = dict(zip(names, zip(*values, strict=True), strict=True))
-        curves = Curves.from_plain(given.get("curves", [None] * len(names)), len(names))
-        bent = dict(zip(names, curves.knots, strict=True))
-    except (KeyError, TypeError, ValueError) as error:
-        raise LogError(
-            f"{path.name}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count "
-            "and offset_N, one of each a channel, as `surefoot calibrate weights` writes them."
-        ) from None
-    wanted = channel_slugs(log.layout)
-    missing = [name for name in wanted if name not in maps]
-    if missing:
-        raise LogError(
-            f"{path.name}: holds no map for the channel {missing[0]!r}; it has {names}. Name the columns "
-            f"of the weighings 'raw_{missing[0]}_count' and so on."
-        )
-    scale, offset = np.array([maps[name] for name in wanted]).T
-    curves = Curves([bent[name] for name in wanted])
+    calibrated, curves = read_map(path, log.layout.channel_names, LogError)
     about = log.about | ({"curves": curves.as_plain()} if curves.any else {})
-    return replace(log, raw=curves.straighten(log.raw), calibrated=Parameters(scale, offset), about=about)
+    return replace(log, raw=curves.straighten(log.raw), calibrated=calibrated, about=about)
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:

@@ -7,25 +7,68 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Curves, fit_channels
+from surefoot.calibration import GRAVITY, Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
-from surefoot.calibration.weights.curves import fit_curve
+from surefoot.calibration.weights.curves import CurveFit, fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
-from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
+from surefoot.experiments.weights.judge import ROUNDING, Weighings, find_memory, judge_weighings
+from surefoot.experiments.weights.loop import Memory
 from surefoot.files import write_text
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CalibratedCells:
-    """The result of weighings: the path of the map, a table to show, and notices."""
+    """The result of weighings of K cells: the path of the map, and what there is to show of it."""
 
-    path: Path
-    table: Table
+    path: Path  # of the map
+    file: str  # of the weighings
+    names: tuple[str, ...]
+    weighings: Weighings  # as they were read
+    kept: Floats  # counts that made the fit, NaN elsewhere, shape (n, K)
+    fit: ChannelFit  # behind the curves
+    std: Floats  # standard deviations of scales and offsets, shape (K, 2)
+    curves: Curves
+    bent: tuple[CurveFit | None, ...]
+    memory: tuple[Memory | None, ...]  # hysteresis and drift, where cells were weighed up and down
     notices: tuple[str, ...]
+
+    @property
+    def map(self) -> Parameters:
+        """Scales in N per count and offsets in N, shape (K,)."""
+        return self.fit.value
+
+    @property
+    def table(self) -> Table:
+        """A row a cell."""
+        fit, std, bent, memory = self.fit, self.std, self.bent, self.memory
+        columns: dict[str, Cell] = {
+            "cell": lambda i: self.names[i],
+            "weighings": lambda i: decimal(fit.stats[i].samples, "d"),
+            "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
+                1e6 * fit.value.scale[i], 1e6 * std[i, 0]
+            ),
+            "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
+            "curve": lambda i: NOTHING if (one := bent[i]) is None else one.shape,
+            "hysteresis (% of full scale)": lambda i: (
+                NOTHING if (one := memory[i]) is None else with_deviation(*percents(one))
+            ),
+            "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
+        }
+        if not self.curves.any:
+            del columns["curve"]
+        if not any(memory):
+            del columns["hysteresis (% of full scale)"]
+        more = ", of counts that the curve makes straight" if self.curves.any else ""
+        return table_of("weighings", f"F = scale · count + offset{more}", columns, range(len(self.names)))
+
+
+def percents(memory: Memory) -> tuple[float, float]:
+    """Hysteresis and its standard deviation in percent of full scale."""
+    return 100.0 * memory.hysteresis, 100.0 * memory.hysteresis_std
 
 
 def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
@@ -40,13 +83,15 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
     findings, out_of_line = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
-    code = np.where(out_of_line, np.nan, weighings.code)
-    bent = [
-        fit_curve(one[there], weighings.load[there])
-        for one, there in zip(code.T, np.isfinite(code + weighings.load[:, None]).T, strict=True)
-    ]
+    kept = np.where(out_of_line, np.nan, weighings.code)
+    bent: list[CurveFit | None] = []
+    memory: list[Memory | None] = []
+    for one in kept.T:
+        there = np.isfinite(one + weighings.load)
+        bent.append(fit_curve(one[there], weighings.load[there]))
+        memory.append(find_memory(weighings.load[there], one[there], bent[-1]))
     curves = Curves([None if one is None else one.knots for one in bent])
-    code = curves.straighten(code)
+    code = curves.straighten(kept)
     fit = fit_channels(code, weighings.load, names)
     std = _deviations(fit, code)
     notices = passed + weaker
@@ -61,22 +106,12 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     if curves.any:
         facts["curves"] = curves.as_plain()
         facts["curve_std_N"] = [None if one is None else one.std for one in bent]
+    if any(memory):
+        facts["hysteresis"] = [None if one is None else one.hysteresis for one in memory]
+        facts["hysteresis_std"] = [None if one is None else one.hysteresis_std for one in memory]
     write_text(out, json.dumps(facts, indent=1))
-    columns: dict[str, Cell] = {
-        "cell": lambda i: names[i],
-        "weighings": lambda i: decimal(fit.stats[i].samples, "d"),
-        "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
-            1e6 * fit.value.scale[i], 1e6 * std[i, 0]
-        ),
-        "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
-        "curve": lambda i: NOTHING if (one := bent[i]) is None else one.shape,
-        "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
-    }
-    if not curves.any:
-        del columns["curve"]
-    title = "F = scale · count + offset" + (", of counts that the curve makes straight" if curves.any else "")
-    table = table_of("weighings", title, columns, range(len(names)))
-    return CalibratedCells(out, table, notices)
+    rest = (fit, std, curves, tuple(bent), tuple(memory), notices)
+    return CalibratedCells(out, path.name, tuple(names), weighings, kept, *rest)
 
 
 def read_weighings(path: Path) -> Weighings:

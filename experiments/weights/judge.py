@@ -16,9 +16,12 @@ from scipy.stats import t as student
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.weights.curves import LEAST, fit_curve
+from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.checks import RAILS
+from surefoot.experiments.study.tables import round_to
+from surefoot.experiments.weights.loop import LEAST as LEAST_LOOP
+from surefoot.experiments.weights.loop import Memory, memory_of
 
 ODDS = 1e6  # from which on a mistake is named
 MOST = 0.25  # share of a cell's readings that may be left out
@@ -270,7 +273,9 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
             return
         yield Finding("outliers", reason, "They are left out.", refuses=False)
     bend, at, doubt = _bend(table, i, line, kept)
-    if (curve := fit_curve(code[kept], x)) is not None:
+    curve = fit_curve(code[kept], x)
+    memory = find_memory(x, code[kept], curve)
+    if curve is not None:
         yield Finding(
             "curve",
             f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it.",
@@ -290,7 +295,7 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
             LEAST * span,
             refuses=False,
         )
-    elif (scatter := abs(line.scale / line.slope)) > FOLLOWS * LEAST * span:
+    elif not (memory and memory.loops) and (scatter := abs(line.scale / line.slope)) > FOLLOWS * LEAST * span:
         yield Finding(
             "scatter",
             f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
@@ -298,6 +303,44 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
             "Weigh each load three times or more, up and down.",
             scatter,
             FOLLOWS * LEAST * span,
+            refuses=False,
+        )
+
+    yield from _check_memory(name, memory, span)
+
+
+def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | None:
+    """Find hysteresis and drift of readings of one cell, which its curve makes straight, if it has one."""
+    straight = code if curve is None else Curves([curve.knots]).straighten(code[:, None])[:, 0]
+    slope, level = np.polyfit(load, straight, 1)
+    return memory_of(load, (straight - level) / slope, ROUNDING / abs(float(slope)))
+
+
+def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Finding]:
+    """Say how much a reading depends on the way to its load, and on when it was made."""
+    if memory is None:
+        return
+    share, std = (100.0 * part for part in (memory.hysteresis, memory.hysteresis_std))
+    if memory.loops:
+        value, deviation = round_to(abs(share), std)
+        yield Finding(
+            "hysteresis",
+            f"Column '{name}' reads {'more' if share > 0.0 else 'less'} on the way down than on the way up: "
+            f"a hysteresis of {value} ± {deviation} % of full scale, {abs(memory.hysteresis) * span:.2g} N at "
+            "half the load.",
+            "No line or curve undoes it: forces are off by up to half of it, up or down.",
+            abs(memory.hysteresis),
+            max(LEAST_LOOP, memory.reach * memory.hysteresis_std),
+            refuses=False,
+        )
+    if memory.drifts and abs(memory.drift) > LEAST * span:
+        yield Finding(
+            "drift",
+            f"Column '{name}' drifts while it is weighed, by {memory.drift:+.2g} N from its first row to its "
+            "last.",
+            "Let the cell warm up for a quarter of an hour under no load, and weigh again.",
+            abs(memory.drift),
+            LEAST * span,
             refuses=False,
         )
 

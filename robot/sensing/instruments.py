@@ -20,7 +20,7 @@ from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
-from surefoot.sensors.devices.load_cells import LoadCellState, true_map
+from surefoot.sensors.devices.load_cells import LoadCellState, true_map, with_true_map
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -341,6 +341,13 @@ class Instruments:
     def true_map(self, state: InstrumentsState) -> Parameters:
         """Return the map that undoes their errors now: truth, to score calibrators against."""
         return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
+
+    def with_map(self, state: InstrumentsState, true: Parameters) -> InstrumentsState:
+        """Return the state of load cells that a map undoes; ValueError for other instruments."""
+        config = self.parts[0].config
+        if not (self._one and isinstance(config, LoadCells)):
+            raise ValueError("A map of known weights is of load cells alone, and there are six-axis sensors.")
+        return state._replace(cells=with_true_map(config, state.cells, *true))
 
     def join(self, parts: list[Floats]) -> Floats:
         """Put one row a device into one row, foot by foot."""

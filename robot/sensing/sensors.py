@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
+from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import InstrumentsState
@@ -228,6 +229,17 @@ class RobotSensors:
         if self._telemetry_state is not None:
             self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
 
+    def take_map(self, path: str | PathLike[str]) -> None:
+        """Go on with load cells that the map in a JSON file undoes."""
+        kept, instruments = self.hardware(), self._fitted.instruments
+        true, curves = read_map(path, instruments.layout.channel_names)
+        if curves.any:
+            raise ValueError(
+                f"'{path}' has curves, and simulated cells have none; leave 'curves' out of it. Calibrators "
+                "take them: FootCalibrator(initial=...), SelfCalibration(initial=...)."
+            )
+        self.exchange(kept._replace(instruments=instruments.with_map(kept.instruments, true)))
+
     def notes(self) -> dict[str, str]:
         """Name the robot and the sensors that saved hardware belongs to."""
         read = "none" if self._telemetry_state is None else "an IMU and encoders, which are read"
@@ -340,10 +352,16 @@ def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> 
 def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
     """Go on with the hardware of a file that :func:`save_hardware` wrote for as many robots.
 
+    Or with load cells that the map of a ``.json`` undoes, which ``surefoot calibrate weights`` wrote.
+
     Raises:
         RuntimeError: If nothing was drawn yet.
-        ValueError: If the file is of another robot, or of other sensors.
+        ValueError: If the file is of another robot, or of other sensors, or its map has curves.
     """
+    if is_file_of_map(path):
+        for robot in robots:
+            robot.take_map(path)
+        return
     found = load_state(path, _together(robots), _EMPTY, **robots[0].notes())
     for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
         robot.exchange(hardware)

@@ -264,6 +264,27 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     return scale, offset
 
 
+def with_true_map(config: LoadCells, state: LoadCellState, scale: Array, offset: Array) -> LoadCellState:
+    """Return cells whose errors are such that this map, shape (K,) each, undoes them now.
+
+    The inverse of :func:`true_map`, for the cells of a robot that known weights have shown.
+
+    Raises:
+        ValueError: If an unloaded cell would read what the converter cannot.
+    """
+    low, high = config.code_range
+    unloaded = -offset / scale
+    if config.adc_bits and not ((low < unloaded) & (unloaded < high)).all():
+        raise ValueError(
+            f"Unloaded, these cells read {unloaded.min():.4g} to {unloaded.max():.4g} counts, and the "
+            f"converter of LoadCells {low:.4g} to {high:.4g}: choose 'coding' and 'adc_bits' as yours."
+        )
+    scale_true = 1.0 / (config.slope * scale)
+    shift = offset_shift(config.mechanics, state.mechanics) if state.mechanics else 0.0
+    error = np.array([scale_true - 1.0, -scale_true * (config.zero_code * scale + offset + shift)])
+    return state._replace(error=error)
+
+
 def _wire(config: LoadCells) -> Corruption[WireState]:
     rated = config.counts_per_newton * config.capacity
     return wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)

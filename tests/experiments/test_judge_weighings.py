@@ -1,9 +1,11 @@
 """Tables of weighings: a mistake is named, a reading that lies off is left out, and sound tables pass."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -13,85 +15,45 @@ from surefoot.calibration import GRAVITY, Curves
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walks.replay import with_map
-from surefoot.experiments.weights.judge import Weighings, judge_weighings
+from surefoot.experiments.weights.judge import Weighings, find_memory, judge_weighings
+from surefoot.experiments.weights.page import falls
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
 RUNNER = CliRunner()
-SHAPES = {
-    "one cell": (1, (0.0, 0.5, 1.0, 2.0, 3.0, 5.0), 5),
-    "four cells": (4, (0.0, 0.5, 1.0, 2.0, 3.0, 5.0), 5),
-    "single readings": (1, (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0), 1),
-    "four loads": (2, (0.0, 1.0, 2.0, 4.0), 3),
-}
+SHAPES = ("one cell", "four cells", "single readings", "four loads")
+MISTAKES = ("rail", "off", "labels", "dead", "grams", "curve", "newtons")
+LOOP = np.repeat((0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.0), 3)
+"""Weights in kg, up and down."""
 
 
-def weigh(shape: str, seed: int) -> Weighings:
-    cells, loads, repeats = SHAPES[shape]
-    rng, load = np.random.default_rng(seed), np.repeat(loads, repeats)
-    slope, level = 1e5 * rng.uniform(0.8, 1.2, cells), 84000 + 3e4 * rng.standard_normal(cells)
-    code = level + slope * rng.choice([-1, 1], cells) * load[:, None]
-    code = np.rint(code + 30.0 * rng.standard_normal(code.shape))
-    names = tuple(f"raw_c{i}_count" for i in range(cells))
-    return Weighings(load * GRAVITY, code, names, "load_kg", GRAVITY)
-
-
-def count(table: Weighings, rows: object, values: object) -> Weighings:
-    code = table.code.copy()
-    code[rows, 0] = values
-    return replace(table, code=code)
-
-
-def off(table: Weighings, rng: np.random.Generator) -> Weighings:
-    row = int(rng.integers(len(table.code)))
-    return count(table, row, table.code[row, 0] + 5000)
-
-
-def exchange(table: Weighings, rng: np.random.Generator) -> Weighings:
-    a, b = rng.choice(np.unique(table.load), 2, replace=False)
-    load = table.load
-    return replace(table, load=np.where(load == a, b, np.where(load == b, a, load)))
-
-
-def bend(table: Weighings, rng: np.random.Generator) -> Weighings:
-    code = 84000 + 4e5 * (1.0 - np.exp(-table.load / 30.0)) + 30.0 * rng.standard_normal(len(table.load))
-    return count(table, slice(None), np.rint(code))
-
-
-MISTAKES: dict[str, tuple[set[str], bool, Callable[[Weighings, np.random.Generator], Weighings]]] = {
-    "rail": ({"outliers"}, False, lambda t, g: count(t, int(g.integers(len(t.code))), 8388607)),
-    "off": ({"outliers"}, False, off),
-    "labels": ({"labels"}, True, exchange),
-    "dead": (
-        {"dead cell"},
-        True,
-        lambda t, g: count(t, slice(None), np.rint(g.normal(84000, 30, len(t.code)))),
-    ),
-    "grams": ({"units"}, True, lambda t, _: replace(t, load=1000.0 * t.load)),
-    "curve": ({"curve", "scatter"}, False, bend),
-    "newtons": ({"newtons"}, True, lambda t, _: replace(t, load=GRAVITY * t.load)),
-}
+@pytest.fixture(scope="module")
+def spoilt(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
+    """The tables that are counted for the docs."""
+    return benchmark_script("spoilt_logs")
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_table_of_spoilt_weighings(shape: str, mistake: str) -> None:
+def test_the_table_of_spoilt_weighings(spoilt: ModuleType, shape: str, mistake: str) -> None:
     """Each of 28 kinds, of which each is named first."""
-    names, refuses, spoil = MISTAKES[mistake]
+    names, refuses, spoil = spoilt.WEIGHING_SPOILERS[mistake]
     for seed in range(2):
-        findings, _ = judge_weighings(spoil(weigh(shape, seed), np.random.default_rng(seed)))
+        findings, _ = judge_weighings(spoil(spoilt.weigh(shape, seed), np.random.default_rng(seed)))
         assert findings[0].name in names
         assert findings[0].refuses == refuses
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_sound_tables_pass(shape: str) -> None:
+def test_sound_tables_pass(spoilt: ModuleType, shape: str) -> None:
     for seed in range(6):
-        findings, out = judge_weighings(weigh(shape, seed))
+        findings, out = judge_weighings(spoilt.weigh(shape, seed))
         assert findings == []
         assert not out.any()
 
 
-def test_a_label_of_another_load_is_named() -> None:
-    table = weigh("four cells", 5)
+def test_a_label_of_another_load_is_named(spoilt: ModuleType) -> None:
+    table = spoilt.weigh("four cells", 5)
     table = replace(table, load=np.where(table.load == 2.0 * GRAVITY, 2.5 * GRAVITY, table.load))
     (first,), _ = judge_weighings(table)
     assert "the readings under 2.5 are those of 2 (probability more than 99.9 %" in first.reason
@@ -105,10 +67,10 @@ def write(table: Weighings, path: Path) -> Path:
     return path
 
 
-def test_a_reading_at_the_rail_does_not_turn_the_line(tmp_path: Path) -> None:
-    sound = weigh("one cell", 3)
+def test_a_reading_at_the_rail_does_not_turn_the_line(spoilt: ModuleType, tmp_path: Path) -> None:
+    sound = spoilt.weigh("one cell", 3)
     scales = []
-    for table in (sound, count(sound, 7, 8388607)):
+    for table in (sound, spoilt.count(sound, 7, 8388607)):
         path = write(table, tmp_path / "scales.csv")
         result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
         assert result.exit_code == 0, result.output
@@ -122,8 +84,8 @@ def test_a_reading_at_the_rail_does_not_turn_the_line(tmp_path: Path) -> None:
     assert said["notices"][0].endswith("(line 9 of the file, such as 8388607). They are left out.")
 
 
-def test_exchanged_labels_end_the_command(tmp_path: Path) -> None:
-    table = weigh("one cell", 3)
+def test_exchanged_labels_end_the_command(spoilt: ModuleType, tmp_path: Path) -> None:
+    table = spoilt.weigh("one cell", 3)
     load = table.load / GRAVITY
     table = replace(table, load=GRAVITY * np.where(load == 1, 2, np.where(load == 2, 1, load)))
     path = write(table, tmp_path / "scales.csv")
@@ -136,6 +98,64 @@ def test_exchanged_labels_end_the_command(tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--accept", "they are right"])
     assert result.exit_code == 0
     assert "Note: scales.csv: accepted (they are right): The weighings contradict each other" in result.stdout
+
+
+def loop(share: float, seed: int, drift: float = 0.0) -> Weighings:
+    """Weigh a cell with hysteresis, whose loops have a size of their own, up and down."""
+    rng, load = np.random.default_rng(seed), GRAVITY * LOOP
+    element = hysteresis(share, load.max() * 2.0 ** rng.uniform(0.0, 1.0), smallest=SMALLEST_LOOP)
+    state, felt = element.init((1,), rng), []
+    for now in load:
+        reading, state = element.apply(np.array([now]), state, rng, 0.0)
+        felt.append(reading[0])
+    code = 84000 + 1e4 * (np.array(felt) + drift * np.linspace(0.0, 1.0, len(load)))
+    code = np.rint(code + 30.0 * rng.standard_normal(len(load)))[:, None]
+    return Weighings(load, code, ("raw_a_count",), "load_kg", GRAVITY)
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-3, 1e-2, 5e-2])
+def test_hysteresis_of_weights_up_and_down_is_found(share: float) -> None:
+    off, names = [], []
+    for seed in range(30):
+        table = loop(share, seed)
+        names.append([one.name for one in judge_weighings(table)[0]])
+        memory = find_memory(table.load, table.code[:, 0], None)
+        assert memory is not None
+        off.append((memory.hysteresis - share) / memory.hysteresis_std)
+    assert names == [["hysteresis"] if share else []] * 30
+    assert np.mean(np.abs(off) < 1.645) > 0.75
+
+
+def test_a_drift_is_no_hysteresis() -> None:
+    table = loop(0.0, 1, drift=1.0)
+    (found,), _ = judge_weighings(table)
+    assert found.name == "drift"
+    assert "'raw_a_count' drifts while it is weighed, by +1 N from its first row to its last." in found.reason
+    rising = replace(table, load=table.load[:18], code=table.code[:18])
+    assert find_memory(rising.load, rising.code[:, 0], None) is None
+
+
+def test_hysteresis_is_said_with_its_size(tmp_path: Path) -> None:
+    path = write(loop(0.01, 2), tmp_path / "scales.csv")
+    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    (row,) = told["tables"]["weighings"]["rows"]
+    assert row["hysteresis (% of full scale)"]["value"] == pytest.approx(1.0, abs=0.03)
+    (note,) = told["notices"]
+    assert re.search(r"on the way up: a hysteresis of 1\.\d+ ± 0\.0\d+ % of full scale, 0\.(5|49) N at half", note)
+    assert note.endswith("No line or curve undoes it: forces are off by up to half of it, up or down.")
+    said = json.loads((tmp_path / "scales.map.json").read_text())
+    assert said["hysteresis"][0] == pytest.approx(0.01, abs=3e-4)
+    page = (tmp_path / "scales.map.html").read_text()
+    assert told["files"]["report"] == str(tmp_path / "scales.map.html")
+    assert "data:image/svg+xml" in page
+    assert "a hysteresis of 1" in page
+
+
+def test_loads_are_told_up_from_down() -> None:
+    load = np.array([0.0, 0.0, 1.0, 1.0, 2.0, 1.0, 1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(falls(load), [0, 0, 0, 0, 0, 1, 1, 1, 0])
 
 
 def test_exact_readings_are_as_sure_as_their_rounding(tmp_path: Path) -> None:

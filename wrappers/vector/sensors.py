@@ -249,7 +249,7 @@ class BatchSensors:
         save_hardware(path, self.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots.
+        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
 
         Raises:
             RuntimeError: If nothing was drawn yet.

@@ -1,0 +1,94 @@
+r"""Hysteresis of a cell under weights up and down, and the drift of its zero meanwhile, by the order of rows.
+
+Under one load F a cell's readings, which its line or curve has made newtons, are
+
+.. math:: y = m_F + h\, L(F) + d\, t + n
+
+with a mean of its own for each load, so that no shape of the curve is asked for; the way L to this load, of
+the emulated cells (:mod:`surefoot.sensors.stages.hysteresis`) by a unit of their share; and the place t of
+the row in the table, from 0 to 1. Student's t tests h and d, each beside the other.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.instrument.response import loop_of
+
+ALARM = 1e-4  # probability that a cell without hysteresis, or without drift, is said to have some
+WIDER = 2.0 ** np.arange(
+    0.0, 1.0, 0.125
+)  # full scales in largest loads: from 2 on the loops are the same again
+LEAST = (
+    5e-4  # share of the full scale from which hysteresis is worth a word: cheap load cells are sold with it
+)
+
+
+class Memory(NamedTuple):
+    """What a cell's readings owe to the order of its weighings.
+
+    Attributes:
+        hysteresis: Width of the loop at half the largest load, in shares of that load.
+        hysteresis_std: Its standard deviation.
+        drift: Of the zero from the first row to the last in N.
+        drift_std: Its standard deviation.
+        reach: Standard deviations from which hysteresis or drift are surely there.
+    """
+
+    hysteresis: float
+    hysteresis_std: float
+    drift: float
+    drift_std: float
+    reach: float
+
+    @property
+    def loops(self) -> bool:
+        """Whether there surely is hysteresis that is worth a word."""
+        return abs(self.hysteresis) > max(self.reach * self.hysteresis_std, LEAST)
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the zero surely drifts."""
+        return abs(self.drift) > self.reach * self.drift_std
+
+
+def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
+    """Find hysteresis and drift of one cell; ``None`` unless loads were reached from below and from above.
+
+    Args:
+        load: In the order of weighing in N, shape (n,).
+        force: Readings as newtons, by the cell's own line or curve, shape (n,).
+        rounding: Standard deviation of a reading's rounding in N.
+    """
+    full, values = float(np.abs(load).max()), np.unique(load)
+    free = len(load) - len(values) - 2
+    if free < 1:
+        return None
+    columns = [loop_of(load[:, None], full * wider)[:, 0] for wider in WIDER]
+    rest = np.column_stack([*columns, np.linspace(0.0, 1.0, len(load)), force])
+    for one in values:
+        rest[load == one] -= rest[load == one].mean(axis=0)
+    fits, y = [], rest[:, -1]
+    for k in range(len(WIDER)):
+        A = rest[:, [k, -2]]
+        information = A.T @ A
+        # The loop must differ by more than a drift does, from row to row.
+        left = information[0, 0] - information[0, 1] ** 2 / max(information[1, 1], 1e-300)
+        if not left > 1e-6 * full**2:
+            return None
+        covariance = np.linalg.inv(information)
+        theta = covariance @ (A.T @ y)
+        variance = max(float(np.sum((y - A @ theta) ** 2)) / free, rounding**2)
+        fits.append((theta, variance * np.diagonal(covariance), variance))
+    means, variances, noise = (np.array(part) for part in zip(*fits, strict=True))
+    # Each shape counts by its likelihood.
+    weight = np.exp(-0.5 * free * np.log(noise / noise.min()))[:, None] / np.ones((1, 2))
+    weight /= weight.sum(axis=0)
+    mean = (weight * means).sum(axis=0)
+    std = np.sqrt((weight * (variances + (means - mean) ** 2)).sum(axis=0))
+    reach = float(student.ppf(1.0 - 0.5 * ALARM, free))
+    # A loop has a slope of its own, so that newtons are known to its share.
+    own = float(np.hypot(std[0], mean[0] ** 2))
+    return Memory(float(mean[0]), own, float(mean[1]), float(std[1]), reach)
