@@ -330,7 +330,8 @@ def walk_outcomes() -> Iterator[Outcome]:
     for number, (name, log) in enumerate(spoilt_walks().items()):
         for i, (mistake, (kind, spoil)) in enumerate(SPOILERS.items()):
             spoilt = spoil(log, np.random.default_rng([number, i]))
-            yield Outcome(name, mistake, {kind}, judge_log(spoilt, starting_map(spoilt)).findings)
+            findings = judge_log(spoilt, starting_map(spoilt)).findings
+            yield Outcome(name, mistake, {kind}, findings)
 
 
 def weighing_outcomes() -> Iterator[Outcome]:

@@ -1,7 +1,7 @@
 """``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +34,9 @@ def view(
         Path | None, Option(help="Show a robot's stream of rows instead; a log's description, .json.")
     ] = None,
     stream_port: Annotated[int, Option(help="UDP port that the rows come to.", min=1, max=65535)] = 9870,
+    mcap: Annotated[
+        Path | None, Option(help="Write samples into this .mcap: of --stream, or of --log without a page.")
+    ] = None,
     host: Annotated[str, Option(help="Address of the page; 0.0.0.0 lets other computers in.")] = LOOPBACK,
     port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
     window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
@@ -61,11 +64,20 @@ def view(
         fail("--foot and --soles go with --feet ENV or with ENV, which say whose feet.")
     if len(feeds) > 1:
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
+    if mcap is not None and stream is None:
+        if log is None:
+            fail("--mcap takes what --stream or --log shows; give one of them.")
+        _write_mcap(mcap, log, feeds[0])
+        return
     made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
     made["start"] = {"speed": speed, "severity": severity}
     if stream is not None:
-        rows = partial(_stream_page, description=stream, feed=feeds[0], at=(host, stream_port))
-        _show_page(rows, stream.name, f"; rows come to UDP port {stream_port}", host, port)
+        with ExitStack() as kept:
+            options: dict[str, Any] = {"description": stream, "feed": feeds[0], "at": (host, stream_port)}
+            rows = partial(_stream_page, **options, mcap=mcap, kept=kept)
+            _show_page(rows, stream.name, f"; rows come to UDP port {stream_port}", host, port)
+        if mcap is not None:
+            typer.echo(f"MCAP: {mcap}")
     elif log is not None:
         _show_page(lambda server: _log_page(server, log, feeds[0]), log.name, "", host, port)
     else:
@@ -139,13 +151,40 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
         return LogPage(server, LogFeet(read_log(log), _choose(feed).get("method", "moment")))
 
 
-def _stream_page(server: Any, description: Path, feed: str, at: tuple[str, int]) -> Any:
-    """Return a robot's stream on a page, or refuse it."""
+def _stream_page(
+    server: Any, description: Path, feed: str, at: tuple[str, int], mcap: Path | None, kept: ExitStack
+) -> Any:
+    """Return a robot's stream on a page, or refuse it; a file takes its samples until ``kept`` is closed."""
     from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
     with _refuse():
         feet = StreamFeet(description, _choose(feed).get("method", "moment"))
+        if mcap is not None:
+            feet.keep = kept.enter_context(_mcap().open_mcap(mcap, feet.layout))
         return StreamPage(server, feet, RowSocket(*at))
+
+
+def _write_mcap(path: Path, log: Path, feed: str) -> None:
+    """Write a log into an MCAP file, or refuse it."""
+    from surefoot.experiments.logs.format import read_log
+    from surefoot.experiments.study.progress import working
+    from surefoot.experiments.walks.replay import starting_map
+
+    with _refuse(), working("writing the samples"):
+        method = _choose(feed).get("method", "none")
+        read = read_log(log, feet_alone=method in ("none", "tare"))
+        typer.echo(f"MCAP: {_mcap().write_mcap(path, read, method, starting_map(read))}")
+
+
+def _mcap() -> Any:
+    """Return the writer of MCAP files, or say what to install."""
+    from surefoot.extras import not_installed
+
+    try:
+        from surefoot.experiments.logs import mcap
+    except ModuleNotFoundError as missing:
+        raise not_installed("--mcap", missing, "mcap") from None
+    return mcap
 
 
 def _choose(feed: str) -> dict[str, str]:

@@ -3,7 +3,7 @@
 import math
 import socket
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ import numpy as np
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
-from surefoot.experiments.arrays import take_rows
+from surefoot.calibration.estimate import Estimate
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.columns import (
     PHASES,
@@ -81,6 +82,7 @@ class StreamFeet:
     """
 
     def __init__(self, description: Path, method: str) -> None:
+        self.keep: Callable[[float, Floats, Estimate], None] | None = None  # takes each sample, for a file
         told = parse_json(read_text(description, LogError), description.name, LogError)
         self.facts = facts = Description.read(told, f"{description.name}: the description")
         self.layout = facts.layout
@@ -123,7 +125,8 @@ class StreamFeet:
             # A robot that starts anew.
             self._begin()
         step = step if step > 0.0 else self.facts.dt_s
-        raw = self._curves.straighten(np.array([_number(row, name) for name in self._counts]))
+        counts = np.array([_number(row, name) for name in self._counts])
+        raw = self._curves.straighten(counts)
         reference = self._feel(row, raw) if alone else self._believe(row)
         raw_estimate, estimate = (one.update(raw, reference, step) for one in self._calibrators)
         self._time = time
@@ -133,6 +136,8 @@ class StreamFeet:
         for way, one in (("raw", raw_estimate), ("calibrated", estimate)):
             readings[way] = move_cop(now, one, one.cop)
         self.shown = now
+        if self.keep is not None:
+            self.keep(time, counts, estimate)
 
     def _begin(self) -> None:
         facts, alone = self.facts, self._alone

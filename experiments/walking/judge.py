@@ -44,6 +44,9 @@ HINT = 1e2  # odds from which it is a notice: one that is wrong in a hundred log
 SOUND, GROSS = 2.0, 6.0
 """Scales of residuals in those of a sound log: up to the first a log fits; from the second on it contradicts
 itself whatever the cause (15 mm, a tenth of the weight)."""
+MENDED = 3.0
+"""Up to which a mistake may leave residuals: a sound G1 that walks by a policy, with targets held for 20 ms,
+has 2.2 to 2.4, as its accelerations are samples of what changes between them."""
 TRIED = 200  # hypotheses, roughly
 CLOSER = 8  # hypotheses of the likeliest kind, and of others, that are looked at more closely
 LENGTH = 0.2  # of a foot in m where nothing says it
@@ -178,8 +181,11 @@ def _decide(
     limit, hint = (float(np.log(odds * TRIED)) for odds in (ODDS, HINT))
     gain, lead = (best.fit.evidence - one.evidence for one in (plain, other.fit))
     seen = _figures(plain)
-    if gain > hint and best.fit.worst <= SOUND and _everywhere(claims, best.hypothesis):
-        mistake, clear = best.hypothesis, bool(min(gain, lead) > limit)
+    mends = gain > hint and best.fit.worst <= MENDED
+    everywhere = mends and _everywhere(claims, best.hypothesis)
+    # A log that fits as well as sound ones, and much better with a mistake undone, is worth a word.
+    if everywhere or (mends and plain.worst <= SOUND and min(gain, lead) > limit):
+        mistake, clear = best.hypothesis, everywhere and bool(min(gain, lead) > limit)
         # Exchanged channels are all misplaced: a reason that goes with one of them is that channel's own.
         if clear and mistake.kind in ORDERS:
             clear = bool(_without_one(claims, mistake) > 0.0)

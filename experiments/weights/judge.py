@@ -326,8 +326,8 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
         yield Finding(
             "hysteresis",
             f"Column '{name}' reads {'more' if share > 0.0 else 'less'} on the way down than on the way up: "
-            f"a hysteresis of {value} ± {deviation} % of full scale, {abs(memory.hysteresis) * span:.2g} N at "
-            "half the load.",
+            f"a hysteresis of {value} ± {deviation} % of full scale, {abs(memory.hysteresis) * span:.2g} N "
+            "at half the load.",
             "No line or curve undoes it: forces are off by up to half of it, up or down.",
             abs(memory.hysteresis),
             max(LEAST_LOOP, memory.reach * memory.hysteresis_std),

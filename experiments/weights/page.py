@@ -19,7 +19,8 @@ POINTS = 200  # of a drawn curve
 
 CAPTION = (
     "Left, readings under known weights, on the way up and on the way down, with the cell's line or curve; "
-    "right, the residual, calibrated force less weight. Readings that were left out have no residual; those beyond the panel stand at its edge."
+    "right, the residual, calibrated force less weight. Readings that were left out have no residual; those "
+    "beyond the panel stand at its edge."
 )
 
 

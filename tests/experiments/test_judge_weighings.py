@@ -143,7 +143,9 @@ def test_hysteresis_is_said_with_its_size(tmp_path: Path) -> None:
     (row,) = told["tables"]["weighings"]["rows"]
     assert row["hysteresis (% of full scale)"]["value"] == pytest.approx(1.0, abs=0.03)
     (note,) = told["notices"]
-    assert re.search(r"on the way up: a hysteresis of 1\.\d+ ± 0\.0\d+ % of full scale, 0\.(5|49) N at half", note)
+    assert re.search(
+        r"on the way up: a hysteresis of 1\.\d+ ± 0\.0\d+ % of full scale, 0\.(5|49) N at half", note
+    )
     assert note.endswith("No line or curve undoes it: forces are off by up to half of it, up or down.")
     said = json.loads((tmp_path / "scales.map.json").read_text())
     assert said["hysteresis"][0] == pytest.approx(0.01, abs=3e-4)
