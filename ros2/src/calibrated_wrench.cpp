@@ -27,6 +27,8 @@
 #include <tf2_ros/transform_listener.h>
 #endif
 
+#include "wrench.hpp"
+
 namespace surefoot_ros {
 
 using Wrench = geometry_msgs::msg::WrenchStamped;
@@ -48,8 +50,8 @@ public:
     }
 
     bool update(const Wrench &in, Wrench &out) override {
-        const auto &f = in.wrench.force, &t = in.wrench.torque;
-        double left[6] = {f.x, f.y, f.z, t.x, t.y, t.z}, wrench[6];
+        double left[6], wrench[6];
+        read_wrench(in.wrench, left);
         for (std::size_t k = 0; k < offset_.size(); k++) left[k] -= offset_[k];
         for (int row = 0; row < 6; row++) {
             wrench[row] = matrix_.empty() ? left[row] : 0;
@@ -57,12 +59,7 @@ public:
         }
         if (!frame_.empty() && !take_off_tool(in.header.frame_id, wrench)) return false;
         out.header = in.header;
-        out.wrench.force.x = wrench[0];
-        out.wrench.force.y = wrench[1];
-        out.wrench.force.z = wrench[2];
-        out.wrench.torque.x = wrench[3];
-        out.wrench.torque.y = wrench[4];
-        out.wrench.torque.z = wrench[5];
+        write_wrench(wrench, out.wrench);
         return true;
     }
 

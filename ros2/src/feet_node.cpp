@@ -43,6 +43,7 @@
 #include <std_srvs/srv/trigger.hpp>
 
 #include "robot.hpp"
+#include "wrench.hpp"
 
 using Numbers = std_msgs::msg::Float64MultiArray;
 using Flags = std_msgs::msg::Int32MultiArray;
@@ -209,11 +210,9 @@ private:
 
     // A sample is whole when all feet have come; a foot that comes again before the others shows that theirs were lost.
     void take_wrench(std::size_t foot, const Wrench &message) {
-        const auto first = reading_.begin() + 6 * foot;
+        double *const first = reading_.data() + 6 * foot;
         if (*first == *first) sample_wrenches();
-        const auto &f = message.wrench.force, &t = message.wrench.torque;
-        const double six[6] = {f.x, f.y, f.z, t.x, t.y, t.z};
-        std::copy(six, six + 6, first);
+        read_wrench(message.wrench, first);
         wrench_time_ = stamp(message);
         if (std::none_of(reading_.begin(), reading_.end(), [](double x) { return std::isnan(x); })) sample_wrenches();
     }
@@ -284,12 +283,7 @@ private:
         Wrench message;
         message.header.stamp = time;
         message.header.frame_id = soles_[foot];
-        message.wrench.force.x = w[0];
-        message.wrench.force.y = w[1];
-        message.wrench.force.z = w[2];
-        message.wrench.torque.x = w[3];
-        message.wrench.torque.y = w[4];
-        message.wrench.torque.z = w[5];
+        write_wrench(w, message.wrench);
         return message;
     }
 
