@@ -83,8 +83,8 @@ class Blocks(NamedTuple):
     size: float  # conversions in each
 
 
-def loop_of(load: Floats, capacity: float) -> Floats:
-    """Hysteresis of a load in N, by a unit of its share, shape (N, K)."""
+def loop_of(load: Floats, capacity: float | Floats) -> Floats:
+    """Hysteresis of a load in N, by a unit of its share, shape (N, K); capacities may be K."""
     element, rng = hysteresis(UNIT, capacity, smallest=SMALLEST_LOOP), np.random.default_rng(0)
     turns = np.flatnonzero(np.concatenate([[True], (np.diff(load, axis=0) != 0.0).any(axis=1)]))
     state, found = element.init(load.shape[1:], rng), []

@@ -66,8 +66,8 @@ def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
     free = len(load) - len(values) - 2
     if free < 1:
         return None
-    columns = [loop_of(load[:, None], full * wider)[:, 0] for wider in WIDER]
-    rest = np.column_stack([*columns, np.linspace(0.0, 1.0, len(load)), force])
+    loops = loop_of(np.tile(load[:, None], len(WIDER)), full * WIDER)
+    rest = np.column_stack([loops, np.linspace(0.0, 1.0, len(load)), force])
     for one in values:
         rest[load == one] -= rest[load == one].mean(axis=0)
     fits, y = [], rest[:, -1]
