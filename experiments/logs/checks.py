@@ -74,12 +74,14 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
     step = np.diff(time)
     median = float(np.median(step))
     if abs(median / dt - 1.0) > 0.1:
-        units = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-        near = [f"it looks like {name}: divide by {u:g}, and " for u, name in units.items()
-                if abs(median / dt / u - 1.0) < 0.1]  # fmt: skip
+        units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+        near = [name for name, u in units.items() if abs(median / dt / u - 1.0) < 0.1]
+        cure = "give time in seconds and the step that belongs to it."
+        if near:
+            toml = f"{file.rpartition('.')[0]}.toml"
+            cure = f"it looks like {near[0]}: say so in '{toml}', [units] time_s = \"{near[0]}\"."
         raise LogError(
-            f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
-            f"{''.join(near)}give time in seconds and the step that belongs to it."
+            f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; {cure}"
         )
     # Seconds since 1970 are as coarse as that.
     leaps = step > max_gap + 1e-6

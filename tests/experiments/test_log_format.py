@@ -163,12 +163,12 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
     "milliseconds": (
         lambda t: t.assign(time_s=1e3 * t["time_s"]),
         "column 'time_s' steps by 12.5 where the description says dt_s = 0.0125; it looks like "
-        "milliseconds: divide by 1000, and give time in seconds and the step that belongs to it.",
+        "ms: say so in 'walk.toml', [units] time_s = \"ms\".",
     ),
     "nanoseconds since 1970": (
         lambda t: t.assign(time_s=1_700_000_000_000_000_000 + (1e9 * t["time_s"]).astype("int64")),
         "column 'time_s' steps by 1.25e+07 where the description says dt_s = 0.0125; it looks like "
-        "nanoseconds: divide by 1e+09, and give time in seconds and the step that belongs to it.",
+        "ns: say so in 'walk.toml', [units] time_s = \"ns\".",
     ),
     "one row": (lambda t: t.head(1), "1 rows are no walk; a log needs at least two."),
 }
