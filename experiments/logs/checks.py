@@ -81,7 +81,8 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
             toml = f"{file.rpartition('.')[0]}.toml"
             cure = f"it looks like {near[0]}: say so in '{toml}', [units] time_s = \"{near[0]}\"."
         raise LogError(
-            f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; {cure}"
+            f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
+            f"{cure}"
         )
     # Seconds since 1970 are as coarse as that.
     leaps = step > max_gap + 1e-6
