@@ -32,6 +32,7 @@ FOLLOWS = 5.0  # standard deviations that a slope must be from zero for a cell t
 HEAVIEST = 3000.0  # N, three times what any load cell of a foot is made for
 RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are made for half of it at most
 RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
+DEGREE = 3  # of the polynomial that gives the slope of a cell with too few loads for a curve
 ROUND = 0.5  # loads that are all multiples of it, in newtons, look like kilograms
 
 
@@ -312,8 +313,12 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
 def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | None:
     """Find hysteresis and drift of readings of one cell, which its curve makes straight, if it has one."""
     straight = code if curve is None else Curves([curve.knots]).straighten(code[:, None])[:, 0]
-    slope, level = np.polyfit(load, straight, 1)
-    return memory_of(load, (straight - level) / slope, ROUNDING / abs(float(slope)))
+    degree = min(DEGREE, len(np.unique(load)) - 1) if curve is None else 1
+    slope = np.polynomial.Polynomial.fit(load, straight, degree).deriv()(load)
+    if not (slope > 0.0).all() and not (slope < 0.0).all():
+        return None
+    # Within a load all that counts is by how many newtons readings differ.
+    return memory_of(load, straight / slope, ROUNDING / float(np.abs(slope).max()))
 
 
 def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Finding]:

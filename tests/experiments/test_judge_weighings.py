@@ -155,6 +155,17 @@ def test_hysteresis_is_said_with_its_size(tmp_path: Path) -> None:
     assert "a hysteresis of 1" in page
 
 
+def test_hysteresis_of_a_curve_is_no_drift() -> None:
+    """Four loads are too few for a curve."""
+    table = loop(0.05, 3)
+    rows = np.isin(table.load / GRAVITY, (0.0, 1.0, 2.0, 5.0))
+    felt = (table.code[rows] - 84000.0) / 1e4
+    code = np.rint(1023.0 * felt / (felt + 20.0))
+    found, _ = judge_weighings(replace(table, load=table.load[rows], code=code))
+    assert "hysteresis" in [one.name for one in found]
+    assert "drift" not in [one.name for one in found]
+
+
 def test_loads_are_told_up_from_down() -> None:
     load = np.array([0.0, 0.0, 1.0, 1.0, 2.0, 1.0, 1.0, 0.0, 1.0])
     np.testing.assert_array_equal(falls(load), [0, 0, 0, 0, 0, 1, 1, 1, 0])
