@@ -381,7 +381,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
     sf_moment_rows *out = &w->rows;
     sf_real read[SF_CHANNELS] = {0}, x = 0, y = 0, norm, arm[3] = {0, 0, 0}, fewest;
     sf_real weighted[SF_COMPONENTS * SF_CHANNELS] = {0}, pulls[2 * SF_COMPONENTS] = {0}, shares[2] = {0, 0}, after;
-    sf_real moved[SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
+    sf_real pushes[2 * SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
     for (int t = 0; t < n; t++)
         for (int i = 0; i < K; i++) {
             w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
@@ -408,7 +408,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
         sf_real away[3], by[3], wrench[6], gravity[3] = {-1, -(com[1] - out->point[1]), com[0] - out->point[0]};
         for (int r = 0; r < C; r++) {
             sf_real pull = r < 3 ? gravity[r] : 0, *scale[2] = {out->mean + r * N, out->end + r * N};
-            moved[r] += dt * (sf_dot(unit + r * K, force, K) + pull);
+            sf_real push = sf_dot(unit + r * K, force, K);
             for (int which = 0; which < 2; which++) {
                 sf_real *far = reach + (which * C + r) * K, *first = scale[which], by_share = share[which];
                 for (int i = 0; i < K; i++) {
@@ -418,6 +418,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 }
                 for (int j = 0; j < m->talks; j++)
                     first[3 * K + j] += by_share * unit[r * K + m->talk_to[j]] * row[m->talk_from[j]];
+                pushes[which * C + r] += by_share * push;
                 pulls[which * C + r] += by_share * pull;
             }
             for (int i = 0; i < K; i++) {
@@ -461,10 +462,10 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 row[2 * K + i] = far[i] * a[i];
                 rest[r] -= far[i] * (a[i] * u[i]);
             }
-            row[at - 2] = -pulls[which * C + r];
+            row[at - 2] = pushes[which * C + r];
             row[at + r] = 1;
             row[at + C + r] = share;
-            if (!which) row[at - 1] -= moved[r] / T;
+            if (!which) row[at - 1] -= (pushes[C + r] + pulls[C + r]) / T;
         }
         /* The weight's torque about o: of an error of the centre of mass, in axes that head as the feet do. */
         sf_real *hx = H + N, *hy = H + 2 * N;
@@ -1594,7 +1595,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_unexplained(c, m, rows, s->before, known, known, e);
     sf_unexplained(c, m, rows, s->before, known, s->known, before);
@@ -1622,8 +1623,12 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     lasting = sf_evidence(m, L, far);
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
+        weight[r] = rows->mean_rest[r];
+        for (int i = 0; i < K; i++) weight[r] += reach[r * K + i] * (known[i] * known[2 * K + i]);
+    }
+    for (int r = 0; r < C; r++) {
         sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
-        for (int k = 0; k < C; k++) other[r * C + k] += rows->mean[r * N + at - 2] * rows->mean[k * N + at - 2];
+        for (int k = 0; k < C; k++) other[r * C + k] += weight[r] * weight[k];
         other[r * C + r] += arm * arm;
     }
     sf_factor(m, other, reach, K, 0, L);

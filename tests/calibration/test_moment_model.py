@@ -68,12 +68,12 @@ def momentum_of(block, layout, point, x, columns):
     H = np.array([momentum[1], momentum[2], momentum[5]])
     shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
-        f = a * block.force[n] + b + a * u
+        f = (1.0 + m) * (a * block.force[n] + b + a * u)
         f[to] += x[columns.talk] * block.force[n, origin]
-        P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - (1.0 - m)])
+        P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - 1.0])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
         arm = block.com[n] - point - np.append(d, 0.0)
-        H = H + block.dt[n] * np.cross(arm, (0.0, 0.0, -(1.0 - m)))
+        H = H + block.dt[n] * np.cross(arm, (0.0, 0.0, -1.0))
         for foot, (layout_of, where) in enumerate(zip(layout.feet, layout.slices, strict=True)):
             local = layout_of.wrench_map @ f[where]
             force = block.rotation[n, foot] @ local[:3]
