@@ -136,7 +136,7 @@ class MomentFilter:
         leaps = max(LEAP, LEAP_RATE * setup.dt), max(LEAP_ALONE, LEAP_ALONE_RATE * setup.dt)
         leaps = (np.inf, np.inf) if six_axis else leaps
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
-        self.repairs = Repairs(layout, setup.weight, self.faults, columns, spread.unit)
+        self.repairs = Repairs(layout, setup.weight, self.faults, columns)
         self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
@@ -183,8 +183,7 @@ class MomentFilter:
             means.append(mean)
             covariances.append(covariance)
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
-        drifted = np.zeros(2)
-        published = self._weigh(belief, drifted).publish(belief.chance)
+        published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
@@ -198,7 +197,7 @@ class MomentFilter:
             point=np.zeros(3),
             time=0.0,
             belief=belief,
-            drifted=drifted,
+            drifted=0.0,
             noise=np.ones(columns.components),
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
@@ -270,7 +269,7 @@ class MomentFilter:
             covariance[:, at, at] += variance
         return state._replace(
             belief=state.belief._replace(covariance=covariance),
-            drifted=state.drifted + walked,
+            drifted=state.drifted + float(walked[0]),
             time=state.time + duration,
         )
 
@@ -365,7 +364,7 @@ class MomentFilter:
         product: Array = longer * variance[columns.scale] * variance[columns.drift]
         return product
 
-    def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
+    def _weigh(self, belief: Belief, drifted: float) -> Weighed:
         """Weigh all severities in each mode."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 

@@ -150,7 +150,7 @@ static const place places[] = {
     O_REAL(tare_drift), O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
     O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(tare_leap), O_REAL(largest_load),
     O_REAL(largest_sum), O_REAL(touch_load), O_REAL(spread_scale), O_REAL(spread_offset), O_REAL(unit),
-    O_REAL(severities), O_REAL(likely), O_REAL(wide), O_REAL(smallest_drift), O_REAL(least_share), O_REAL(most_load),
+    O_REAL(severities), O_REAL(likely), O_REAL(wide), O_REAL(least_share), O_REAL(most_load),
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
     O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance), O_REAL(gate),
     O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
