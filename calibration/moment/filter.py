@@ -81,7 +81,7 @@ class FilterConstants(NamedTuple):
         components: Of momentum, C.
         capacity: Most samples of a block.
         first_variance: Variances at the start, shape (N,).
-        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
+        walk: As of :class:`~surefoot.calibration.moment.columns.Spread`, shape (2, K).
         ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
         level: :data:`LEVEL`, or :data:`ANY_WAY`.
     """
@@ -119,7 +119,6 @@ class MomentFilter:
         blocks: Makes blocks of samples.
         model: Makes rows of blocks.
         tare: Tares feet.
-        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
@@ -143,7 +142,6 @@ class MomentFilter:
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
         self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
         self._level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
-        self.walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
     def constants(self) -> tuple[NamedTuple, ...]:
@@ -153,7 +151,7 @@ class MomentFilter:
             self.columns.components,
             self.blocks.capacity,
             self._first_variance,
-            self.walk,
+            self._spread.walk,
             config.block,
             config.mass_std,
             self._ahead,
@@ -261,15 +259,15 @@ class MomentFilter:
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
-        walked = self.walk * state.tare.rate**2 * duration
+        walked = self._spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
-        for part, variance in ((columns.scale, walked[0]), (columns.drift, walked[1] * self._spread.unit**2)):
+        for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
             at = np.arange(part.start, part.stop)
             covariance[:, at, at] += variance
         return state._replace(
             belief=state.belief._replace(covariance=covariance),
-            drifted=state.drifted + float(walked[0]),
+            drifted=state.drifted + float(walked[0, 0]),
             time=state.time + duration,
         )
 
@@ -370,8 +368,7 @@ class MomentFilter:
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
-        walked = np.outer(self.walk * rate**2 * self._ahead, np.ones(self._channels))
-        walked[1] *= self._spread.unit**2
+        walked = self._spread.walk * rate**2 * self._ahead
         mean, columns, weight = published.mean, self.columns, self.setup.weight
         learnt = map_covariance(mean, published.covariance, columns, weight)
         return drift_on(learnt, mean, columns, weight, walked)

@@ -56,11 +56,9 @@ class TareConstants(NamedTuple):
 
     Attributes:
         tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
-        tare_drift: Variance that a zero is stated to drift by in W^2/s, shape (K,).
     """
 
     tare_variance: Array
-    tare_drift: Array
     tare_share: float = LEAST_SHARE
     least_apart: float = LEAST_APART
     rate_share: float = RATE_SHARE
@@ -87,12 +85,12 @@ class Tare:
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns, spread: Spread) -> None:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
-        self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
+        self._drift = spread.walk[1]
 
     @property
     def constants(self) -> TareConstants:
         """Constants, by their names in C."""
-        return TareConstants(self._noise, self._drift)
+        return TareConstants(self._noise)
 
     def take(
         self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array

@@ -50,10 +50,10 @@
 typedef struct {
     int components, capacity, held, talks;
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
-    sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
+    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
-    sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
+    sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
@@ -1062,7 +1062,7 @@ SF_API void sf_moment_publish(const sf_config *c, const sf_moment_config *m, con
 SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, const sf_publication *p, sf_real rate,
                               sf_real *learnt) {
     int K = c->channels, M = sf_weighed(c), wide = 2 * K;
-    sf_real W = c->weight, row[SF_WEIGHED], walked = m->walk[0] * (rate * rate) * m->ahead;
+    sf_real W = c->weight, row[SF_WEIGHED], time = rate * rate * m->ahead;
     for (int r = 0; r < wide; r++) {
         int i = r % K;
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
@@ -1079,8 +1079,7 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, con
     }
     /* drift_on: until the map is applied. */
     for (int i = 0; i < K; i++) {
-        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W;
-        sf_real zero = m->walk[1] * (rate * rate) * m->ahead * (m->unit[i] * m->unit[i]);
+        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W, walked = m->walk[i] * time, zero = m->walk[K + i] * time;
         learnt[i * wide + i] += walked;
         learnt[i * wide + K + i] += walked * u;
         learnt[(K + i) * wide + i] += walked * u;
@@ -1252,7 +1251,7 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
             noise[k] = m->tare_variance[i] / seconds;
             centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
             walked[k] = noise[k] * 2;
-            if (last >= 0) walked[k] += tare->rate * tare->rate * m->tare_drift[i] * (s->time - last);
+            if (last >= 0) walked[k] += tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
             leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
         }
         if (last >= 0 && s->time - last > m->least_apart) {
@@ -1327,17 +1326,14 @@ SF_API void sf_break(const sf_config *c, const sf_moment_config *m, sf_moment_st
 /* MomentFilter._age: let scales and zeros drift for a time in s. */
 SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real duration) {
     int K = c->channels, N = sf_states(c, m);
-    sf_real walked[2];
-    for (int i = 0; i < 2; i++) {
-        walked[i] = m->walk[i] * (s->tare.rate * s->tare.rate) * duration;
-    }
+    sf_real time = s->tare.rate * s->tare.rate * duration;
     for (int j = 0; j < SF_MODES; j++)
         for (int i = 0; i < K; i++) {
             sf_real *P = s->belief.covariance + j * N * N;
-            P[i * N + i] += walked[0];
-            P[(2 * K + i) * N + 2 * K + i] += walked[1] * (m->unit[i] * m->unit[i]);
+            P[i * N + i] += m->walk[i] * time;
+            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time;
         }
-    s->drifted += walked[0];
+    s->drifted += m->walk[0] * time;
     s->time += duration;
 }
 
