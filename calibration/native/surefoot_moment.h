@@ -1181,10 +1181,10 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
 /* --------------------------------------------------------------------------------------------------- tare */
 
 /* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
-SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
-                                  int foot, const int *channels, int count, sf_real *reading) {
+SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
+                                  const sf_tares *tare, int n, int foot, const int *channels, int count, sf_real *reading) {
     int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0, sure[SF_BLOCK];
-    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL;
+    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL, swing = 0;
     for (int k = 0; k < count; k++) reading[k] = 0;
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide, *before = t ? row - wide : s->before, *behind = t + 1 < n ? row + wide : row;
@@ -1198,6 +1198,8 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m,
         else if (load[t] < second) second = load[t];
     }
     if (second == (sf_real)HUGE_VAL) second = least; /* a single sample */
+    for (int k = 0; k < count; k++) swing += tare->reading[channels[k]] / m->unit[channels[k]];
+    if (tare->time[foot] >= 0 && s->time - tare->time[foot] <= m->least_apart) second = sf_min(second, swing);
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide;
         if (!sure[t] || !(load[t] <= second + m->touch_load)) continue;
@@ -1237,17 +1239,11 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], last = tare->time[foot], *predicted = w->A;
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
-        sf_real seconds = sf_hanging_reading(c, m, s, n, foot, channels, count, reading);
-        sf_real more = 0;
+        sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
         if (!(seconds >= m->tare_share * duration)) continue;
         for (int k = 0; k < count; k++) {
-            change[k] = reading[k] - tare->reading[channels[k]];
-            more += change[k] / m->unit[channels[k]];
-        }
-        /* A foot that hung a moment ago has landed. */
-        if (last >= 0 && s->time - last <= m->least_apart && more > m->touch_load) continue;
-        for (int k = 0; k < count; k++) {
             int i = channels[k];
+            change[k] = reading[k] - tare->reading[i];
             noise[k] = m->tare_variance[i] / seconds;
             centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
             walked[k] = noise[k] * 2;
