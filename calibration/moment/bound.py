@@ -143,8 +143,8 @@ class LogPassages:
         self._setup, self._filter = setup, MomentFilter(setup, config)
         self._columns, self._spread = self._filter.columns, Spread.of(setup, config)
         self.start: Floats = np.diag(first_variance(self._columns, self._spread, config, wide=1.0))
-        walk, (of_scale, of_zero) = np.zeros(self._columns.size), self._filter.walk
-        walk[self._columns.scale], walk[self._columns.drift] = of_scale, of_zero * self._spread.unit**2
+        walk = np.zeros(self._columns.size)
+        walk[self._columns.scale], walk[self._columns.drift] = self._spread.walk
         self._walk = np.diag(walk)
         self._path = self._follow(truth)
         self._force = np.empty_like(raw)

@@ -84,6 +84,8 @@ class Spread(NamedTuple):
         talk: Of cross-talk, shape (T,).
         com: Of the centre of mass in m^2, shape (2,).
         unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
+        walk: Variances that scales (first) and zeros drift by at the stated rate, in 1/s and W^2/s, shape
+            (2, K).
     """
 
     scale: NDArray[np.float64]
@@ -91,6 +93,7 @@ class Spread(NamedTuple):
     talk: NDArray[np.float64]
     com: NDArray[np.float64]
     unit: NDArray[np.float64]
+    walk: NDArray[np.float64]
 
     @classmethod
     def of(cls, setup: OnlineSetup, config: Moment) -> "Spread":
@@ -99,7 +102,8 @@ class Spread(NamedTuple):
         unit = np.where(torque, setup.length, 1.0)
         scale = np.full(setup.layout.channels, config.scale_std**2)
         talk = (config.cross_talk * np.where(torque, TALK_ARM, 1.0)[find_talks(setup.layout)[0]]) ** 2
-        return cls(scale, (config.offset_std * unit) ** 2, talk, np.full(2, config.com_std**2), unit)
+        walk = np.stack([np.full_like(unit, config.scale_drift), config.offset_drift * unit]) ** 2 / 60.0
+        return cls(scale, (config.offset_std * unit) ** 2, talk, np.full(2, config.com_std**2), unit, walk)
 
 
 def sees_shear(layout: FeetLayout) -> bool:

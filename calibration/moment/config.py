@@ -2,12 +2,13 @@ r"""The moment filter: a Kalman filter whose state holds the robot's momentum an
 
 A robot measures velocities, not accelerations. So nothing is differentiated: the calibrated forces, gravity
 and whatever else pushes predict the robot's momentum, and its velocity measures it. In units of the body
-weight W = M g, m and s, with P the momentum and H the angular momentum about a point o on the ground,
+weight W = M g, m and s, with P the momentum and H the angular momentum about a point o on the ground, both
+by the believed mass,
 
 .. math::
-    \dot P_z &= \sum f + w_f - (1 - m) \\
-    \dot H_x &= \sum (p_y - o_y) f - (c_y - d_y - o_y)(1 - m) + w_x \\
-    \dot H_y &= -\sum (p_x - o_x) f + (c_x - d_x - o_x)(1 - m) + w_y
+    \dot P_z &= (1 + m) \sum f + w_f - 1 \\
+    \dot H_x &= (1 + m) \sum (p_y - o_y) f - (c_y - d_y - o_y) + w_x \\
+    \dot H_y &= -(1 + m) \sum (p_x - o_x) f + (c_x - d_x - o_x) + w_y
 
     \text{measured at the end of a block: its mean of } [v_z, (L + (c - o) \times M v)_{xy} / M] / g
 

@@ -81,7 +81,7 @@ class FilterConstants(NamedTuple):
         components: Of momentum, C.
         capacity: Most samples of a block.
         first_variance: Variances at the start, shape (N,).
-        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
+        walk: As of :class:`~surefoot.calibration.moment.columns.Spread`, shape (2, K).
         ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
         level: :data:`LEVEL`, or :data:`ANY_WAY`.
     """
@@ -119,7 +119,6 @@ class MomentFilter:
         blocks: Makes blocks of samples.
         model: Makes rows of blocks.
         tare: Tares feet.
-        walk: Variances that scales and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
@@ -136,14 +135,13 @@ class MomentFilter:
         leaps = max(LEAP, LEAP_RATE * setup.dt), max(LEAP_ALONE, LEAP_ALONE_RATE * setup.dt)
         leaps = (np.inf, np.inf) if six_axis else leaps
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
-        self.repairs = Repairs(layout, setup.weight, self.faults, columns, spread.unit)
+        self.repairs = Repairs(layout, setup.weight, self.faults, columns)
         self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
         self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
         self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
         self._level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
-        self.walk = np.array([config.scale_drift, config.offset_drift]) ** 2 / 60.0
 
     @property
     def constants(self) -> tuple[NamedTuple, ...]:
@@ -153,7 +151,7 @@ class MomentFilter:
             self.columns.components,
             self.blocks.capacity,
             self._first_variance,
-            self.walk,
+            self._spread.walk,
             config.block,
             config.mass_std,
             self._ahead,
@@ -183,8 +181,7 @@ class MomentFilter:
             means.append(mean)
             covariances.append(covariance)
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
-        drifted = np.zeros(2)
-        published = self._weigh(belief, drifted).publish(belief.chance)
+        published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
@@ -198,7 +195,7 @@ class MomentFilter:
             point=np.zeros(3),
             time=0.0,
             belief=belief,
-            drifted=drifted,
+            drifted=0.0,
             noise=np.ones(columns.components),
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
@@ -262,15 +259,15 @@ class MomentFilter:
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
-        walked = self.walk * state.tare.rate**2 * duration
+        walked = self._spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
-        for part, variance in ((columns.scale, walked[0]), (columns.drift, walked[1] * self._spread.unit**2)):
+        for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
             at = np.arange(part.start, part.stop)
             covariance[:, at, at] += variance
         return state._replace(
             belief=state.belief._replace(covariance=covariance),
-            drifted=state.drifted + walked,
+            drifted=state.drifted + float(walked[0, 0]),
             time=state.time + duration,
         )
 
@@ -365,14 +362,13 @@ class MomentFilter:
         product: Array = longer * variance[columns.scale] * variance[columns.drift]
         return product
 
-    def _weigh(self, belief: Belief, drifted: Array) -> Weighed:
+    def _weigh(self, belief: Belief, drifted: float) -> Weighed:
         """Weigh all severities in each mode."""
         return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
-        walked = np.outer(self.walk * rate**2 * self._ahead, np.ones(self._channels))
-        walked[1] *= self._spread.unit**2
+        walked = self._spread.walk * rate**2 * self._ahead
         mean, columns, weight = published.mean, self.columns, self.setup.weight
         learnt = map_covariance(mean, published.covariance, columns, weight)
         return drift_on(learnt, mean, columns, weight, walked)

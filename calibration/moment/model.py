@@ -2,10 +2,11 @@ r"""A block's effect on the momentum, and its measurement: linear in the unknown
 
 With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + a u,
 
-    end of the block:   p + sum_n dt_n (C_n f_n + g_n + w)
-    mean over it:       p + sum_n s_n dt_n (C_n f_n + g_n + w)
+    end of the block:   p + sum_n dt_n ((1 + m) C_n f_n + g_n + w)
+    mean over it:       p + sum_n s_n dt_n ((1 + m) C_n f_n + g_n + w)
 
-where s_n is the share of the block that comes after sample n, its own end included. A delay tau shifts the
+where s_n is the share of the block that comes after sample n, its own end included. A robot that is heavier
+than it believes (m < 0) weighs more, and moves less by the same forces. A delay tau shifts the
 measurement by the force that acted, and the centre of mass by its velocity.
 """
 
@@ -143,7 +144,7 @@ class Model:
             H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self._talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
             pulled = share @ gravity
-            H[:, columns.mass] = -pulled[:, None]
+            H[:, columns.mass] = (share @ summed)[:, None]
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
             H[:, columns.momentum] = np.eye(C)
             H[:, columns.wrench] = share.sum() * np.eye(C)

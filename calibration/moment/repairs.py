@@ -39,17 +39,14 @@ class Repairs:
         weight: W in N.
         faults: Faults of channels.
         columns: The unknowns.
-        unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
 
     Attributes:
         suspects: Who may be guilty.
         constants: Constants, by their names in C.
     """
 
-    def __init__(
-        self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns, unit: Array
-    ) -> None:
-        self._weight, self._faults, self._columns, self._unit = weight, faults, columns, unit
+    def __init__(self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns) -> None:
+        self._weight, self._faults, self._columns = weight, faults, columns
         self.suspects = Suspects(layout, faults.stand_in.cells, columns)
         self.constants = SuspectConstants()
 
@@ -116,5 +113,4 @@ class Repairs:
             front=state.front._replace(history=history),
             shift=state.shift + by,
             belief=state.belief._replace(covariance=covariance),
-            drifted=state.drifted + np.array([0.0, (open_to / self._unit**2).mean()]),
         )

@@ -1,15 +1,15 @@
 r"""How bad the sensors are: the posterior under several priors, weighed by evidence.
 
 The filter runs on a wide prior, N(x0, P0). Its posterior N(x, P) holds the data's evidence: the information
-I = P^-1 - P0^-1, and i = P^-1 (x - x0), of the map alone: the rest of the state has one prior, and is
-integrated out. Under another prior D,
+I = P^-1 - P0^-1, and i = P^-1 (x - x0), of scales and offsets alone: the rest of the state has one prior, and
+is integrated out. Under another prior D,
 
     V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
 exactly so for sensors that stay as they are. The mixture of all of them is published. A mixture of
-modes may be wider than P0 in some direction: there the data say nothing. Drift since the start has
+modes may be wider than P0 in some direction: there the data say nothing. Drift u since the start has
 one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
-started.
+started. It follows from scales and offsets as the filter has it, by G = P_ux P^-1.
 """
 
 from itertools import product
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.moment.columns import SMALLEST_DRIFT, WIDE, Columns, Spread, first_mean
+from surefoot.calibration.moment.columns import WIDE, Columns, Spread, first_mean
 from surefoot.calibration.moment.modes import combine
 from surefoot.calibration.moment.state import Publication
 
@@ -68,7 +68,6 @@ class SeverityConstants(NamedTuple):
     severities: tuple[float, ...] = SEVERITIES
     likely: tuple[float, ...] = LIKELY
     wide: float = WIDE
-    smallest_drift: float = SMALLEST_DRIFT
     least_share: float = LEAST_SHARE
 
 
@@ -82,30 +81,27 @@ class Severity:
 
     def __init__(self, columns: Columns, spread: Spread) -> None:
         self._columns, self._spread = columns, spread
-        self._start = first_mean(columns)[columns.map]
+        self._of = slice(0, columns.offset.stop)
+        self._start = first_mean(columns)[self._of]
         pairs = list(product(range(len(SEVERITIES)), repeat=2))
         self._of_scale, self._of_offset = (
             np.array([SEVERITIES[pair[part]] for pair in pairs]) ** 2 for part in (0, 1)
         )
         self._likely = np.log([LIKELY[i] * LIKELY[j] for i, j in pairs])
 
-    def prior(self, scale: Array, offset: Array, drifted: Array) -> Array:
-        """Return the variances of priors.
+    def prior(self, scale: Array, offset: Array, drifted: float) -> Array:
+        """Return the variances of priors of scales and offsets.
 
         Args:
             scale: Factor on the stated variances of scales, shape (S,).
             offset: The same of offsets, shape (S,).
-            drifted: Variances that scales and zeros have drifted by, shape (2,).
+            drifted: Variance that scales have drifted by.
 
         Returns:
-            Shape (S, M).
+            Shape (S, 2K).
         """
         spread = self._spread
-        parts = (
-            scale[:, None] * (spread.scale + drifted[0]),
-            offset[:, None] * spread.offset,
-            np.ones((len(offset), 1)) * (drifted[1] * spread.unit**2 + SMALLEST_DRIFT**2),
-        )
+        parts = scale[:, None] * (spread.scale + drifted), offset[:, None] * spread.offset
         return np.concatenate(parts, axis=1)
 
     @property
@@ -114,11 +110,11 @@ class Severity:
         spread = self._spread
         return SeverityConstants(spread.scale, spread.offset, spread.unit)
 
-    def evidence(self, mean: Array, covariance: Array, drifted: Array) -> Array:
+    def evidence(self, mean: Array, covariance: Array, drifted: float) -> Array:
         """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
         return _total(self._compare(mean, covariance, drifted).evidence)
 
-    def weigh(self, mean: Array, covariance: Array, drifted: Array) -> Weighed:
+    def weigh(self, mean: Array, covariance: Array, drifted: float) -> Weighed:
         """Return the posteriors under all severities together.
 
         Args:
@@ -126,25 +122,31 @@ class Severity:
             covariance: Theirs, shape (J, N, N).
             drifted: As of :meth:`prior`.
         """
-        K = self._spread.scale.size
+        K, of, drift = self._spread.scale.size, self._of, self._columns.drift
         std, prior, precision, found, evidence = self._compare(mean, covariance, drifted)
         V = np.linalg.inv(precision)
         weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         weight = weight / weight.sum(axis=1, keepdims=True)
         parts = [combine(*one) for one in zip(weight, found, V, strict=True)]
         mixed, within = (np.stack(part) for part in zip(*parts, strict=True))
+        own = 0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std)
+        first = self._start + std * mixed
+        G = np.linalg.solve(covariance[:, of, of], covariance[:, of, drift]).swapaxes(1, 2)
+        crossed, left = G @ own, covariance[:, drift, drift] - G @ covariance[:, of, drift]
+        moved = np.einsum("jkm,jm->jk", G, first - mean[:, of])
         return Weighed(
             evidence=_total(evidence),
-            mean=self._start + std * mixed,
-            covariance=0.5 * (within + within.swapaxes(1, 2)) * np.outer(std, std),
+            mean=np.concatenate([first, mean[:, drift] + moved], axis=1),
+            covariance=np.block(
+                [[own, crossed.swapaxes(1, 2)], [crossed, left + crossed @ G.swapaxes(1, 2)]]
+            ),
             undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
         )
 
-    def _compare(self, mean: Array, covariance: Array, drifted: Array) -> "_Compared":
+    def _compare(self, mean: Array, covariance: Array, drifted: float) -> "_Compared":
         """Hold all severities against the data; arguments as of :meth:`weigh`."""
-        of = self._columns.map
-        wide = np.array([WIDE**2])
-        std = np.sqrt(self.prior(wide, wide, np.array([drifted[0] / WIDE**2, drifted[1]]))[0])
+        of, wide = self._of, np.array([WIDE**2])
+        std = np.sqrt(self.prior(wide, wide, drifted / WIDE**2)[0])
         # In standard deviations of the wide prior, which is 1 there.
         share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
         share = np.clip(share, LEAST_SHARE, None)
@@ -168,7 +170,9 @@ class Severity:
 
 
 class _Compared(NamedTuple):
-    """All severities against the data of J modes, in standard deviations of the wide prior; S severities.
+    """All severities against the data of J modes, in standard deviations of the wide prior.
+
+    S severities; M are the scales and offsets here.
 
     Attributes:
         std: These standard deviations, shape (M,).

@@ -107,7 +107,7 @@ class MomentState(NamedTuple):
         point: o in m, of the last block, shape (3,).
         time: Time in s since the start.
         belief: The modes' posteriors.
-        drifted: Variances that scales and zeros have drifted by since the start, shape (2,).
+        drifted: Variance that scales have drifted by since the start.
         noise: By how many times rows' variances are larger than stated, shape (C,).
         tare: Results of tares.
         suspects: Evidence against the readings.
@@ -128,7 +128,7 @@ class MomentState(NamedTuple):
     point: Array
     time: float
     belief: Belief
-    drifted: Array
+    drifted: float
     noise: Array
     tare: TareState
     suspects: SuspectState

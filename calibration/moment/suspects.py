@@ -150,7 +150,7 @@ class Suspects:
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
         arm[0] = 0.0
-        weight = rows.mean[:, columns.mass]
+        weight = (rows.mean_rest + reach @ (known[columns.scale] * known[columns.drift]))[:, None]
         nothing = _evidence(S, e[:, None])[0]
         lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
         unknown = _evidence(S + weight @ weight.T + np.diag(arm**2), e[:, None])[0]

@@ -26,7 +26,8 @@ NOISE_TIME = 0.2
 """Time in s that the noise of a tare is stated for."""
 
 LEAST_APART = 0.3
-"""Time in s from the end of a swing to the next: blocks of one swing say nothing of drift."""
+"""Time in s from the end of a swing to the next: blocks of one swing say nothing of drift, and the first of
+them shows how the foot reads in the air."""
 
 RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
 """How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
@@ -46,9 +47,9 @@ a foot bears that stands."""
 
 
 TOUCH = 0.1
-"""Load in body weights above the least but one of a block's samples from which on a foot touches the ground:
-no sole's own inertia comes near it, and a foot that lands on soft ground before its plan passes it within a
-sample or two."""
+"""Load in body weights from which on a foot touches the ground, above that of its swing a moment ago or the
+least but one of a block's samples, whichever is less: no sole's own inertia comes near it, and a foot that
+lands on soft ground before its plan passes it within a sample or two."""
 
 
 class TareConstants(NamedTuple):
@@ -56,11 +57,9 @@ class TareConstants(NamedTuple):
 
     Attributes:
         tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
-        tare_drift: Variance that a zero is stated to drift by in W^2/s, shape (K,).
     """
 
     tare_variance: Array
-    tare_drift: Array
     tare_share: float = LEAST_SHARE
     least_apart: float = LEAST_APART
     rate_share: float = RATE_SHARE
@@ -86,13 +85,14 @@ class Tare:
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns, spread: Spread) -> None:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
+        self._foot_of_channel = setup.layout.foot_of_channel
         self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
-        self._drift = (config.offset_drift * spread.unit) ** 2 / 60.0
+        self._drift = spread.walk[1]
 
     @property
     def constants(self) -> TareConstants:
         """Constants, by their names in C."""
-        return TareConstants(self._noise, self._drift)
+        return TareConstants(self._noise)
 
     def take(
         self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
@@ -110,7 +110,9 @@ class Tare:
         Returns:
             The belief, the published map with the drift of now, and the state.
         """
-        for foot, channels, reading, seconds in self._hanging(block, lost):
+        in_swing = (state.time >= 0.0) & (time - state.time <= LEAST_APART)
+        before = np.where(in_swing[self._foot_of_channel], state.reading, np.inf)
+        for foot, channels, reading, seconds in self._hanging(block, lost, before):
             belief, published, state = self._tare(
                 foot, channels, reading, seconds, time, belief, published, state
             )
@@ -129,16 +131,21 @@ class Tare:
         columns = self._columns
         a, b = known[columns.scale], known[columns.offset]
         found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
-        for _, at, _, seconds in self._hanging(block, np.zeros(len(a))):
+        for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf)):
             found.append(self._write(at, -b[at] / a[at], a[at]))
             variance.append(a[at] ** 2 * self._noise[at] / seconds)
         return np.vstack(found), np.diag(np.concatenate(variance))
 
-    def _hanging(self, block: Block, lost: Array) -> Iterator[tuple[int, NDArray[np.int64], Array, float]]:
-        """Find feet that hang: each with its channels that are not lost, their mean reading, and seconds."""
+    def _hanging(
+        self, block: Block, lost: Array, before: Array
+    ) -> Iterator[tuple[int, NDArray[np.int64], Array, float]]:
+        """Find feet that hang: each with its channels that are not lost, their mean reading, and seconds.
+
+        ``before`` are the readings of swings a moment ago, infinite where there is none, shape (K,).
+        """
         for foot, of_foot in enumerate(self._feet):
             channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
-            reading, seconds = self._reading(block, foot, channels)
+            reading, seconds = self._reading(block, foot, channels, before[channels])
             if seconds >= LEAST_SHARE * block.duration:
                 yield foot, channels, reading, seconds
 
@@ -151,7 +158,9 @@ class Tare:
         H[rows, channels + columns.drift.start] = a
         return H
 
-    def _reading(self, block: Block, foot: int, channels: NDArray[np.int64]) -> tuple[Array, float]:
+    def _reading(
+        self, block: Block, foot: int, channels: NDArray[np.int64], before: Array
+    ) -> tuple[Array, float]:
         """Return a foot's mean reading in the air, and how long it hung in s."""
         swing = block.swing[:, foot] > 0.5
         # The sample before and the one after are in the air as well.
@@ -160,8 +169,10 @@ class Tare:
         if not (sure.any() and channels.size):
             return np.zeros(len(channels)), 0.0
         load = (block.force[:, channels] / self._unit[channels]).sum(axis=1)
-        least = np.sort(load[sure])[:2][-1]
+        least = min(np.sort(load[sure])[:2][-1], (before / self._unit[channels]).sum())
         sure &= load <= least + TOUCH
+        if not sure.any():
+            return np.zeros(len(channels)), 0.0
         reading = block.force[np.ix_(sure, channels)].mean(axis=0)
         large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
         total = abs(float((reading / self._unit[channels]).sum()))
@@ -190,9 +201,6 @@ class Tare:
         leapt = np.zeros(len(at), dtype=bool)
         rate, followed = state.rate, state.followed
         change = reading - state.reading[channels]
-        if last >= 0.0 and time - last <= LEAST_APART and (change / self._unit[channels]).sum() > TOUCH:
-            # A foot that hung a moment ago has landed.
-            return belief, published, state
         if last >= 0.0:
             walked = walked + rate**2 * self._drift[channels] * (time - last)
             leapt = change**2 > LEAP**2 * walked

@@ -32,19 +32,17 @@
 #define SF_MODES 3
 #define SF_SEVERITIES 4 /* of scales, and as many of offsets */
 #define SF_WEIGHED (3 * SF_CHANNELS)
+#define SF_JUDGED (2 * SF_CHANNELS) /* scales and offsets, which severities differ in */
 #define SF_KNOWN (SF_WEIGHED + SF_TALKS + 4)
 #define SF_STATES (SF_KNOWN + 2 * SF_COMPONENTS)
 #define SF_WAITING (2 * SF_CHANNELS + 13 + 13 * SF_FEET)
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
-#define SF_REST (2 * SF_CHANNELS) /* weighed unknowns that are no scales */
 #define SF_SUSPECTS (2 * SF_CHANNELS + SF_CHANNELS * (SF_CHANNELS - 1))
 
 /* Shares of a mixture that change no digit of it. */
 #define SF_LITTLE 1e-15
 /* By how much the share of a variance may exceed 1 by rounding. */
 #define SF_EQUAL 1e-12
-/* Square of the share of an eigenvalue by which its direction may be off. */
-#define SF_SETTLED_SQUARE 1e-28
 
 /* ------------------------------------------------------------------------------------------------ records */
 
@@ -52,13 +50,13 @@
 typedef struct {
     int components, capacity, held, talks;
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
-    sf_real first_variance[SF_STATES], walk[2], block, mass_std, ahead, kept_time, longest_pause, product_time;
+    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
-    sf_real tare_variance[SF_CHANNELS], tare_drift[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
+    sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
-    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, smallest_drift, least_share;
+    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
@@ -112,7 +110,7 @@ typedef struct {
     sf_channel_faults faults;
     sf_real pending[SF_BLOCK * SF_WAITING], before[SF_WAITING];
     sf_whole waiting, linked;
-    sf_real point[3], time, drifted[2], noise[SF_COMPONENTS];
+    sf_real point[3], time, drifted, noise[SF_COMPONENTS];
     sf_tares tare;
     sf_suspects suspects;
     sf_real shift[SF_CHANNELS];
@@ -137,9 +135,9 @@ typedef struct {
 /* The severities against the data of one mode, in standard deviations of the wide prior: number 4 * k + l is of the
    severity l of offsets. */
 typedef struct {
-    sf_real pull[SF_WEIGHED], own;
-    sf_real U[4 * SF_REST * SF_REST], W[4 * SF_REST * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
-    sf_real z[4 * SF_REST], x[4 * SF_CHANNELS];
+    sf_real pull[SF_JUDGED], off[SF_JUDGED]; /* what pulls, and the mean less the start */
+    sf_real U[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_real z[4 * SF_CHANNELS], x[4 * SF_CHANNELS];
     sf_real weight[16], evidence; /* of each severity, and of all together */
     int sound[4];                 /* whether U is of numbers */
 } sf_compared;
@@ -149,11 +147,11 @@ typedef struct {
     sf_moment_rows rows;
     sf_leap leap;
     sf_compared compared[SF_MODES];
-    sf_real std[SF_WEIGHED], inverse[SF_SEVERITIES * SF_WEIGHED]; /* of priors */
+    sf_real std[SF_JUDGED], inverse[SF_SEVERITIES * SF_JUDGED]; /* of priors */
     sf_real ahead[16]; /* logarithms of how likely severities are, and of their priors' determinants */
-    sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_WEIGHED * SF_WEIGHED], room[4 * SF_STATES];
-    sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_WEIGHED];
-    sf_real turned[4 * SF_REST * SF_CHANNELS], quads[4 * SF_REST * SF_REST];
+    sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_JUDGED * SF_JUDGED], room[4 * SF_STATES];
+    sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_JUDGED];
+    sf_real turned[4 * SF_CHANNELS * SF_CHANNELS], quads[4 * SF_CHANNELS * SF_CHANNELS];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
 } sf_moment_work;
@@ -381,7 +379,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
     sf_moment_rows *out = &w->rows;
     sf_real read[SF_CHANNELS] = {0}, x = 0, y = 0, norm, arm[3] = {0, 0, 0}, fewest;
     sf_real weighted[SF_COMPONENTS * SF_CHANNELS] = {0}, pulls[2 * SF_COMPONENTS] = {0}, shares[2] = {0, 0}, after;
-    sf_real moved[SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
+    sf_real pushes[2 * SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
     for (int t = 0; t < n; t++)
         for (int i = 0; i < K; i++) {
             w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
@@ -408,7 +406,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
         sf_real away[3], by[3], wrench[6], gravity[3] = {-1, -(com[1] - out->point[1]), com[0] - out->point[0]};
         for (int r = 0; r < C; r++) {
             sf_real pull = r < 3 ? gravity[r] : 0, *scale[2] = {out->mean + r * N, out->end + r * N};
-            moved[r] += dt * (sf_dot(unit + r * K, force, K) + pull);
+            sf_real push = sf_dot(unit + r * K, force, K);
             for (int which = 0; which < 2; which++) {
                 sf_real *far = reach + (which * C + r) * K, *first = scale[which], by_share = share[which];
                 for (int i = 0; i < K; i++) {
@@ -418,6 +416,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 }
                 for (int j = 0; j < m->talks; j++)
                     first[3 * K + j] += by_share * unit[r * K + m->talk_to[j]] * row[m->talk_from[j]];
+                pushes[which * C + r] += by_share * push;
                 pulls[which * C + r] += by_share * pull;
             }
             for (int i = 0; i < K; i++) {
@@ -461,10 +460,10 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 row[2 * K + i] = far[i] * a[i];
                 rest[r] -= far[i] * (a[i] * u[i]);
             }
-            row[at - 2] = -pulls[which * C + r];
+            row[at - 2] = pushes[which * C + r];
             row[at + r] = 1;
             row[at + C + r] = share;
-            if (!which) row[at - 1] -= moved[r] / T;
+            if (!which) row[at - 1] -= (pushes[C + r] + pulls[C + r]) / T;
         }
         /* The weight's torque about o: of an error of the centre of mass, in axes that head as the feet do. */
         sf_real *hx = H + N, *hy = H + 2 * N;
@@ -704,23 +703,18 @@ SF_API void sf_weigh_modes(const sf_moment_config *m, const sf_real *evidence, s
 /* ----------------------------------------------------------------------------------------------- severity */
 
 /* Severity.prior: standard deviations of the wide prior, and in these the inverse variances of the others: of scales by
-   the severity of scales, of all else by that of offsets. */
-SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, const sf_real *drifted, sf_moment_work *w) {
-    int K = c->channels, M = sf_weighed(c);
-    sf_real square = m->wide * m->wide, least = m->smallest_drift * m->smallest_drift, of[2][SF_SEVERITIES] = {{0}};
+   the severity of scales, of offsets by theirs. */
+SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, sf_moment_work *w) {
+    int K = c->channels, M = 2 * K;
+    sf_real square = m->wide * m->wide, of[2][SF_SEVERITIES] = {{0}};
     for (int i = 0; i < K; i++) {
-        sf_real unit = m->unit[i] * m->unit[i];
-        w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted[0] / square));
+        w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted / square));
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
-        w->std[2 * K + i] = sf_sqrt(drifted[1] * unit + least);
     }
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
         for (int i = 0; i < M; i++) {
-            int k = i % K;
-            sf_real variance = i < K       ? by * (m->spread_scale[k] + drifted[0])
-                               : i < 2 * K ? by * m->spread_offset[k]
-                                           : drifted[1] * (m->unit[k] * m->unit[k]) + least;
+            sf_real variance = by * (i < K ? m->spread_scale[i] + drifted : m->spread_offset[i - K]);
             inverse[i] = w->std[i] * w->std[i] / variance;
             of[i >= K][l] -= sf_log(inverse[i]);
         }
@@ -828,51 +822,14 @@ SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
     }
 }
 
-/* Directions in which S is wider than the prior, two at most, and how wide: by iteration from the axes of the centre of
-   mass, which a load moves. Returns how many; 0 as well if they do not settle. room: for 2 M numbers. */
-SF_API int sf_wider(const sf_real *S, int M, sf_real *v, sf_real value[2], sf_real *room) {
-    sf_real *one = v, *two = v + M, *p = room, *q = room + M;
-    if (!(S[M * M - 1] > 1) && !(S[(M - 2) * M + M - 2] > 1)) return 0;
-    memset(v, 0, (size_t)(2 * M) * sizeof(sf_real));
-    one[M - 2] = two[M - 1] = 1;
-    for (int tries = 0; tries < 24; tries++) {
-        for (int i = 0; i < M; i++) p[i] = sf_dot(S + i * M, one, M), q[i] = sf_dot(S + i * M, two, M);
-        sf_real a = sf_dot(one, p, M), b = sf_dot(one, q, M), d = sf_dot(two, q, M), apart = (a - d) / 2;
-        sf_real root = sf_sqrt(apart * apart + b * b), away[2] = {0, 0};
-        value[0] = (a + d) / 2 + root, value[1] = (a + d) / 2 - root;
-        /* The axes of the two by two, and how far both are from being those of S. */
-        sf_real x = apart >= 0 ? apart + root : b, y = apart >= 0 ? b : root - apart, by = sf_sqrt(x * x + y * y);
-        x = by > 0 ? x / by : 1, y = by > 0 ? y / by : 0;
-        for (int i = 0; i < M; i++) {
-            sf_real e = one[i], f = two[i], g = p[i], h = q[i];
-            one[i] = x * e + y * f, two[i] = x * f - y * e;
-            p[i] = x * g + y * h, q[i] = x * h - y * g;
-            away[0] += (p[i] - value[0] * one[i]) * (p[i] - value[0] * one[i]);
-            away[1] += (q[i] - value[1] * two[i]) * (q[i] - value[1] * two[i]);
-        }
-        int found = (value[0] > 1) + (value[1] > 1), settled = 1;
-        for (int k = 0; k < found; k++) settled = settled && away[k] < SF_SETTLED_SQUARE * value[k] * value[k];
-        if (settled) return found;
-        by = 1 / sf_sqrt(sf_dot(p, p, M));
-        for (int i = 0; i < M; i++) one[i] = p[i] * by;
-        sf_add(q, -sf_dot(one, q, M), one, M);
-        by = 1 / sf_sqrt(sf_dot(q, q, M));
-        for (int i = 0; i < M; i++) two[i] = q[i] * by;
-    }
-    return 0;
-}
-
 /* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
    `S` is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
 SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, const sf_real *off,
                           sf_moment_work *w, sf_real *pull, sf_real *mine) {
-    int M = sf_weighed(c), wider;
-    sf_real *room = w->A, *share = w->room, *L = w->axes, *v = w->room + 2 * M, own = 0, most = 0, value[2];
-    /* As if it were as wide as the prior where it is wider: if that is nowhere else, an inverse is all. */
-    wider = sf_wider(S, M, v, value, w->room);
+    int M = 2 * c->channels;
+    sf_real *room = w->A, *share = w->room, *L = w->axes, own = 0, most = 0;
     sf_copy(L, S, M * M);
-    for (int k = 0; k < wider; k++)
-        for (int i = 0; i < M; i++) sf_add(L + i * M, (1 - value[k]) * v[k * M + i], v + k * M, M);
+    /* If it is wider nowhere, an inverse is all. */
     for (int i = 0; i < M * M; i++) room[i] = -L[i];
     for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
     if (sf_cholesky(room, M) && sf_cholesky(L, M)) {
@@ -882,7 +839,6 @@ SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real
         if (most * m->least_share < (sf_real)0.1) {
             sf_mirror(L, M);
             for (int i = 0; i < M; i++) pull[i] = sf_dot(L + i * M, off, M);
-            for (int k = 0; k < wider; k++) sf_add(pull, -sf_dot(v + k * M, off, M), v + k * M, M);
             *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
             sf_copy(S, L, M * M);
             for (int i = 0; i < M; i++) S[i * M + i] -= 1;
@@ -919,11 +875,11 @@ SF_API void sf_of_scales(const sf_config *c, const sf_compared *d, const sf_real
 }
 
 /* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
-   once: with the information A, B and C of scales, both and all else, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
+   once: with the information A, B and C of scales, both and offsets, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
 SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_real *mean, const sf_real *P, int N,
                       sf_moment_work *w, sf_compared *d) {
-    int K = c->channels, M = sf_weighed(c), E = M - K;
-    sf_real off[SF_WEIGHED], *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
+    int K = c->channels, M = 2 * K, E = K;
+    sf_real *off = d->off, *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
     for (int i = 0; i < M; i++) {
         off[i] = (mean[i] - (sf_real)(i < K)) / w->std[i];
         for (int k = 0; k < M; k++) I[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
@@ -980,8 +936,8 @@ SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_re
    X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
 SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_moment_work *w, sf_real *mean,
                          sf_real *covariance) {
-    int K = c->channels, M = sf_weighed(c), E = M - K;
-    sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_WEIGHED], lane[4] = {0, 0, 0, 0};
+    int K = c->channels, M = 2 * K, E = K;
+    sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_JUDGED], lane[4] = {0, 0, 0, 0};
     sf_real *turned = w->turned, *inverse = w->quads;
     for (int l = 0; l < 4; l++) { /* of no weight, and in no number's way */
         if (d->sound[l]) continue;
@@ -1039,21 +995,50 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
     }
 }
 
+/* Severity.weigh, its end: the drift of one mode by its scales and offsets, whose mean and covariance, in standard
+   deviations of the wide prior, are at the beginning of those of a whole map, of which each row has `wide` numbers. */
+SF_API void sf_follow_drift(const sf_config *c, const sf_compared *d, const sf_real *x, const sf_real *P, int N,
+                            sf_moment_work *w, sf_real *mean, sf_real *covariance, int wide) {
+    int K = c->channels, M = 2 * K;
+    sf_real *L = w->axes, *G = w->quads, *with = w->turned; /* G' and P_xu, shape (M, K) */
+    for (int i = 0; i < M; i++) {
+        for (int k = 0; k < M; k++) L[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
+        for (int k = 0; k < K; k++) G[i * K + k] = with[i * K + k] = P[i * N + M + k] / w->std[i];
+    }
+    if (!sf_cholesky(L, M)) G[0] = (sf_real)NAN; /* and nothing is handed out */
+    else sf_solve(L, M, G, K);
+    sf_copy(mean + M, x + M, K);
+    for (int i = 0; i < M; i++) sf_add(mean + M, mean[i] - d->off[i], G + i * K, K);
+    for (int k = 0; k < K; k++) {
+        sf_real *row = covariance + (M + k) * wide;
+        memset(row, 0, (size_t)M * sizeof(sf_real));
+        sf_copy(row + M, P + (M + k) * N + M, K);
+        sf_add_rows(row, 1, G + k, K, covariance, wide, M, M);
+        sf_add_rows(row + M, -1, with + k, K, G, K, M, K);
+        sf_add_rows(row + M, 1, row, 1, G, K, M, K);
+    }
+}
+
 /* Weighed.publish: what all modes hold together; overwrites w->compared. */
-SF_API void sf_moment_publish(const sf_config *c, const sf_real *chance, sf_moment_work *w, sf_publication *out) {
-    int K = c->channels, M = sf_weighed(c);
-    sf_real means[SF_MODES * SF_WEIGHED], *covariance = w->A;
+SF_API void sf_moment_publish(const sf_config *c, const sf_moment_config *m, const sf_modes *belief, sf_moment_work *w,
+                              sf_publication *out) {
+    int K = c->channels, J = 2 * K, M = sf_weighed(c), N = sf_states(c, m);
+    sf_real means[SF_MODES * SF_WEIGHED], *judged = w->A, *covariance = w->B;
+    const sf_real *chance = belief->chance;
     memset(out->mean, 0, (size_t)M * sizeof(sf_real));
     memset(out->covariance, 0, (size_t)(M * M) * sizeof(sf_real));
     memset(out->undetermined, 0, (size_t)K * sizeof(sf_real));
     for (int j = 0; j < SF_MODES; j++) {
         sf_compared *d = &w->compared[j];
-        sf_posterior(c, d, chance[j], w, means + j * M, covariance);
+        sf_posterior(c, d, chance[j], w, means + j * M, judged);
+        for (int i = 0; i < J; i++)
+            for (int k = 0; k <= i; k++) covariance[i * M + k] = covariance[k * M + i] = judged[i * J + k];
+        sf_follow_drift(c, d, belief->mean + j * N, belief->covariance + j * N * N, N, w, means + j * M, covariance, M);
         for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j], covariance + i * M, i + 1);
         sf_add(out->mean, chance[j], means + j * M, M);
         for (int i = 0; i < K; i++) {
             sf_real prior = 0;
-            for (int which = 0; which < 16; which++) prior += d->weight[which] / w->inverse[which / 4 * M + i];
+            for (int which = 0; which < 16; which++) prior += d->weight[which] / w->inverse[which / 4 * J + i];
             out->undetermined[i] += chance[j] * (covariance[i * M + i] / prior);
         }
     }
@@ -1063,8 +1048,9 @@ SF_API void sf_moment_publish(const sf_config *c, const sf_real *chance, sf_mome
         for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j] * apart[i], apart, i + 1);
     }
     for (int i = 0; i < M; i++) {
-        out->mean[i] = (sf_real)(i < K) + w->std[i] * out->mean[i];
-        for (int k = 0; k <= i; k++) out->covariance[i * M + k] *= w->std[i] * w->std[k];
+        sf_real by = i < J ? w->std[i] : 1;
+        out->mean[i] = (sf_real)(i < K) + by * out->mean[i];
+        for (int k = 0; k <= i; k++) out->covariance[i * M + k] *= by * (k < J ? w->std[k] : 1);
         if (i < K) out->undetermined[i] = sf_clip(out->undetermined[i], 0, 1);
     }
     sf_mirror(out->covariance, M);
@@ -1076,7 +1062,7 @@ SF_API void sf_moment_publish(const sf_config *c, const sf_real *chance, sf_mome
 SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, const sf_publication *p, sf_real rate,
                               sf_real *learnt) {
     int K = c->channels, M = sf_weighed(c), wide = 2 * K;
-    sf_real W = c->weight, row[SF_WEIGHED], walked = m->walk[0] * (rate * rate) * m->ahead;
+    sf_real W = c->weight, row[SF_WEIGHED], time = rate * rate * m->ahead;
     for (int r = 0; r < wide; r++) {
         int i = r % K;
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
@@ -1093,8 +1079,7 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, con
     }
     /* drift_on: until the map is applied. */
     for (int i = 0; i < K; i++) {
-        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W;
-        sf_real zero = m->walk[1] * (rate * rate) * m->ahead * (m->unit[i] * m->unit[i]);
+        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W, walked = m->walk[i] * time, zero = m->walk[K + i] * time;
         learnt[i * wide + i] += walked;
         learnt[i * wide + K + i] += walked * u;
         learnt[(K + i) * wide + i] += walked * u;
@@ -1196,10 +1181,10 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
 /* --------------------------------------------------------------------------------------------------- tare */
 
 /* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
-SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
-                                  int foot, const int *channels, int count, sf_real *reading) {
+SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
+                                  const sf_tares *tare, int n, int foot, const int *channels, int count, sf_real *reading) {
     int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0, sure[SF_BLOCK];
-    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL;
+    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL, swing = 0;
     for (int k = 0; k < count; k++) reading[k] = 0;
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide, *before = t ? row - wide : s->before, *behind = t + 1 < n ? row + wide : row;
@@ -1213,6 +1198,8 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m,
         else if (load[t] < second) second = load[t];
     }
     if (second == (sf_real)HUGE_VAL) second = least; /* a single sample */
+    for (int k = 0; k < count; k++) swing += tare->reading[channels[k]] / m->unit[channels[k]];
+    if (tare->time[foot] >= 0 && s->time - tare->time[foot] <= m->least_apart) second = sf_min(second, swing);
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide;
         if (!sure[t] || !(load[t] <= second + m->touch_load)) continue;
@@ -1252,21 +1239,15 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], last = tare->time[foot], *predicted = w->A;
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
-        sf_real seconds = sf_hanging_reading(c, m, s, n, foot, channels, count, reading);
-        sf_real more = 0;
+        sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
         if (!(seconds >= m->tare_share * duration)) continue;
         for (int k = 0; k < count; k++) {
-            change[k] = reading[k] - tare->reading[channels[k]];
-            more += change[k] / m->unit[channels[k]];
-        }
-        /* A foot that hung a moment ago has landed. */
-        if (last >= 0 && s->time - last <= m->least_apart && more > m->touch_load) continue;
-        for (int k = 0; k < count; k++) {
             int i = channels[k];
+            change[k] = reading[k] - tare->reading[i];
             noise[k] = m->tare_variance[i] / seconds;
             centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
             walked[k] = noise[k] * 2;
-            if (last >= 0) walked[k] += tare->rate * tare->rate * m->tare_drift[i] * (s->time - last);
+            if (last >= 0) walked[k] += tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
             leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
         }
         if (last >= 0 && s->time - last > m->least_apart) {
@@ -1341,17 +1322,14 @@ SF_API void sf_break(const sf_config *c, const sf_moment_config *m, sf_moment_st
 /* MomentFilter._age: let scales and zeros drift for a time in s. */
 SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real duration) {
     int K = c->channels, N = sf_states(c, m);
-    sf_real walked[2];
-    for (int i = 0; i < 2; i++) {
-        walked[i] = m->walk[i] * (s->tare.rate * s->tare.rate) * duration;
-        s->drifted[i] += walked[i];
-    }
+    sf_real time = s->tare.rate * s->tare.rate * duration;
     for (int j = 0; j < SF_MODES; j++)
         for (int i = 0; i < K; i++) {
             sf_real *P = s->belief.covariance + j * N * N;
-            P[i * N + i] += walked[0];
-            P[(2 * K + i) * N + 2 * K + i] += walked[1] * (m->unit[i] * m->unit[i]);
+            P[i * N + i] += m->walk[i] * time;
+            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time;
         }
+    s->drifted += m->walk[0] * time;
     s->time += duration;
 }
 
@@ -1381,7 +1359,6 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     sf_break(c, m, s);
     memset(s->before, 0, sizeof s->before);
     memset(s->point, 0, sizeof s->point);
-    memset(s->drifted, 0, sizeof s->drifted);
     memset(&s->tare, 0, sizeof s->tare);
     memset(&s->suspects, 0, sizeof s->suspects);
     memset(s->shift, 0, sizeof s->shift);
@@ -1389,7 +1366,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
-    s->time = s->age = 0;
+    s->time = s->age = s->drifted = 0;
     s->status = 0;
     s->tare.rate = 1;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
@@ -1403,7 +1380,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     }
     sf_priors(c, m, s->drifted, w);
     sf_weigh(c, m, &s->belief, w);
-    sf_moment_publish(c, s->belief.chance, w, &s->published);
+    sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, 1, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
@@ -1473,37 +1450,44 @@ SF_API int sf_pairs_of_cells(const sf_config *c) {
 }
 SF_API int sf_suspects_of(const sf_config *c) { return 2 * c->channels + 2 * sf_pairs_of_cells(c); }
 
-/* The channels that a suspect is about. */
-SF_API void sf_suspected(const sf_config *c, int suspect, int both[2]) {
-    int K = c->channels, pair = suspect - 2 * K;
-    both[0] = both[1] = suspect % K;
-    if (pair < 0) return;
-    pair %= sf_pairs_of_cells(c);
+/* The channels that each suspect is about. */
+SF_API void sf_suspected(const sf_config *c, int both[SF_SUSPECTS][2]) {
+    int K = c->channels, pair = 2 * K, pairs = sf_pairs_of_cells(c);
+    for (int suspect = 0; suspect < pair; suspect++) both[suspect][0] = both[suspect][1] = suspect % K;
     for (int i = 0; i < K; i++)
-        for (int j = i + 1; c->cells[i] && j < K; j++)
-            if (c->cells[j] && pair-- == 0) both[0] = i, both[1] = j;
+        for (int j = i + 1; c->cells[i] && j < K; j++) {
+            if (!c->cells[j]) continue;
+            both[pair][0] = both[pair + pairs][0] = i, both[pair][1] = both[pair + pairs][1] = j;
+            pair++;
+        }
 }
 
-/* The factor of the covariance S and what else is unsure, of each channel a deviation that acts by `reach` or none; NaN
-   where there is none. */
-SF_API void sf_factor(const sf_moment_config *m, const sf_real *S, const sf_real *reach, int K, const sf_real *std,
-                      sf_real *L) {
+/* The factor of the covariance S and what else is unsure, of each channel a deviation that acts by `reach` or none;
+   returns half the logarithm of its determinant, NaN where there is none. */
+SF_API sf_real sf_factor(const sf_moment_config *m, const sf_real *S, const sf_real *reach, int K, const sf_real *std,
+                         sf_real *L) {
     int C = m->components;
+    sf_real size = 0;
     sf_copy(L, S, C * C);
     for (int i = 0; std && i < K; i++)
         for (int r = 0; std[i] != 0 && r < C; r++)
             for (int k = 0; k < C; k++) L[r * C + k] += reach[r * K + i] * std[i] * (reach[k * K + i] * std[i]);
-    if (!sf_cholesky(L, C)) L[0] = (sf_real)NAN;
+    if (!sf_cholesky(L, C)) return (sf_real)NAN;
+    for (int r = 0; r < C; r++) size += sf_log(L[r * C + r]);
+    return size;
 }
 
-/* The logarithm of the likelihood of an innovation, by the factor of its covariance. */
-SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, const sf_real *e) {
+/* The logarithm of the likelihood of an innovation, by the factor of its covariance and its size. */
+SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, sf_real size, const sf_real *e) {
     int C = m->components;
-    sf_real x[SF_COMPONENTS], size = 0;
-    sf_copy(x, e, C);
-    sf_solve(L, C, x, 1);
-    for (int r = 0; r < C; r++) size += sf_log(L[r * C + r]);
-    return (sf_real)-0.5 * sf_dot(e, x, C) - size;
+    sf_real x[SF_COMPONENTS], square = 0;
+    for (int r = 0; r < C; r++) {
+        x[r] = e[r];
+        for (int k = 0; k < r; k++) x[r] -= L[r * C + k] * x[k];
+        x[r] /= L[r * C + r];
+        square += x[r] * x[r];
+    }
+    return (sf_real)-0.5 * square - size;
 }
 
 /* Suspects._error: what is left unexplained of rows that are linear about scales and drift `about`. */
@@ -1523,11 +1507,9 @@ SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const 
 
 /* Suspects._changes of one suspect, which is taken off an error. */
 SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                            const sf_suspects *s, const sf_real *others, int suspect, sf_real *e) {
-    int K = c->channels, N = sf_states(c, m), pairs = sf_pairs_of_cells(c), both[2], i, j;
+                            const sf_suspects *s, const sf_real *others, int suspect, const int both[2], sf_real *e) {
+    int K = c->channels, N = sf_states(c, m), pairs = sf_pairs_of_cells(c), i = both[0], j = both[1];
     const sf_real *a = s->known;
-    sf_suspected(c, suspect, both);
-    i = both[0], j = both[1];
     for (int r = 0; r < m->components; r++) {
         const sf_real *X = rows->crossed + r * K * K, *reach = rows->mean + r * N + K;
         sf_real change = 0, sign = suspect < 2 * K + pairs ? 1 : -1;
@@ -1570,8 +1552,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
             for (int i = 0; i < K; i++)
                 if (of < 0 || c->foot_of_channel[i] == of) unlike += sf_fabs(step[i] - mean) / count;
             if (!(after < m->alike * before || unlike < m->alike * sf_fabs(mean))) continue;
-            sf_factor(m, S, reach, K, acts, L);
-            evidence = sf_evidence(m, L, left);
+            evidence = sf_evidence(m, L, sf_factor(m, S, reach, K, acts, L), left);
             if (!(evidence > most)) continue;
             most = evidence, found = 1;
             for (int i = 0; i < K; i++) {
@@ -1590,12 +1571,13 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
                              const sf_channel_faults *faults, const sf_moment_rows *rows, const sf_real *known,
                              const sf_real *map, const sf_real *P, sf_leap *leap) {
     int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c, m);
-    int count = sf_suspects_of(c), best = 0, about[2], other_about[2];
+    int count = sf_suspects_of(c), best = 0, both[SF_SUSPECTS][2];
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
+    sf_suspected(c, both);
     sf_unexplained(c, m, rows, s->before, known, known, e);
     sf_unexplained(c, m, rows, s->before, known, s->known, before);
     for (int r = 0; r < C; r++) {
@@ -1614,20 +1596,22 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     }
     /* Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on the robot's body,
        up to its height away from its centre of mass. */
-    sf_factor(m, S, reach, K, 0, sound);
-    nothing = sf_evidence(m, sound, e);
+    sf_real size = sf_factor(m, S, reach, K, 0, sound);
+    nothing = sf_evidence(m, sound, size, e);
     for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
     for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
-    sf_factor(m, other, reach, K, 0, L);
-    lasting = sf_evidence(m, L, far);
+    lasting = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far);
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
+        weight[r] = rows->mean_rest[r];
+        for (int i = 0; i < K; i++) weight[r] += reach[r * K + i] * (known[i] * known[2 * K + i]);
+    }
+    for (int r = 0; r < C; r++) {
         sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
-        for (int k = 0; k < C; k++) other[r * C + k] += rows->mean[r * N + at - 2] * rows->mean[k * N + at - 2];
+        for (int k = 0; k < C; k++) other[r * C + k] += weight[r] * weight[k];
         other[r * C + r] += arm * arm;
     }
-    sf_factor(m, other, reach, K, 0, L);
-    unknown = sf_evidence(m, L, e);
+    unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
     innocent = sf_max(sf_max(nothing, lasting), unknown);
     if (!sf_finite(innocent)) return -1;
     least = unknown + m->contrast;
@@ -1636,12 +1620,11 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         int shown = 0;
         if (suspect < 2 * K && !c->cells[suspect % K]) continue;
         sf_copy(far, before, C);
-        sf_less_suspect(c, m, rows, s, others, suspect, far);
+        sf_less_suspect(c, m, rows, s, others, suspect, both[suspect], far);
         if (suspect < K) {
             std[suspect] = others_std[suspect] / c->weight;
-            sf_factor(m, S, reach, K, std, L);
-        }
-        score = sf_evidence(m, suspect < K ? L : sound, far);
+            score = sf_evidence(m, L, sf_factor(m, S, reach, K, std, L), far);
+        } else score = sf_evidence(m, sound, size, far);
         least = sf_max(least, score);
         score -= innocent;
         for (int r = 0; r < C; r++) {
@@ -1664,14 +1647,13 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     /* To put a channel right is preferred to losing it. */
     for (int suspect = 1; suspect < count; suspect++)
         if (s->score[suspect] - (suspect < K) * m->contrast > s->score[best] - (best < K) * m->contrast) best = suspect;
-    sf_suspected(c, best, about);
+    if (!(s->score[best] - (best < K) * m->contrast > m->sure)) return -1;
     for (int suspect = 0; suspect < count; suspect++) {
         int related = 0;
-        sf_suspected(c, suspect, other_about);
-        for (int i = 0; i < 4; i++) related = related || about[i / 2] == other_about[i % 2];
+        for (int i = 0; i < 4; i++) related = related || both[best][i / 2] == both[suspect][i % 2];
         if (!related) rival = sf_max(rival, s->score[suspect] - (suspect < K) * m->contrast);
     }
-    return s->score[best] - (best < K) * m->contrast > sf_max(m->sure, rival + m->contrast) ? best : -1;
+    return s->score[best] - (best < K) * m->contrast > rival + m->contrast ? best : -1;
 }
 
 /* Suspects.follow: note what was measured at a block's end, and what was read in it. */
@@ -1701,22 +1683,19 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
 /* MomentFilter._convict and _shift: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
 SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int guilty,
                        const sf_leap *leap) {
-    int K = c->channels, N = sf_states(c, m), both[2];
+    int K = c->channels, N = sf_states(c, m), each[SF_SUSPECTS][2], *both = each[guilty < 0 ? 0 : guilty];
     memset(s->suspects.score, 0, sizeof s->suspects.score);
     sf_moment_retract(c, m, s);
     if (guilty < 0) {
-        sf_real open = 0;
         for (int i = 0; i < K; i++) {
             sf_real variance = leap->std[i] * leap->std[i], by = leap->reading[i] * c->weight;
             for (int t = 0; t <= c->kept; t++) s->front.history[t * 2 * K + i] -= by;
             s->shift[i] += by;
             for (int j = 0; j < SF_MODES; j++) s->belief.covariance[j * N * N + (2 * K + i) * (N + 1)] += variance;
-            open += variance / (m->unit[i] * m->unit[i]);
         }
-        s->drifted[1] += open / (sf_real)K;
         return;
     }
-    sf_suspected(c, guilty, both);
+    sf_suspected(c, each);
     if (guilty < K) {
         int fresh[SF_CHANNELS] = {0}, kind[SF_CHANNELS] = {0};
         fresh[guilty] = 1, kind[guilty] = SF_DEAD;
@@ -1777,7 +1756,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
     }
     if (!good) return SF_SINGULAR;
     if (!s->linked) sf_follow_suspects(c, m, &s->suspects, s->pending, n, rows->at_end);
-    sf_moment_publish(c, belief->chance, w, &w->published);
+    sf_moment_publish(c, m, belief, w, &w->published);
     if (!sf_all_finite(w->published.mean, sf_weighed(c))) return SF_SINGULAR;
     sf_copy_modes(c, m, &s->belief, belief);
     return 0;

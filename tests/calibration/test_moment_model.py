@@ -68,12 +68,12 @@ def momentum_of(block, layout, point, x, columns):
     H = np.array([momentum[1], momentum[2], momentum[5]])
     shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
-        f = a * block.force[n] + b + a * u
+        f = (1.0 + m) * (a * block.force[n] + b + a * u)
         f[to] += x[columns.talk] * block.force[n, origin]
-        P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - (1.0 - m)])
+        P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - 1.0])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
         arm = block.com[n] - point - np.append(d, 0.0)
-        H = H + block.dt[n] * np.cross(arm, (0.0, 0.0, -(1.0 - m)))
+        H = H + block.dt[n] * np.cross(arm, (0.0, 0.0, -1.0))
         for foot, (layout_of, where) in enumerate(zip(layout.feet, layout.slices, strict=True)):
             local = layout_of.wrench_map @ f[where]
             force = block.rotation[n, foot] @ local[:3]
@@ -140,22 +140,23 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
     """One linear row after another, on a wide prior and on each prior itself; then weighed by hand."""
     columns, rng = Columns.of(LAYOUT), np.random.default_rng(3)
     spread = Spread.of(setup(), CONFIG)
-    severity, of = Severity(columns, spread), columns.map
+    severity, of, judged = Severity(columns, spread), columns.map, slice(0, columns.offset.stop)
     H = np.zeros((6, columns.size))
     H[:, of] = rng.normal(size=(6, of.stop)) * np.sqrt(first_variance(columns, spread, CONFIG)[of])
     y, R = 0.5 * rng.normal(size=6), 0.01 * np.eye(6)
-    drifted = np.array([1e-4, 2e-4])
+    drifted = 1e-4
 
     def posterior(prior):
         mean, covariance = first_mean(columns), np.diag(first_variance(columns, spread, CONFIG))
-        covariance[of, of] = np.diag(prior)
+        covariance[judged, judged] = np.diag(prior)
+        covariance[columns.drift, columns.drift] += 2e-4 * np.diag(spread.unit**2)
         S = H @ covariance @ H.T + R
         off = y - H @ mean
         gain = covariance @ H.T @ np.linalg.inv(S)
         likelihood = -0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1])
         return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
 
-    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted * np.array([1.0 / 25.0, 1.0]))[0]
+    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
     mean, covariance, widely = posterior(wide)
     found = severity.weigh(mean[None], covariance[None], drifted)
     means, covariances, chances = [], [], []
@@ -181,7 +182,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
 def test_without_data_all_is_undetermined():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
-    found = Severity(columns, spread).weigh(first_mean(columns)[None], covariance[None], np.zeros(2))
+    found = Severity(columns, spread).weigh(first_mean(columns)[None], covariance[None], 0.0)
     assert found.evidence[0] == pytest.approx(0.0, abs=1e-9)
     found = found.publish(np.ones(1))
     np.testing.assert_allclose(found.undetermined, 1.0)
