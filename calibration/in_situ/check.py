@@ -230,10 +230,18 @@ def check_bending(
 ) -> tuple[float, list[Finding]]:
     """Measure how much a limb bends; return the share and the findings.
 
-    With ``loops`` hysteresis, which looks like it for a while, may still be in the readings.
+    With ``loops`` hysteresis, which looks like it for a while, may still be in the readings, and no
+    deviation has its part.
     """
     limit = limits.BENDING_BESIDE if loops else limits.BENDING
     most, found = 0.0, []
+    left = max(_residual_share(data, part) for data, part in zip(sets, parts, strict=True))
+    if loops and left > limits.HIDDEN:
+        reason = (
+            f"{left:.1%} of the readings' spread is noise or hysteresis, and only samples with times, enough of "
+            "them, tell which. With hysteresis the answer is several times less sure than it says."
+        )
+        found.append(Finding("hidden hysteresis", reason, value=left, limit=limits.HIDDEN, refuses=False))
     for data, part in zip(sets, parts, strict=True):
         share = measure_bending(part)
         if share > limit and share > limits.BENDS_PARTLY * _residual_share(data, part):

@@ -187,9 +187,9 @@ def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
         felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
         added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
         size = np.linalg.norm(g + added, axis=1)
-        length = sphere.length
+        length = np.full_like(size, sphere.length)
         if data.moves:
-            length = length + (_smooth(size - length) if data.time is not None else size - length)
+            length = length + _smooth(size - length) if data.time is not None else size
         g = (g + added) * (length / np.where(size > 0.0, size, np.nan))[:, None] - added
         found.append(replace(data, gravity=g * sphere.scale))
     return tuple(found)
