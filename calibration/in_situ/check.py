@@ -238,8 +238,8 @@ def check_bending(
     left = max(_residual_share(data, part) for data, part in zip(sets, parts, strict=True))
     if loops and left > limits.HIDDEN:
         reason = (
-            f"{left:.1%} of the readings' spread is noise or hysteresis, and only samples with times, enough of "
-            "them, tell which. With hysteresis the answer is several times less sure than it says."
+            f"{left:.1%} of the readings' spread is noise or hysteresis, and only samples with times, enough "
+            "of them, tell which. With hysteresis the answer is several times less sure than it says."
         )
         found.append(Finding("hidden hysteresis", reason, value=left, limit=limits.HIDDEN, refuses=False))
     for data, part in zip(sets, parts, strict=True):
