@@ -35,6 +35,9 @@ guide, and few rows suffice either way."""
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
 
+_UNIFORM = 12.0**-0.5
+"""Deviation of what lies anywhere in a span, as a share of it."""
+
 _KINDS = (slice(0, 3), slice(3, 6))
 """Forces and torques."""
 
@@ -109,10 +112,10 @@ def unknowns_root(solution: Solution) -> Matrix:
 
 
 def slope_doubts(solution: Solution) -> tuple[Matrix, Matrix]:
-    """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
+    """Return columns of C, (6 k, a), and of o, (k, 2 a), for want of one slope of a sensor with hysteresis.
 
     An axis, or a channel, gives by its share of loops more for twice the swing, by that of creep in twice
-    the time.
+    the time. Without load it still reads anywhere within its loop, by what it bore before.
     """
     A, sets = solution.A, solution.problem.sets
     C = invert_response(A, solution.problem.noise)
@@ -120,12 +123,16 @@ def slope_doubts(solution: Solution) -> tuple[Matrix, Matrix]:
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
     if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
+        lagging = A
         changes = np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
-        doublings = _doublings([one @ A.T for one in loads])
-        changes = np.einsum("ac,cb->acb", np.eye(len(A)), A)
+        lagging, loads = np.eye(len(A)), [one @ A.T for one in loads]
+        doublings = _doublings(loads)
+        changes = np.einsum("ac,cb->acb", lagging, A)
+    widths = solution.shares * np.max([np.ptp(one, axis=0) for one in loads], axis=0)
     changes = (solution.shares * doublings)[:, None, None] * changes
-    return (C @ changes @ C).reshape(len(changes), -1).T, (changes @ load).T
+    stored = lagging * (_UNIFORM * widths)
+    return (C @ changes @ C).reshape(len(changes), -1).T, np.concatenate([(changes @ load).T, stored], axis=1)
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:
