@@ -41,7 +41,7 @@ from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
-from surefoot.calibration.in_situ.covariance import unknowns_root
+from surefoot.calibration.in_situ.covariance import share_deviations
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
@@ -164,15 +164,8 @@ def shows_loops(problem: Problem) -> bool:
 
 def _lags(fit: Solution) -> bool:
     """Return whether readings lag behind loads: no share leads by more than chance."""
-    problem, root, shares = fit.problem, unknowns_root(fit), fit.shares
-    of_response, of_phi = np.split(root, [fit.response.size])
-    if problem.channel_lags:
-        entries = of_response.reshape(*fit.response.shape, -1)[:, -problem.channel_lags :]
-        of_shares = np.einsum("ab,bac->ac", np.linalg.inv(problem.whitening), entries)
-    else:
-        of_shares = of_phi[problem.loops]
-    leads = np.maximum(_LEADS * np.max(shares), _CHANCE * np.linalg.norm(of_shares, axis=1))
-    return bool(np.max(shares) > 0.0 and np.all(shares > -leads))
+    leads = np.maximum(_LEADS * np.max(fit.shares), _CHANCE * share_deviations(fit))
+    return bool(np.max(fit.shares) > 0.0 and np.all(fit.shares > -leads))
 
 
 class _Motion(NamedTuple):
