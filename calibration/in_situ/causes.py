@@ -21,7 +21,15 @@ from surefoot.calibration.in_situ.check import BENT_CURE, bending_signals
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.judge import turns_of
-from surefoot.calibration.in_situ.model import INERTIA, MASS, MOMENT, inertia_matrix, limb_parameters, signals
+from surefoot.calibration.in_situ.model import (
+    DIRECT,
+    INERTIA,
+    MASS,
+    MOMENT,
+    inertia_matrix,
+    limb_parameters,
+    signals,
+)
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
     Solution,
@@ -255,7 +263,7 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     words = "the limb bends as it turns, or the sensor is not linear"
     for columns in (
-        [bending_signals(part.source.signals) for part in evidence.problem.sets],
+        [bending_signals(part.source.signals[:, DIRECT]) for part in evidence.problem.sets],
         evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares]),
     ):
         free = columns[0].shape[1] * len(evidence.problem.whitening)
