@@ -65,7 +65,7 @@ TWO_SIDED = 1.96
 """Deviations to either side that hold 95 % of a normal distribution."""
 
 
-def held(fit: InSituFit, response: Floats) -> float:
+def count_held(fit: InSituFit, response: Floats) -> float:
     """Return the share of a matrix's entries that 95 % intervals hold."""
     off = np.abs(fit.matrix - np.linalg.inv(response)) / fit.matrix_std
     return float(np.mean(off < TWO_SIDED))
@@ -126,7 +126,7 @@ def push(seed: int, loads: int, off: float, noise: float) -> dict[str, Any]:
 
     fit = calibrate_in_situ(sets, factory_matrix=np.eye(6), refuse=False)
     found = {"maker": error(np.eye(6)), "refusal": str(fit.refusals[0]) if fit.refusals else ""}
-    return found | {"ours": error(fit.matrix), "held": held(fit, response)}
+    return found | {"ours": error(fit.matrix), "held": count_held(fit, response)}
 
 
 def contact(seeds: Sequence[int], _: argparse.Namespace) -> list[Table]:
@@ -213,7 +213,7 @@ def turn(path: str, sensor: str, kind: str, seed: int) -> dict[str, Any]:
         return case | {"refusal": str(fit.refusals[0])}
     nees = normalise_error(fit, truth.response, truth.offset, truth.limb) / len(fit.covariance)
     weight = 100.0 * abs(fit.limb.mass / truth.limb.mass - 1.0)
-    return case | {"weight": weight, "NEES": nees, "held": held(fit, truth.response), "refusal": ""}
+    return case | {"weight": weight, "NEES": nees, "held": count_held(fit, truth.response), "refusal": ""}
 
 
 def raster(seeds: Sequence[int], given: argparse.Namespace) -> list[Table]:
