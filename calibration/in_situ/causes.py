@@ -17,11 +17,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
-from surefoot.calibration.in_situ.check import BENT_CURE, squares
+from surefoot.calibration.in_situ.check import BENT_CURE, bending_signals
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.judge import turns_of
-from surefoot.calibration.in_situ.model import INERTIA, MASS, MOMENT, inertia_matrix, limb_parameters, signals
+from surefoot.calibration.in_situ.model import (
+    DIRECT,
+    INERTIA,
+    MASS,
+    MOMENT,
+    inertia_matrix,
+    limb_parameters,
+    signals,
+)
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
     Solution,
@@ -83,9 +91,12 @@ class Evidence:
         """That without any cause."""
         return self.solution.problem
 
-    def beside(self, words: str, cure: str, columns: Sequence[Matrix], free: int, choices: int) -> "Cause":
-        """Return a cause that adds signals, shape (n_j, q) a set, to the readings."""
-        rows = [part.at_rows(one) for part, one in zip(self.problem.sets, columns, strict=True)]
+    def at_rows(self, columns: Sequence[Matrix]) -> list[Matrix]:
+        """Return means over the rows of the compressed sets, of columns, shape (n_j, q) a set."""
+        return [part.at_rows(one) for part, one in zip(self.problem.sets, columns, strict=True)]
+
+    def beside(self, words: str, cure: str, rows: Sequence[Matrix], free: int, choices: int) -> "Cause":
+        """Return a cause that adds signals, at the rows of the compressed sets, to the readings."""
         problem = beside_channels(self.problem, rows)
         return Cause(words, cure, solve(problem, [self.solution.outer]), free, choices)
 
@@ -212,7 +223,7 @@ def _try_steps(evidence: Evidence) -> Iterator[Cause]:
         if touch:
             words = f"something touched the limb in '{name}' from {begin} to {evidence.when(j, last - 1)}"
             cure = _TOUCHING
-        yield evidence.beside(words, cure, columns, channels + 1 + touch, choices * count)
+        yield evidence.beside(words, cure, evidence.at_rows(columns), channels + 1 + touch, choices * count)
 
 
 def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int, int, int]:
@@ -252,8 +263,8 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     words = "the limb bends as it turns, or the sensor is not linear"
     for columns in (
-        [squares(np.nan_to_num(data.gravity)) for data in evidence.sets],
-        [np.concatenate([x**2, x**3], axis=1) for x in shares],
+        [bending_signals(part.source.signals[:, DIRECT]) for part in evidence.problem.sets],
+        evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares]),
     ):
         free = columns[0].shape[1] * len(evidence.problem.whitening)
         yield evidence.beside(words, BENT_CURE, columns, free, 1)

@@ -35,6 +35,9 @@ guide, and few rows suffice either way."""
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
 
+_UNIFORM = 12.0**-0.5
+"""Deviation of what lies anywhere in a span, as a share of it."""
+
 _KINDS = (slice(0, 3), slice(3, 6))
 """Forces and torques."""
 
@@ -108,24 +111,41 @@ def unknowns_root(solution: Solution) -> Matrix:
     return np.asarray(inverse @ triangle(rows).T)
 
 
+def share_deviations(solution: Solution) -> Vector:
+    """Return the deviations of the shares of hysteresis, of each axis, (6,), or of each channel, (k,)."""
+    problem, lags = solution.problem, solution.problem.channel_lags
+    of_response, of_phi = np.split(unknowns_root(solution), [solution.response.size])
+    if not lags:
+        return np.asarray(np.linalg.norm(of_phi[problem.loops], axis=1))
+    entries = of_response.reshape(*solution.response.shape, -1)[:, -lags:]
+    of_shares = np.einsum("ab,bac->ac", np.linalg.inv(problem.whitening), entries)
+    return np.asarray(np.linalg.norm(of_shares, axis=1))
+
+
 def slope_doubts(solution: Solution) -> tuple[Matrix, Matrix]:
-    """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
+    """Return columns of C, (6 k, a), and of o, (k, 2 a), for want of one slope of a sensor with hysteresis.
 
     An axis, or a channel, gives by its share of loops more for twice the swing, by that of creep in twice
-    the time.
+    the time. Without load it still reads anywhere within its loop, by what it bore before. All of its axes
+    are of one metal and one glue: one whose load hardly changed has at least the share of the others.
     """
     A, sets = solution.A, solution.problem.sets
+    shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     load = solution.loads[-1] @ sets[-1].end.signals
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
     if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
+        lagging = A
         changes = np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
-        doublings = _doublings([one @ A.T for one in loads])
-        changes = np.einsum("ac,cb->acb", np.eye(len(A)), A)
-    changes = (solution.shares * doublings)[:, None, None] * changes
-    return (C @ changes @ C).reshape(len(changes), -1).T, (changes @ load).T
+        lagging, loads = np.eye(len(A)), [one @ A.T for one in loads]
+        doublings = _doublings(loads)
+        changes = np.einsum("ac,cb->acb", lagging, A)
+    widths = shares * np.max([np.ptp(one, axis=0) for one in loads], axis=0)
+    changes = (shares * doublings)[:, None, None] * changes
+    stored = lagging * (_UNIFORM * widths)
+    return (C @ changes @ C).reshape(len(changes), -1).T, np.concatenate([(changes @ load).T, stored], axis=1)
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:

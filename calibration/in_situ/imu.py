@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
+from scipy.fft import dct, idct
 
 from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
@@ -175,21 +175,37 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
 
 
 def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
-    """Return sets with gravity less its bias, of its own length where the limb is at rest.
+    """Return sets with gravity less its bias and its noise along its length.
 
-    The acceleration by rotation is no noise: the sensor feels it as well.
+    The acceleration by rotation is no noise: the sensor feels it as well. What else the length shows of a
+    limb whose motion was recorded is an acceleration as far as it hangs together in time.
     """
     found = []
     for data in sets:
         g = data.gravity - sphere.bias
-        if not data.moves:
-            moved, places = _add_turning(data)
-            felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
-            added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
-            size = np.linalg.norm(g + added, axis=1, keepdims=True)
-            g = (g + added) * sphere.length / np.where(size > 0.0, size, np.nan) - added
+        moved, places = _add_turning(data)
+        felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
+        added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
+        size = np.linalg.norm(g + added, axis=1)
+        length = np.full_like(size, sphere.length)
+        if data.moves:
+            length = length + _smooth(size - length) if data.time is not None else size
+        g = (g + added) * (length / np.where(size > 0.0, size, np.nan))[:, None] - added
         found.append(replace(data, gravity=g * sphere.scale))
     return tuple(found)
+
+
+def _smooth(off: Vector) -> Vector:
+    """Return the part of a signal beside white noise by Wiener's filter, shape (n,)."""
+    whole = np.isfinite(off)
+    modes = dct(off[whole], norm="ortho")
+    # Octaves of modes, of which the weakest is white noise.
+    octave = np.floor(np.log2(np.arange(len(modes)) / _FEWEST + 1.0)).astype(int)
+    power = (np.bincount(octave, modes**2) / np.bincount(octave))[octave]
+    share = np.maximum(1.0 - np.min(power) / np.maximum(power, np.finfo(float).tiny), 0.0)
+    smooth = np.full_like(off, np.nan)
+    smooth[whole] = idct(share * modes, norm="ortho")
+    return smooth
 
 
 def _rows_within(data: InSituSet, rows: NDArray[np.int_]) -> int:

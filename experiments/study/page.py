@@ -159,7 +159,9 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None
 
 def command_line() -> str:
     """Command that runs now."""
-    return shlex.join(["surefoot", *sys.argv[1:]])
+    script = Path(sys.argv[0])
+    program = ["python", f"benchmarks/{script.name}"] if script.parent.name == "benchmarks" else ["surefoot"]
+    return shlex.join([*program, *sys.argv[1:]])
 
 
 def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
