@@ -5,7 +5,7 @@ A task is a few functions of a robot's :class:`State`, which change nothing: :me
 :class:`~surefoot.envs.batch.BatchVectorEnv` for all of its robots, with these in front of each array.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -79,6 +79,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         quiet_ticks: Control steps at an episode's beginning in which residuals are checked, and not applied.
         last_tick: The tick at which an episode is truncated; None for never.
         fastest: How far targets move in a step at most, in rad.
+        varied: Fields of the model that ``place`` and ``disturb`` change.
+        began: Called at the end of each reset.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
@@ -91,6 +93,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     quiet_ticks = 0
     fastest: Any = np.inf
+    varied: tuple[str, ...] = ()
+    began: Callable[[], None] | None = None
 
     _neutral: str
     """What an action of zeros does, for messages."""
@@ -131,6 +135,15 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     def command(self) -> Command:
         """The robot's present command to itself."""
         return self.state.command
+
+    def share(self, other: Any) -> None:
+        """Go on in the model and the data of another environment of the same options.
+
+        One of both is in an episode at a time; who uses them keeps what an episode changes.
+        """
+        self.model, self.data = other.model, other.data
+        self.observer, self.mean_truth = other.observer, other.mean_truth
+        self.observation_space = other.observation_space
 
     def draw(self, options: dict[str, Any]) -> Any:
         """Draw an episode's plan, and what disturbs it; called at every reset, after seeding."""
@@ -223,6 +236,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         mujoco.mj_forward(self.model, self.data)
         rows = np.tile(self.data.sensordata, (self.substeps, 1))
         look = self._end_step(State(plan, 0, command, target, 0.0, np.zeros((3, 2))), rows, self.data.qvel)
+        if self.began is not None:
+            self.began()
         return look.observation, {"surefoot": {"truth": self.mean_truth(rows)}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
