@@ -133,7 +133,8 @@ class CalibrationSetup:
             usual["ripple"] = ALIASED
         self.options = usual | layout_options(self.layout, drawing) | options
         self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
-        self.mass = self.model().mass
+        self._nominal = NominalModel.of_drawing(drawing, self.errors)
+        self.mass = self._nominal.mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
         self.spaces = self.view().spaces
@@ -141,7 +142,7 @@ class CalibrationSetup:
 
     def model(self) -> NominalModel:
         """Make a robot's model of itself, as drawn."""
-        return NominalModel.of_drawing(self.drawing, self.errors)
+        return self._nominal.another()
 
     def calibrator(self, mass: float, initial: Parameters | None, dt: float, lag: int) -> FootCalibrator:
         """Make a calibrator; arguments as of :class:`~surefoot.calibration.FootCalibrator`."""
