@@ -230,11 +230,11 @@ class RobotCalibration:
                 joined=packets_per_join(telemetry.period),
                 touching=setup.touching.round,
             )
-            if setup.by_momentum:
-                places = setup.touching.places
-                self.beliefs = native_beliefs(MomentumBeliefs(beliefs, places[..., :3], places[..., 3]))
-            else:
-                self.beliefs = native_beliefs(beliefs)
+            places, library = setup.touching.places, self.calibrator.library
+            self.beliefs = native_beliefs(
+                MomentumBeliefs(beliefs, places[..., :3], places[..., 3]) if setup.by_momentum else beliefs,
+                library,
+            )
         self._view.begin_episode()
         return fresh
 
@@ -245,7 +245,11 @@ class RobotCalibration:
             return own
         native = calibrator.native()
         self._native = None
-        if native is not None and isinstance(beliefs, NativeBeliefs):
+        if (
+            native is not None
+            and isinstance(beliefs, NativeBeliefs)
+            and beliefs.library is calibrator.library
+        ):
             self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
         return self._native
 

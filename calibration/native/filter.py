@@ -82,6 +82,7 @@ class NativeFilter:
         constants: Those of the robot and the method.
 
     Attributes:
+        library: The library.
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: Its readings, shape (K,).
@@ -91,7 +92,7 @@ class NativeFilter:
     """
 
     def __init__(self, library: Library, constants: Constants) -> None:
-        self._functions, self.constants = library.functions, constants
+        self.library, self._functions, self.constants = library, library.functions, constants
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
         self._template = constants.like

@@ -37,6 +37,11 @@ NATIVE = Native(
 )
 
 
+def rooms() -> tuple[Library, ...]:
+    """Return the libraries of this package, those with the least room in their records first."""
+    return NATIVE.rooms()
+
+
 def installed() -> Library | None:
     """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
     return NATIVE.installed()

@@ -276,9 +276,16 @@ class NativeBeliefs:
         return native_beliefs, (self.unpack(),)
 
 
-def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeliefs | NativeBeliefs:
-    """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
-    library = installed()
+def native_beliefs(
+    beliefs: Beliefs | MomentumBeliefs, library: Library | None = None
+) -> Beliefs | MomentumBeliefs | NativeBeliefs:
+    """Return beliefs that go on by a library, or as they are where there is none for such a robot.
+
+    Args:
+        beliefs: The Python's, which are used up.
+        library: That of the robot's calibrator; by default the one with room for all robots.
+    """
+    library = library or installed()
     if library is None or library.real != np.float64:
         return beliefs
     try:

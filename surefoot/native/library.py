@@ -133,6 +133,7 @@ class Native:
     ) -> None:
         self.sources, self._signatures, self._many = sources, signatures, many
         self._found: tuple[Library | None] | None = None
+        self._smaller: tuple[Library, ...] | None = None
 
     def load(self, path: Path, source: str | None = None) -> Library:
         """Load a library.
@@ -170,14 +171,24 @@ class Native:
             self._found = (self.look(self.sources.library),)
         return self._found[0]
 
-    def look(self, path: Path) -> Library | None:
+    def rooms(self) -> tuple[Library, ...]:
+        """Return the libraries of this package, those with the least room in their records first."""
+        largest, sources = self.installed(), self.sources.smaller
+        if largest is None:
+            return ()
+        if self._smaller is None:
+            found = None if sources is None else self.look(sources.library, sources)
+            self._smaller = () if found is None else (found,)
+        return *self._smaller, largest
+
+    def look(self, path: Path, sources: Sources | None = None) -> Library | None:
         """Return the library of this package in a file, as :meth:`installed` does."""
         if os.environ.get(SWITCH) == "0":
             return None
         problem = f"there is no {path.name}"
         if path.exists():
             try:
-                return self.load(path, self.sources.fingerprint())
+                return self.load(path, (sources or self.sources).fingerprint())
             except OSError as error:
                 problem = f"{path.name} cannot be used, {error}"
         say_once(problem)
