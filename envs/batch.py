@@ -232,6 +232,8 @@ class BatchVectorEnv(SyncVectorEnv):
             self.state.tick[i], self.state.target[i], self.state.cop_held[i] = 0, states[i].target, 0.0
             self._set_commands(i, states[i].command)
             self._plans[i] = states[i].plan
+            # The present truth is that of all robots; what an own one says of its columns, the first says.
+            self.envs[i].truth = self._task.truth
         self.state = self.state._replace(plan=self._task.join(self._plans))
 
     def _set_commands(self, robots: Any, command: Command) -> None:

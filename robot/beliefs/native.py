@@ -1,5 +1,6 @@
 """The beliefs of one robot by the library: the same numbers as those of Python, to rounding."""
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class NativeBeliefs:
     """
 
     def __init__(self, library: Library, believed: Beliefs | MomentumBeliefs) -> None:
-        self.library, self._functions, self._spec = library, library.functions, believed
+        self.library, self._functions, self._spec = library, library.functions, _without_rows(believed)
         self.model = believed.model
         momentum = believed if isinstance(believed, MomentumBeliefs) else None
         beliefs, F = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed, self.model.feet
@@ -208,7 +209,8 @@ class NativeBeliefs:
 
     def unpack(self) -> Beliefs | MomentumBeliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        started, state, believed = self._spec.begin_episode(), self._state, self.believed.reference()
+        started: Beliefs | MomentumBeliefs = self._spec.begin_episode()
+        state, believed = self._state, self.believed.reference()
         if not isinstance(started, MomentumBeliefs):
             self._unpack(started)
             started.believed = believed
@@ -274,6 +276,15 @@ class NativeBeliefs:
 
     def __reduce__(self) -> Any:
         return native_beliefs, (self.unpack(),)
+
+
+def _without_rows(beliefs: Any) -> Any:
+    """Return beliefs to begin episodes of, without the memory of an episode."""
+    bare = copy(beliefs)
+    bare.ring = None
+    if isinstance(bare, MomentumBeliefs):
+        bare.beliefs = _without_rows(bare.beliefs)
+    return bare
 
 
 def native_beliefs(

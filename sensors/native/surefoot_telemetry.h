@@ -62,7 +62,7 @@ typedef struct {
     sf_real up[3], gyroscope_bias[3]; /* what the computer believes */
     sf_real position[SF_JOINTS], velocity[SF_JOINTS], inertial[6];
     double arrival[SF_LINK_ROOM];
-    sf_real ring[SF_LINK_ROOM * SF_PACKET];
+    sf_real ring[SF_LINK_ROOM * SF_PACKET]; /* as wide as the robot's packets: what follows need not be there */
 } sf_telemetry;
 
 SF_API int sf_packet_size(const sf_telemetry_config *c) { return 10 + 2 * c->joints; }
@@ -213,7 +213,7 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
 SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
                              const sf_real *inertial, int fresh, sf_random *stream, sf_real *arrived) {
     if (fresh) {
-        memset(s, 0, sizeof *s);
+        memset(s, 0, (size_t)((char *)s->ring - (char *)s));
         sf_random_fill(stream, 1, 6, s->bias);
         for (int i = 0; i < 6; i++) s->bias[i] *= c->bias_std[i];
         if (c->skewed) sf_random_fill(stream, 1, 18, s->matrix);

@@ -82,14 +82,20 @@ class NativeTelemetry(Telemetry):
         functions, at = library.functions, self.config.ctypes.data
         if state is None or not functions.surefoot_telemetry_fits(at):
             raise ValueError("The robot is larger than those that the library was compiled for.")
-        self._record, self._room = state, room
+        # Fields are views: what the robot's packets do not fill needs no memory.
+        fields = dict(state.fields or {})
+        ring, at = fields["ring"][:2]
+        self._record = np.dtype({
+            "names": list(fields), "formats": [field[0] for field in fields.values()],
+            "offsets": [field[1] for field in fields.values()], "itemsize": at + ring.itemsize,
+        })  # fmt: skip
+        self._room = room
         self._skewed = bool(self.config["skewed"])
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
-        # A view of memory hands out plain floats, and rows that are there already need no slicing.
-        self._heads, self._contents = self._arrived.data, [row[2:] for row in self._arrived]
+        self._heads = self._arrived.data  # which hands out plain floats
         self._shape = self._position.shape
         arrays = self.config, self._position, self._inertial, self._arrived
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
@@ -133,10 +139,8 @@ class NativeTelemetry(Telemetry):
 
     def packets(self, count: int) -> Packets:
         """Return the packets that the last step has delivered, so many."""
-        heads, contents = self._heads, self._contents
-        return tuple(
-            [Packet(int(heads[row, 0]), heads[row, 1], contents[row].copy()) for row in range(count)]
-        )
+        heads, contents = self._heads, self._arrived[:count, 2:].copy()
+        return tuple([Packet(int(heads[row, 0]), heads[row, 1], contents[row]) for row in range(count)])
 
     def hardware(self, state: Any) -> Hardware:
         """Return the present state of IMU and encoders."""
