@@ -89,14 +89,12 @@ class BatchVectorEnv(SyncVectorEnv):
         made: list[BipedEnv] = []
 
         def one() -> BipedEnv:
-            env = task(**options)
-            env.began = partial(self._take, len(made))
-            if made:
-                env.share(made[0])
-            made.append(env)
-            return env
+            made.append(made[0].another() if made else task(**options))
+            return made[-1]
 
         super().__init__([one] * num_envs, autoreset_mode=autoreset_mode)
+        for i, env in enumerate(made):
+            env.began = partial(self._take, i)
         self.ended: dict[int, SimpleNamespace] = {}
         self._task, model = made[0], made[0].model
         self._drawn = {name: getattr(model, name).copy() for name in self._task.varied}

@@ -6,8 +6,9 @@ A task is a few functions of a robot's :class:`State`, which change nothing: :me
 """
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import gymnasium as gym
 import mujoco
@@ -80,6 +81,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         last_tick: The tick at which an episode is truncated; None for never.
         fastest: How far targets move in a step at most, in rad.
         varied: Fields of the model that ``place`` and ``disturb`` change.
+        shared: Attributes that :meth:`another` has in common with this one.
         began: Called at the end of each reset.
 
     Raises:
@@ -94,6 +96,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     quiet_ticks = 0
     fastest: Any = np.inf
     varied: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ("model", "data", "observer", "mean_truth", "observation_space")
     began: Callable[[], None] | None = None
 
     _neutral: str
@@ -136,14 +139,13 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         """The robot's present command to itself."""
         return self.state.command
 
-    def share(self, other: Any) -> None:
-        """Go on in the model and the data of another environment of the same options.
+    def another(self) -> Self:
+        """Return an environment of the same options in the same model and data.
 
         One of both is in an episode at a time; who uses them keeps what an episode changes.
         """
-        self.model, self.data = other.model, other.data
-        self.observer, self.mean_truth = other.observer, other.mean_truth
-        self.observation_space = other.observation_space
+        parts = [getattr(self, name) for name in self.shared]
+        return deepcopy(self, {id(part): part for part in parts})
 
     def draw(self, options: dict[str, Any]) -> Any:
         """Draw an episode's plan, and what disturbs it; called at every reset, after seeding."""

@@ -77,15 +77,12 @@ class Payload:
         payload: (mass in kg, time in s), or ``None`` for none.
         dt: Control step in s.
 
-    Attributes:
-        model: As given.
-
     Raises:
         ValueError: If the payload is neither, or a number is negative.
     """
 
     def __init__(self, model: mujoco.MjModel, payload: Sequence[float] | None, dt: float) -> None:
-        self.model = model
+        self._model = model
         self._body = int(model.body("torso").id)
         self._dt = dt
         mass, time = _check_payload(payload)
@@ -133,7 +130,7 @@ class Payload:
 
     def _link(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return mass, centre of mass, principal inertia and its axes of the torso as it is now."""
-        model, body = self.model, self._body
+        model, body = self._model, self._body
         return (
             float(model.body_mass[body]),
             model.body_ipos[body].copy(),
@@ -170,7 +167,7 @@ class Payload:
         inertia: NDArray[np.float64],
         quaternion: NDArray[np.float64],
     ) -> None:
-        model, body = self.model, self._body
+        model, body = self._model, self._body
         model.body_mass[body] = mass
         model.body_ipos[body], model.body_inertia[body], model.body_iquat[body] = com, inertia, quaternion
         # What MuJoCo derives from the masses; a data of its own keeps the robot's state as it is.

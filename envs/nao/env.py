@@ -180,6 +180,7 @@ class NaoEnv(BipedEnv):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
     truth: Truth
+    shared = (*BipedEnv.shared, "channels", "_renderer", "position_cell_sole")
     varied = ("pair_friction", "body_mass", "body_ipos", "body_inertia", "body_iquat")
     _neutral = "a policy that returns NaN has diverged, zeros leave the pattern alone"
 
@@ -241,11 +242,6 @@ class NaoEnv(BipedEnv):
     def drawing(self) -> RobotDrawing:
         """The drawing by the robot's maker: nao.xml without an episode's changes."""
         return draw_nao()
-
-    def share(self, other: Any) -> None:
-        """Go on in the model and the data of another one, as :meth:`BipedEnv.share` says."""
-        super().share(other)
-        self._payload.model, self._renderer, self.channels = other.model, other._renderer, other.channels
 
     def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
         """Push the robot, and hand it its payload, as drawn."""

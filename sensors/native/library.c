@@ -111,7 +111,7 @@ static const place places[] = {
 
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
 
-    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
+    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(room), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
     T_DOUBLE(substep), T_DOUBLE(period), T_DOUBLE(delay), T_DOUBLE(jitter), T_REAL(interval),
     T_REAL(smoothing), T_REAL(encoder_bias), T_REAL(encoder_noise), T_REAL(encoder_step), T_REAL(bias_std),
     T_REAL(spread), T_REAL(walk), T_REAL(noise), T_REAL(step), T_REAL(most),

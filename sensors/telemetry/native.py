@@ -67,12 +67,15 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
+        # The jitter is bounded, so that no more are under way than there were at rest and a step sends.
+        room = self.before_start + int(min(dt / self.period, 2**30)) + 1
+        most = library.places["telemetry"]["arrival"][2] // 8
         config = library.record_of(
-            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps)
+            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps) | {"room": room}
         )
-        assert config is not None
+        if config is None or room > most:
+            raise ValueError("More packets are under way than the library was compiled for.")
         self.config = config
-        room = library.places["telemetry"]["arrival"][2] // 8
         shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
         state = library.record("telemetry", shapes | {
             "bias": (6,), "matrix": (2, 3, 3), "error": (joints,), "up": (3,), "gyroscope_bias": (3,),

@@ -20,7 +20,9 @@ SHARED = Path(__file__).resolve().parent
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 """Contraction would round differently from machine to machine."""
 
-SMALLER = {"calibration": ("-DSF_CHANNELS=8", "-DSF_FEET=2", "-DSF_COMPONENTS=3", "-DSF_TALKS=0")}
+SMALLER = {
+    "calibration": ("-DSF_CHANNELS=8", "-DSF_FEET=2", "-DSF_COMPONENTS=3", "-DSF_TALKS=0", "-DSF_BLOCK=16")
+}
 """Sizes of a package's second library, whose records are small: for two feet on up to four cells each."""
 
 
