@@ -169,7 +169,6 @@ class RobotCalibration:
         initial: The map that it began from.
         model: The robot as it believes itself to be.
         beliefs: Its beliefs.
-        reference_time: The moment that the reference describes, in s of the host's clock since the reset.
         late: How many samples ago that was.
         frozen: Whether nothing is learnt for now.
         made: Whether there was a reset.
@@ -186,7 +185,6 @@ class RobotCalibration:
         self.calibrator: FootCalibrator
         self.initial: Parameters
         self.beliefs: Beliefs | MomentumBeliefs | NativeBeliefs
-        self.reference_time = 0.0
         self.frozen = self.made = False
         self.late = self._waiting = 0
         self._chances = Chances()
@@ -258,11 +256,10 @@ class RobotCalibration:
 
         The packets that have arrived belong to it. :meth:`note` has to follow.
         """
-        sensors, hold = self._sensors, self._next()
+        sensors, hold = self._sensors, self.next_sample()
         arrived = sensors.packet_rows()
         if arrived is None:
             self.beliefs.update(sensors.packets)
-        self._estimate = None  # made of the library's record when somebody asks
         how = native.put(sensors.raw, command, hold)
         rows, packets = arrived or NOTHING
         return Sample(rows, packets, self.reference_time, sensors.time, how)
@@ -273,7 +270,7 @@ class RobotCalibration:
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.packet_rows()
+        hold, beliefs, arrived = self.next_sample(), self.beliefs, self._sensors.packet_rows()
         if arrived is not None and isinstance(beliefs, NativeBeliefs):
             beliefs.update_rows(*arrived)
         else:
@@ -373,10 +370,15 @@ class RobotCalibration:
         start, now = self.calibrator.setup.initial, self.estimate
         return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
 
-    def _next(self) -> bool:
-        """Go on by one sample; return whether nothing is to be learnt of it."""
+    @property
+    def reference_time(self) -> float:
+        """The moment that the last sample's reference describes, in s of the host's clock since the reset."""
         sensors = self._sensors
-        self.reference_time = sensors.time - self.late * sensors.telemetry.dt - self._setup.age
+        return sensors.time - self.late * sensors.telemetry.dt - self._setup.age
+
+    def next_sample(self) -> bool:
+        """Go on by one sample; return whether nothing is to be learnt of it. :meth:`note` has to follow."""
+        self._estimate = None  # made of the library's record when somebody asks
         hold = self.frozen or self._waiting > 0
         self._waiting = max(self._waiting - 1, 0)
         return hold

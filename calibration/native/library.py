@@ -31,7 +31,7 @@ NATIVE = Native(
             ctypes.c_int,
             (ADDRESS, ADDRESS, ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_int),
         ),
-        "surefoot_sample_many": (None, (*(ADDRESS,) * 7, ctypes.c_int)),
+        "surefoot_sample_many": (None, (*(ADDRESS,) * 9, ctypes.c_int)),
     },
     ("surefoot_sample_many",),
 )

@@ -42,6 +42,9 @@ class NativeSensing:
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
         address: Where the library finds its records.
+        raw_address: Where the last reading lies.
+        rows_address: Where rows of packets lie.
+        count: How many of these have arrived in the last step.
     """
 
     telemetry_state: Any
@@ -63,7 +66,7 @@ class NativeSensing:
         self.telemetry_state = None
         if telemetry is not None:
             self._telemetry, self.telemetry_state = telemetry
-        self._view, self._count = view, 0
+        self._view, self.count = view, 0
         numbers: dict[str, Any] = {"channels": instruments.channels, "dt": dt}
         numbers["first"], *more = instruments.first_steps(dt)
         numbers |= {"more": len(more), "rows": len(truth.time)}
@@ -133,6 +136,8 @@ class NativeSensing:
         assert records is not None
         self._records, self._arrays = records, arrays
         self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
+        self.raw_address = self._raw.ctypes.data
+        self.rows_address = 0 if self._telemetry is None else self._telemetry.arrived_address
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
         """Let chance come from other streams, by the names of devices."""
@@ -192,7 +197,7 @@ class NativeSensing:
     def tell(self, told: int) -> None:
         """Take over the library's counts of a step: packets that have arrived, and packets on their way."""
         if self._telemetry is not None:
-            self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
+            self.telemetry_state.coming, self.count = (told >> 16) - 1, told & 0xFFFF
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
@@ -206,11 +211,11 @@ class NativeSensing:
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
-        return None if self._telemetry is None else (self._telemetry.arrived_address, self._count)
+        return None if self._telemetry is None else (self._telemetry.arrived_address, self.count)
 
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
-        return () if self._telemetry is None else self._telemetry.packets(self._count)
+        return () if self._telemetry is None else self._telemetry.packets(self.count)
 
 
 class ManySensing:
