@@ -230,7 +230,7 @@ static void find_wrench(const sf_real *foot, sf_real *wrench) {
     }
 }
 
-static void find_load(const sf_sense_records *at, const double *truth) {
+static void find_load(const sf_sense_records *at, const sf_real *truth) {
     int K = at->feet.cells_config->channels;
     sf_real wrench[SF_AXES * SF_LOAD_CELLS];
     for (int row = 0; row < at->rows; row++) {
@@ -247,7 +247,7 @@ static void find_load(const sf_sense_records *at, const double *truth) {
 }
 
 /* What the sensors in the ankles feel, on average or at the end: the opposite of what the simulator reads there. */
-static void find_wrenches(const sf_sense_records *at, const double *truth) {
+static void find_wrenches(const sf_sense_records *at, const sf_real *truth) {
     int first = at->averaged ? 0 : at->rows - 1;
     for (int foot = 0; foot < at->feet.force_torque_config->sensors; foot++)
         for (int i = 0; i < SF_AXES; i++) {
@@ -258,7 +258,7 @@ static void find_wrenches(const sf_sense_records *at, const double *truth) {
         }
 }
 
-static void find_motion(const sf_sense_records *at, const double *truth) {
+static void find_motion(const sf_sense_records *at, const sf_real *truth) {
     int joints = at->telemetry->config->joints;
     for (int row = 0; row < at->rows; row++) {
         const sf_real *now = truth + row * at->columns;
@@ -270,7 +270,7 @@ static void find_motion(const sf_sense_records *at, const double *truth) {
 /* A control step of one robot, for whose packets there is room, or the start of an episode, for which 1 keeps the
    telemetry's sensors and 2 draws them, at rest as the first row of position and inertial says; and what is seen of it.
    truth is what the simulator reads in each substep. Returns what surefoot_telemetry_advance does. */
-EXPORTED int surefoot_sense(const sf_sense_records *at, const double *truth, double time, int begins) {
+EXPORTED int surefoot_sense(const sf_sense_records *at, const sf_real *truth, double time, int begins) {
     int told = 0;
     if (at->feet.cells_config) find_load(at, truth);
     if (at->feet.force_torque_config) find_wrenches(at, truth);
@@ -294,7 +294,7 @@ EXPORTED int surefoot_sense(const sf_sense_records *at, const double *truth, dou
 }
 
 /* A control step of many robots, each argument with a number of each; told[i] is what surefoot_sense returns of it. */
-EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const double *const *truth, const double *time,
+EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const sf_real *const *truth, const double *time,
                                   int *told, int count) {
     for (int i = 0; i < count; i++) told[i] = surefoot_sense(at[i], truth[i], time[i], 0);
 }

@@ -185,13 +185,14 @@ class Native:
         """Return the library of this package in a file, as :meth:`installed` does."""
         if os.environ.get(SWITCH) == "0":
             return None
+        effect = "runs in Python, slower" if sources is None else "needs more memory for many robots"
         problem = f"there is no {path.name}"
         if path.exists():
             try:
                 return self.load(path, (sources or self.sources).fingerprint())
             except OSError as error:
                 problem = f"{path.name} cannot be used, {error}"
-        say_once(problem)
+        say_once(problem, effect)
         return None
 
 
@@ -207,8 +208,6 @@ def require(library: Library | None) -> Library:
 
 
 @cache
-def say_once(problem: str) -> None:
-    """Log in one line that Python runs in place of the library, and the way out."""
-    logging.getLogger("surefoot").warning(
-        "surefoot runs in Python, slower: %s; compile it with: %s", problem, _BY_HAND
-    )
+def say_once(problem: str, effect: str) -> None:
+    """Log in one line what becomes of it that there is no such library, and the way out."""
+    logging.getLogger("surefoot").warning("surefoot %s: %s; compile it with: %s", effect, problem, _BY_HAND)
