@@ -373,8 +373,11 @@ class RobotCalibration:
     @property
     def reference_time(self) -> float:
         """The moment that the last sample's reference describes, in s of the host's clock since the reset."""
-        sensors = self._sensors
-        return sensors.time - self.late * sensors.telemetry.dt - self._setup.age
+        return float(self.reference_time_at(self._sensors.time))
+
+    def reference_time_at(self, time: Any) -> Any:
+        """Return the moment that a sample's reference describes, of the host's time, or of many."""
+        return time - self.late * self._sensors.telemetry.dt - self._setup.age
 
     def next_sample(self) -> bool:
         """Go on by one sample; return whether nothing is to be learnt of it. :meth:`note` has to follow."""

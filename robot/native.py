@@ -58,8 +58,8 @@ class Samples(NamedTuple):
     packets: list[int]
     raw: list[int]
     planned: NDArray[np.bool_] | None
-    then: list[float]
-    now: list[float]
+    then: NDArray[np.float64]
+    now: NDArray[np.float64]
     hold: list[bool]
 
 
@@ -203,8 +203,8 @@ def feed_many(natives: Sequence[NativeSample], samples: Samples, threads: int) -
         np.array(samples.packets, dtype=np.int32),
         np.array(samples.raw, dtype=np.uintp),
         plans,
-        np.array(samples.then),
-        np.array(samples.now),
+        samples.then,
+        samples.now,
         how,
         found,
     )

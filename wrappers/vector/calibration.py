@@ -117,13 +117,14 @@ class BatchCalibration:
         known = len(which) == count or all(native.sampled for native in natives)
         if len(natives) == count and known and None not in readers:
             read, robots = [one for i in which if (one := readers[i])], [self.robots[i] for i in which]
+            now = np.array([sensors.robots[i].time for i in which])
             samples = Samples(
                 [one.rows_address for one in read],
                 [one.count for one in read],
                 [one.raw_address for one in read],
                 None if sensors.plans is None else sensors.plans[which],
-                [robot.reference_time for robot in robots],
-                [sensors.robots[i].time for i in which],
+                self.robots[0].reference_time_at(now),
+                now,
                 [robot.next_sample() for robot in robots],
             )
             if which:
