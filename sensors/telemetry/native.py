@@ -70,11 +70,12 @@ class NativeTelemetry(Telemetry):
         # The jitter is bounded, so that no more are under way than there were at rest and a step sends.
         room = self.before_start + int(min(dt / self.period, 2**30)) + 1
         most = library.places["telemetry"]["arrival"][2] // 8
+        if room > most:
+            raise ValueError("More packets are under way than the library was compiled for.")
         config = library.record_of(
             "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps) | {"room": room}
         )
-        if config is None or room > most:
-            raise ValueError("More packets are under way than the library was compiled for.")
+        assert config is not None
         self.config = config
         shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
         state = library.record("telemetry", shapes | {

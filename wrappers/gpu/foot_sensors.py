@@ -158,7 +158,7 @@ class FootSensorsModule(BatchModule):
         self._first = len(more), first
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
         self._kernel = self._build()
-        self._usual = usual, self._parts(usual)  # which refuses faults that cannot happen
+        self._usual = usual, self._parts(usual)
         streams = [device_streams(equipment.stream, seed + robot) for robot in range(num_envs)]
         own = "cells" if self._blocks else "ankles", "faults", "condition"
         keys = [tuple(each[name] for name in own) for each in streams]
@@ -304,7 +304,8 @@ class FootSensorsModule(BatchModule):
         """Return the instrument and the faults of robots in a condition, as records and as the Python."""
         config = scaled(self._drawn, condition.severity)
         each = (_DEVICES[self._blocks][0], config), (FAULTS, Broken(condition.faults, config))
-        return tuple((self._device(kind, of), kind.build(of)) for kind, of in each)
+        python = [kind.build(of) for kind, of in each]  # which refuse faults that cannot happen
+        return tuple((self._device(*of), made) for of, made in zip(each, python, strict=True))
 
     def _draw(
         self, before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
