@@ -244,7 +244,7 @@ class BatchVectorEnv(SyncVectorEnv):
         ticks, prepare = self._present.tick.tolist(), prepares.tolist()
         for i in np.flatnonzero(stepping).tolist():
             if self.envs[i].disturb(self._pushed[i], ticks[i], prepare[i]):
-                self._take_model(i, self._changed())
+                self._take_model(i, self._changes())
                 self._restore()
 
     def _look(self) -> Look:
@@ -275,13 +275,13 @@ class BatchVectorEnv(SyncVectorEnv):
         if derived:
             self._batch.set_const([robot])
 
-    def _changed(self) -> list[str]:
+    def _changes(self) -> list[str]:
         """Return the fields of the model that are not as drawn."""
         return [name for name, own in self._drawn.items() if (getattr(self._task.model, name) != own).any()]
 
     def _restore(self) -> None:
         """Make the model that robots share as it was drawn."""
-        model, changed = self._task.model, self._changed()
+        model, changed = self._task.model, self._changes()
         for name in changed:
             getattr(model, name)[...] = self._drawn[name]
         if not self._derives.isdisjoint(changed):

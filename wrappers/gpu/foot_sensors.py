@@ -318,7 +318,7 @@ class FootSensorsModule(BatchModule):
             fresh: Whether sensors are fresh.
 
         Returns:
-            Sensors, which are drawn anew if they are fresh, faults, streams, the constants of both and
+            Sensors, which are drawn if they are to be fresh, faults, streams, the constants of both and
             severities.
         """
         found: list[list[Any]] = [[] for _ in range(6)]
