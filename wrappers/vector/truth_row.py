@@ -174,7 +174,7 @@ class VectorTruthRow(AnyVectorWrapper):
 
     @property
     def observation_space(self) -> spaces.Space[Any]:
-        """That of all rows, made when asked for: bounds of thousands would be as large as the robots' records."""
+        """That of all rows, made when asked for: bounds of thousands are as large as records."""
         return batch_space(self.single_observation_space, self.num_envs)
 
     @observation_space.setter
