@@ -1,7 +1,10 @@
 """Feet that stand, walk and are held: errors of single feet and cells by the foot calibrators.
 
-    python benchmarks/momentum.py --out FOLDER --scenes nao/walk g1/walk g1/held-20 --seeds 4
-    python benchmarks/momentum.py --out FOLDER --results out/results/momentum
+    python benchmarks/momentum.py --out FOLDER --scenes nao/walk "g1/walk, bench" g1/held-20 --seeds 4
+    python benchmarks/momentum.py --out FOLDER --seeds 8 --results out/results/momentum
+
+The second makes the whole table of the pages. What is finished stays in the folder: an interrupted run goes
+on, recordings serve until a robot, its sensors or its beliefs change, scores until any code of theirs does.
 
 Elsewhere the total is scored; policies are shown single feet. Each scene is recorded once and played by every
 method. Its map and the true one are held against each other on the same readings: the error of each foot's
@@ -10,14 +13,15 @@ errors agree with the covariance claimed (1 is right).
 
 A robot of its owner's, Unitree's G1 by a published policy, comes from the folder that the variable
 ``SUREFOOT_STRANGERS`` names (``g1_policy.py`` beside it); without it, its scenes are left out. Cells are
-the usual ones of a robot's size. ``--start bench`` takes cells with a perfect map
-that drift a tenth as fast, ``triple`` three times as bad ones, untold.
+the usual ones of a robot's size. In a scene ``"..., bench"`` they start with a perfect map and drift a tenth
+as fast, in ``"..., triple"`` they are three times as bad, untold.
 """
 
 import argparse
 import json
 import os
 import pickle
+import re
 import shlex
 import sys
 import warnings
@@ -31,7 +35,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import gymnasium as gym
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -39,7 +42,12 @@ from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumRefer
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.experiments.study.page import MADE, save_tables
-from surefoot.experiments.study.tables import Table, decimal
+from surefoot.experiments.study.runner import runner
+from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.store import Case, Store
+from surefoot.experiments.study.tables import Cell, Frame, decimal, table_of
+from surefoot.experiments.walks.record import lift
+from surefoot.experiments.walks.walkers import G1_FEET, make_g1
 from surefoot.files import write_text
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
@@ -53,8 +61,8 @@ METHODS = ("none", "tare", "window", "moment", "integrated")
 LOADED = 0.05
 """Share of the weight from which on a foot's centre of pressure counts."""
 
-HELD_FROM, HELD_FOR, HELD_RAMP = 12.0, 8.0, 0.5
-"""When something lifts the robot, for how long and within what time it does so, in s."""
+HELD = 12.0, 20.0
+"""From when to when something lifts the robot, in s."""
 
 SETTLE, DURATION = 10.0, 30.0
 """From when on errors count, and how long a scene lasts, in s."""
@@ -116,6 +124,12 @@ SCENES = {
     "exercise/t1": Scene("t1"),
 }
 
+PAGE = (
+    *SCENES,
+    *(f"{robot}/walk, {start}" for start in ("triple", "bench") for robot in ("g1", "nao")),
+)
+"""Scenes of the table of the pages, some with other cells to start with."""
+
 EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}
 """Robots of ``surefoot/Exercise-v0``."""
 
@@ -154,20 +168,11 @@ class Stream(NamedTuple):
     fell: bool
 
 
-def g1_by_policy(policy: str) -> gym.Env[Any, Any]:
-    """Make the G1 that walks by a published policy."""
-    sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
-    from g1_policy import G1Walk
-
-    walker: gym.Env[Any, Any] = G1Walk(policy)
-    return walker
-
-
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     """Make a scene's environment, and its controller."""
     if scene.robot.startswith("g1"):
         policy = "fastsac_g1_29dof" if scene.robot.endswith("fastsac") else "ppo_g1_29dof"
-        env = g1_by_policy(policy)
+        env = make_g1(policy)
         base: Any = env.unwrapped
         return env, lambda time: base.policy(base.state(), np.array(scene.command(time), float))
     if scene.robot in EXERCISE:
@@ -186,11 +191,11 @@ def cells_of(start: str, usual: LoadCells) -> LoadCells:
     return scaled(usual, 3.0) if start == "triple" else usual
 
 
-def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION) -> Stream:
+def record(name: str, seed: int, start: str = "", seconds: float = DURATION) -> Stream:
     """Play a scene once."""
     scene = SCENES[name]
     base, act = make(scene)
-    feet = ("left_ankle_roll_link", "right_ankle_roll_link") if name.startswith("g1") else None
+    feet = G1_FEET if name.startswith("g1") else None
     usual = usual_cells(FootSensors(make(scene)[0], feet=feet).source.drawing)
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
@@ -223,20 +228,20 @@ def record(name: str, seed: int, start: str = "usual", seconds: float = DURATION
 
 def _outside(scene: Scene, time: float, weight: float) -> Floats:
     """Return the outside force on the torso in N."""
-    since, left = time - HELD_FROM, HELD_FROM + HELD_FOR - time
     force = np.zeros(3)
-    force[2] = scene.lifted * weight * np.clip(min(since, left) / HELD_RAMP, 0.0, 1.0)
+    force[2] = weight * lift(time, scene.lifted, *HELD)
     if scene.pushed and time % 3.0 < 0.1:
         force[1] = scene.pushed * weight / 0.1 * (1.0 if int(time / 3.0) % 2 else -1.0)
     return force
 
 
-def stream(folder: Path, name: str, seed: int, start: str) -> Stream:
-    """Read a recorded scene, or record it."""
-    path = folder / f"{name.replace('/', '_')}_{start}_{seed}.pickle"
+def stream(folder: Path, name: str, seed: int) -> Stream:
+    """Read a recorded scene, or record it by the code of now; a filter changes no recording."""
+    code = source_hash("surefoot.envs", "surefoot.robot.beliefs", "surefoot.robot.sensing.sensors")
+    path = folder / f"{re.sub('[/, ]+', '_', name)}_{seed}_{code}.pickle"
     if not path.is_file():
-        made = record(name, seed, start)
-        path.write_bytes(pickle.dumps(made))
+        scene, _, start = name.partition(", ")
+        path.write_bytes(pickle.dumps(record(scene, seed, start)))
     found: Stream = pickle.loads(path.read_bytes())
     return found
 
@@ -327,65 +332,76 @@ def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, loa
     return float(apart @ np.linalg.pinv(J @ estimate.covariance @ J.T) @ apart) / 2.0
 
 
-def _row(folder: Path, name: str, seed: int, start: str, methods: Sequence[str]) -> list[dict[str, float]]:
+def _score(folder: Path, name: str, seed: int, methods: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
     warnings.simplefilter("ignore")
-    one = stream(folder, name, seed, start)
-    return [score(one, method) for method in methods]
+    one = stream(folder, name, seed)
+    return {"scores": [{"scene": name, "method": method, **score(one, method)} for method in methods]}
 
 
 SHOWN = {"foot": "foot (mm)", "cell": "cell (%)", "nees": "NEES"}
 """Columns of the pages, of each method; NEES of those that claim a covariance."""
 
 
-def save_results(
-    folder: Path, given: argparse.Namespace, names: Sequence[str], rows: Sequence[Sequence[dict[str, float]]]
-) -> None:
+def save_results(folder: Path, scores: Frame, seeds: int) -> None:
     """Save the table of the pages, a line a scene, and the command that made it."""
-    columns = [
-        (method, key) for key in SHOWN for method in given.methods if key != "nees" or method == "moment"
-    ]
-    lines = []
-    for i, name in enumerate(names):
-        of = rows[i * given.seeds : (i + 1) * given.seeds]
-        means = (np.nanmean([row[given.methods.index(method)][key] for row in of]) for method, key in columns)
-        scene = name if given.start == "usual" else f"{name}, {given.start}"
-        lines.append((scene, str(given.seeds), *(decimal(float(mean), ".2f") for mean in means)))
-    headings = ("scene", "seeds", *(f"{method}: {SHOWN[key]}" for method, key in columns))
-    save_tables(folder, [Table("feet", "Feet by policy, walking, standing and held", headings, tuple(lines))])
+    columns: dict[str, Cell] = {
+        "scene": lambda runs: str(runs["scene"].iloc[0]),
+        "seeds": lambda runs: str(seeds),
+        **{
+            f"{method}: {SHOWN[key]}": lambda runs, method=method, key=key: decimal(
+                float(runs[runs["method"] == method][key].mean()), ".2f"
+            )
+            for key in SHOWN
+            for method in scores["method"].unique()
+            if key != "nees" or method == "moment"
+        },
+    }
+    parts = [part for _, part in scores.groupby("scene", sort=False)]
+    title = "Feet by policy, walking, standing and held"
+    save_tables(folder, [table_of("feet", title, columns, parts)])
     made = json.loads((folder / MADE).read_text(encoding="utf-8"))
     made["command"] = shlex.join(["python", "benchmarks/momentum.py", *sys.argv[1:]])
     write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
 
 
 def main() -> None:
-    """Record the missing walks, and print the table."""
+    """Record and score what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder of the recorded scenes")
-    parser.add_argument("--scenes", nargs="+", default=list(SCENES))
+    parser.add_argument("--out", type=Path, required=True, help="folder of recorded scenes and scores")
+    parser.add_argument("--scenes", nargs="+", default=PAGE)
     parser.add_argument("--methods", nargs="+", default=METHODS)
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=HELD_OUT, help="first seed")
-    parser.add_argument("--start", default="usual", choices=("usual", "bench", "triple"))
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, help="folder for the table of the pages")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     strange = "SUREFOOT_STRANGERS" in os.environ
     names = [name for name in given.scenes if strange or not name.startswith("g1")]
-    seeds = range(given.first, given.first + given.seeds)
-    rows = Parallel(given.jobs)(
-        delayed(_row)(given.out, name, seed, given.start, given.methods) for name in names for seed in seeds
-    )
+    cases = [
+        Case(
+            f"{name}, seed {seed}",
+            _score,
+            (given.out, name, seed, given.methods),
+            (name, seed, given.methods),
+        )
+        for name in names
+        for seed in range(given.first, given.first + given.seeds)
+    ]
+    store = Store(given.out / "scores")
+    with store.open_for(), runner(1) as run:
+        run.run("play", cases, store)
+    for name, error in store.failures(cases).items():
+        print(f"{name}: {error}", file=sys.stderr)
+    scores = store.rows("scores", cases)
     print("|", " | ".join(["scene", "method", *COLUMNS, "worse than raw"]), "|")
     print("|---" * (len(COLUMNS) + 3) + "|")
-    for i, name in enumerate(names):
-        of = rows[i * len(seeds) : (i + 1) * len(seeds)]
-        for j, method in enumerate(given.methods):
-            means = " | ".join(f"{np.nanmean([row[j][key] for row in of]):.2f}" for key in COLUMNS)
-            worse = sum(row[j]["foot"] > 1.02 * row[0]["foot"] for row in of)
-            print(f"| {name} | {method} | {means} | {worse} of {len(of)} |", flush=True)
+    for (name, method), runs in scores.groupby(["scene", "method"], sort=False):
+        raw = scores[(scores["scene"] == name) & (scores["method"] == given.methods[0])]["foot"]
+        means = " | ".join(f"{runs[key].mean():.2f}" for key in COLUMNS)
+        worse = int((runs["foot"].to_numpy() > 1.02 * raw.to_numpy()).sum())
+        print(f"| {name} | {method} | {means} | {worse} of {len(runs)} |", flush=True)
     if given.results:
-        save_results(given.results / "tables", given, names, rows)
+        save_results(given.results / "tables", scores, given.seeds)
 
 
 if __name__ == "__main__":

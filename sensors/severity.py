@@ -36,6 +36,7 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "offset_drift",
             "scale_tempco",
             "offset_tempco",
+            "shear_std",
             "mechanics",
             "wire",
         ),

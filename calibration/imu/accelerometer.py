@@ -156,20 +156,7 @@ def calibrate_accelerometer(
 
     from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
-    start = _algebraic_start(force, unknowns)
-    scale = _spread_of(_distances(start, force), unknowns)
-    for _ in range(_ROUNDS):
-        robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": _HUBER * scale}
-        start = least_squares(_distances, start, args=(force,), **robust).x
-        last, scale = scale, _spread_of(_distances(start, force), unknowns)
-        if abs(scale - last) <= _SETTLED * last:
-            break
-    if scale > _MOST_NOISE:
-        raise CalibrationRefused(
-            f"The readings leave the ellipsoid by {100.0 * scale:.2g} % of gravity, and "
-            f"{100.0 * _MOST_NOISE:g} % are the most for an accelerometer at rest.",
-            "Give samples at rest only, and check the unit or take a model with a scale.",
-        )
+    start, scale = _robust_start(force, unknowns)
     # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
     # fewer, none counts as moved.
     still = np.abs(_distances(start, force)) <= _OUTLIER * scale
@@ -251,6 +238,27 @@ def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
     """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
     return max(float(MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
+
+
+def _robust_start(force: NDArray[np.float64], unknowns: int) -> tuple[NDArray[np.float64], float]:
+    """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
+    from scipy.optimize import least_squares
+
+    start = _algebraic_start(force, unknowns)
+    scale = _spread_of(_distances(start, force), unknowns)
+    for _ in range(_ROUNDS):
+        robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": _HUBER * scale}
+        start = least_squares(_distances, start, args=(force,), **robust).x
+        last, scale = scale, _spread_of(_distances(start, force), unknowns)
+        if abs(scale - last) <= _SETTLED * last:
+            break
+    if scale > _MOST_NOISE:
+        raise CalibrationRefused(
+            f"The readings leave the ellipsoid by {100.0 * scale:.2g} % of gravity, and "
+            f"{100.0 * _MOST_NOISE:g} % are the most for an accelerometer at rest.",
+            "Give samples at rest only, and check the unit or take a model with a scale.",
+        )
+    return start, scale
 
 
 def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:

@@ -80,7 +80,7 @@ def constants_of(
         own, covariance = _side_by_side(moment.constants), "covariance"
     elif number == 1:
         window = SlidingWindow(setup, Window(**options), quasi_static=method == "quasi-static")
-        front, like, own = window._front_end, window.init(raw), _window(window)
+        front, like, own = window.front_end, window.init(raw), _window(window)
     else:
         front = FrontEnd(setup if method == "tare" else as_read(setup), imu=False)
         like = front.init(raw)
@@ -177,7 +177,7 @@ def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
 
 def _window(window: SlidingWindow) -> dict[str, Any]:
     """Return the constants of a sliding window by their names in ``sf_window_config``."""
-    config, setup, standing = window.config, window.setup, window._standing
+    config, setup, standing = window.config, window.setup, window.standing
     ends = [0, setup.layout.channels]
     transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
     if config.cutoff is not None:
@@ -185,25 +185,25 @@ def _window(window: SlidingWindow) -> dict[str, Any]:
     weight = setup.weight
     return {
         "every": config.every,
-        "length": window._length,
-        "settle": window._settle,
-        "transition": window._transition,
+        "length": window.length,
+        "settle": window.settle,
+        "transition": window.transition,
         "iterations": config.iterations,
         "quasi_static": window.quasi_static,
         "filtered": config.cutoff is not None,
         "standing_start": config.standing_start,
         "standing_samples": standing.minimum_samples,
-        "force": window._weights.force,
-        "cop": window._weights.cop,
+        "force": window.weights.force,
+        "cop": window.weights.cop,
         "gross_force": config.gross_error * weight,
         "gross_length": config.gross_error * setup.length,
         "outlier": config.outlier_threshold**2,
-        "least": config.minimum_share * window._length,
-        "spread": window._spread[ends],
-        "step_bound": window._step_bound[ends],
-        "rate_bound": window._rate_bound[ends],
-        "lowest": window._lowest[ends],
-        "highest": window._highest[ends],
+        "least": config.minimum_share * window.length,
+        "spread": window.spread[ends],
+        "step_bound": window.step_bound[ends],
+        "rate_bound": window.rate_bound[ends],
+        "lowest": window.lowest[ends],
+        "highest": window.highest[ends],
         "transfer": transfer,
         "steady": steady[:, 0],
         "warm_up": standing.warm_up,

@@ -94,21 +94,21 @@ class SlidingWindow:
     def __init__(self, setup: OnlineSetup, config: Window, *, quasi_static: bool) -> None:
         self.setup, self.config, self.quasi_static = setup, config, quasi_static
         self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
-        self._front_end = FrontEnd(setup, quasi_static=quasi_static)
+        self.front_end = FrontEnd(setup, quasi_static=quasi_static)
         try:
             self._filter = None if config.cutoff is None else low_pass(config.cutoff, setup.dt)
         except ValueError as error:
             raise ValueError(f"{error} Give a lower one, or 'cutoff=None' to filter nothing.") from None
-        self._length = max(config.every, round(config.window / setup.dt))
-        self._settle = round(config.settle / setup.dt)
-        self._transition = round(config.transition / setup.dt)
-        self._weights = Weights(
+        self.length = max(config.every, round(config.window / setup.dt))
+        self.settle = round(config.settle / setup.dt)
+        self.transition = round(config.transition / setup.dt)
+        self.weights = Weights(
             force=float(np.sqrt(config.force_weight)) / config.delta_force / setup.weight,
             cop=float(np.sqrt(config.cop_weight)) / config.delta_cop / setup.length,
             threshold=setup.force_threshold,
         )
         K, feet = setup.layout.channels, len(setup.layout.feet)
-        motion = self._front_end.motions.columns.size
+        motion = self.front_end.motions.columns.size
         self._pending = PendingColumns(*in_a_row(K, motion, feet, feet, 1, 1))
         self._sample = SampleColumns(*in_a_row(6 * K, 1, 1, 1))
 
@@ -117,16 +117,16 @@ class SlidingWindow:
 
         rigidity = 1.0 / np.sqrt(config.smoothness_weight)
         period = config.every * setup.dt
-        self._spread = per_channel(config.scale_step, config.offset_step) * rigidity
-        self._step_bound = per_channel(config.scale_step_bound, config.offset_step_bound)
-        self._rate_bound = per_channel(config.scale_rate, config.offset_rate) * period
-        self._lowest = per_channel(config.scale_range[0], -config.offset_range)
-        self._highest = per_channel(config.scale_range[1], config.offset_range)
+        self.spread = per_channel(config.scale_step, config.offset_step) * rigidity
+        self.step_bound = per_channel(config.scale_step_bound, config.offset_step_bound)
+        self.rate_bound = per_channel(config.scale_rate, config.offset_rate) * period
+        self.lowest = per_channel(config.scale_range[0], -config.offset_range)
+        self.highest = per_channel(config.scale_range[1], config.offset_range)
         # Quiet standing is one sample over and over: all of them together count as one. Taken for
         # independent, the drift and the noise within them would be taken for load, and pull the scales down.
         repeats = float(np.sqrt(max(config.standing_duration / setup.dt, config.standing_samples)))
         # The standing start sees forces by the starting map in place of counts, so that its result is (a, b).
-        self._standing = QuietStanding(
+        self.standing = QuietStanding(
             layout=setup.layout,
             mass=setup.mass,
             gravity=setup.gravity,
@@ -144,7 +144,7 @@ class SlidingWindow:
     @property
     def method(self) -> OnlineMethod:
         """The functions, and the limits of their state."""
-        limits = self._front_end.limits | {"theta": (self._lowest, self._highest)}
+        limits = self.front_end.limits | {"theta": (self.lowest, self.highest)}
         return OnlineMethod(self.init, self.update, limits=limits)
 
     def init(self, raw: Array) -> WindowState:
@@ -152,7 +152,7 @@ class SlidingWindow:
         K, feet = self.setup.layout.channels, len(self.setup.layout.feet)
         numbers, walking = self._sample.vgrf.stop, not self.config.standing_start
         return WindowState(
-            front=self._front_end.init(raw),
+            front=self.front_end.init(raw),
             step=0,
             pending=np.zeros((self.config.every, self._pending.settled.stop)),
             filter=np.zeros((2, numbers)),
@@ -160,10 +160,10 @@ class SlidingWindow:
             started=False,
             contact=np.zeros(2 * feet, dtype=np.bool),
             since_change=0,
-            samples=np.zeros((self._length, self._sample.changing.stop)),
+            samples=np.zeros((self.length, self._sample.changing.stop)),
             theta=np.repeat([1.0, 0.0], K),
             status=0,
-            standing=self._standing.init(raw),
+            standing=self.standing.init(raw),
             walking=walking,
             all_walking=int(walking),
         )
@@ -173,12 +173,12 @@ class SlidingWindow:
     ) -> tuple[WindowState, Estimate]:
         """Take in one sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         K = self.setup.layout.channels
-        front, sample = self._front_end.observe(state.front, raw, reference, dt)
+        front, sample = self.front_end.observe(state.front, raw, reference, dt)
         if not state.walking:
             state = self._stand(state, sample, dt)
         if sample.gap:
             state = _without_samples(state)
-        settled = sample.clean > self._settle and state.walking
+        settled = sample.clean > self.settle and state.walking
         sure = sample.stance | sample.swing
         newest = [sample.past, sample.motion, sample.stance, sure, [sample.good, settled]]
         state = state._replace(
@@ -191,28 +191,26 @@ class SlidingWindow:
                 state = self._collect(state, waiting)
             state = self._solve(state)
         status = state.status if state.walking else state.status | int(Flag.STANDING)
-        return state, self._front_end.estimate(
-            sample, state.theta[:K], state.theta[K:] * self._weight, status
-        )
+        return state, self.front_end.estimate(sample, state.theta[:K], state.theta[K:] * self._weight, status)
 
     def _stand(self, state: WindowState, sample: Sample, dt: float) -> WindowState:
         """Collect the standing start and end it: by its solution, or because the robot walks already."""
-        _, cop, physical = self._front_end.motions.ground(sample.motion)
+        _, cop, physical = self.front_end.motions.ground(sample.motion)
         usable = sample.past if sample.good and physical else np.full_like(sample.past, np.nan)
-        reference = self._front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
+        reference = self.front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
         # A robot that already leans towards its first step is not quite at rest: where the ground's force
         # must act by its motion takes the place of the point below its centre of mass. At rest they agree.
         reference = reference._replace(com=np.append(cop, reference.com[2]))
         step = self.setup.dt if sample.gap else dt
-        standing = self._standing.update(state.standing, usable, reference, step)
+        standing = self.standing.update(state.standing, usable, reference, step)
         leaving = bool(sample.swing.any()) or standing.time > self.config.standing_patience
-        enough = standing.samples >= self._standing.minimum_samples
-        ready = enough and (leaving or self._standing.ready(standing))
+        enough = standing.samples >= self.standing.minimum_samples
+        ready = enough and (leaving or self.standing.ready(standing))
         theta, walking = state.theta, leaving or ready
         if ready:
-            correction = self._standing.solve(standing).correction
+            correction = self.standing.solve(standing).correction
             solved = np.concatenate([correction.scale, correction.offset / self.setup.weight])
-            theta = np.clip(solved, self._lowest, self._highest)
+            theta = np.clip(solved, self.lowest, self.highest)
         return state._replace(standing=standing, theta=theta, walking=walking, all_walking=int(walking))
 
     def _collect(self, state: WindowState, waiting: Array) -> WindowState:
@@ -222,8 +220,8 @@ class SlidingWindow:
         good, settled = waiting[at.good.start] > 0.5, waiting[at.settled.start] > 0.5
 
         # What the map so far makes of the sample, against what its motion asks for.
-        vgrf, cop, physical = self._front_end.motions.ground(motion)
-        by_foot = self._front_end.motions.rows(motion)
+        vgrf, cop, physical = self.front_end.motions.ground(motion)
+        by_foot = self.front_end.motions.rows(motion)
         calibrated = state.theta[:K] * past + state.theta[K:] * weight
         contact = np.concatenate([by_foot[:, 0] @ calibrated > self.setup.force_threshold, stance])
         rows = by_foot.sum(axis=0)
@@ -243,7 +241,7 @@ class SlidingWindow:
 
         unchanged = (contact == state.contact).all() and (waiting[at.sure] > 0.5).all()
         since_change = state.since_change + 1 if unchanged else 0
-        newest = np.append(output, [good and settled, since_change < self._transition])
+        newest = np.append(output, [good and settled, since_change < self.transition])
         return state._replace(
             filter=filter_state,
             latest=latest,
@@ -255,8 +253,8 @@ class SlidingWindow:
 
     def _solve(self, state: WindowState) -> WindowState:
         """Solve Eq. 14 on the window, with every bound that keeps a bad window from doing harm."""
-        config, weights, last, at = self.config, self._weights, state.theta, self._sample
-        phi = state.samples[:, at.rows].reshape(self._length, 3, -1)
+        config, weights, last, at = self.config, self.weights, state.theta, self._sample
+        phi = state.samples[:, at.rows].reshape(self.length, 3, -1)
         vgrf, use, changing = (state.samples[:, part.start] for part in (at.vgrf, at.use, at.changing))
 
         # Outliers about changes of contact.
@@ -268,7 +266,7 @@ class SlidingWindow:
 
         if not state.walking:
             return state._replace(status=0)
-        if use.sum() < config.minimum_share * self._length:
+        if use.sum() < config.minimum_share * self.length:
             return state._replace(status=int(Flag.NO_CONTACT))
         theta, solvable = gauss_newton(
             last,
@@ -276,14 +274,14 @@ class SlidingWindow:
             vgrf,
             use,
             weights,
-            spread=self._spread,
-            bound=self._step_bound,
+            spread=self.spread,
+            bound=self.step_bound,
             iterations=config.iterations,
         )
         if not solvable:
             return state._replace(status=int(Flag.SINGULAR))
-        theta = last + shorten(theta - last, self._rate_bound)
-        theta = np.clip(theta, self._lowest, self._highest)
+        theta = last + shorten(theta - last, self.rate_bound)
+        theta = np.clip(theta, self.lowest, self.highest)
         return state._replace(theta=theta if np.isfinite(theta).all() else last, status=0)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.feet import check_names
-from surefoot.envs.instrumentation.made import make
+from surefoot.envs.instrumentation.made import Made, make
 from surefoot.envs.instrumentation.means import MeanTruth, foot_places
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
@@ -110,49 +110,20 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._base = cast(Any, _holder(env))
         _refuse(env, self._base, prefix)
         foreign = isinstance(self._base, _Physics)
-        if foreign and (soles or in_place or spec is not None):
-            raise ValueError(
-                "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
-                "exchange: leave them out, and put what is needed into the task's own MJCF."
-            )
-        description = None if foreign else find_description(spec, self._base)
-        if description is None and (soles or in_place):
-            raise ValueError(
-                f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
-                "needed: give 'spec', a file or a mujoco.MjSpec."
-            )
-        if soles and in_place is False:
-            raise ValueError("'soles' changes the model: leave 'in_place' alone.")
+        description = _describe(self._base, foreign, soles, spec, in_place)
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
-        self.untouched = "there is no description of it: give 'spec'"
-        if foreign:
-            self.untouched = "dm_control's physics holds it"
+        self.untouched = (
+            "dm_control's physics holds it" if foreign else "there is no description of it: give 'spec'"
+        )
         base = self._base
         self.instrumentation: Instrumentation | None = None
+        samples = count_substeps(base)
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
-            forced = bool(soles or in_place)
             boxes = not (getattr(env, "render_mode", None) if visuals is None else visuals)
-            samples = count_substeps(base)
             made = make(description, base.model, feet, soles=soles, boxes=boxes, samples=samples, **given)
-            if made.different and (spec is not None or forced):
-                raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
-            holder = find_holder(env)
-            if holder and forced:
-                raise ValueError(
-                    f"The environment's model cannot be replaced: {_find_view_of_model(holder)}."
-                )
-            if made.model is None:
-                self.untouched = f"its file is of another robot: {made.different}"
-            elif holder:
-                self.untouched = _find_view_of_model(holder)
-            else:
-                self.untouched = "" if forced else find_notice(env, made.model)
-                self.instrumentation = None if self.untouched else made.instrumentation
-                chosen = made.boxed if self.untouched else made.model
-                if chosen is not None:
-                    swap_in(base, copy(chosen))
+            self._instrument(made, named=spec is not None, forced=bool(soles or in_place))
         self._reader: SensorReader | FeetReader
         self.seldom = False
         if self.instrumentation is not None:
@@ -161,15 +132,33 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
             self.drawing = self._reader.drawing
-            self.seldom = count_substeps(base) > 1
+            self.seldom = samples > 1
             if self.seldom and in_place is not False:
-                warnings.warn(_warn_of_aliasing(env, self.untouched, count_substeps(base)), stacklevel=2)
+                warnings.warn(_warn_of_aliasing(env, self.untouched, samples), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
         self._mean_truth = MeanTruth(foot_places(self.truth.layout))
         self.tells = True
+
+    def _instrument(self, made: Made, *, named: bool, forced: bool) -> None:
+        """Put a model with sensors into the environment, or say in ``untouched`` why it was left alone."""
+        if made.different and (named or forced):
+            raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
+        holder = find_holder(self.env)
+        if holder and forced:
+            raise ValueError(f"The environment's model cannot be replaced: {_find_view_of_model(holder)}.")
+        if made.model is None:
+            self.untouched = f"its file is of another robot: {made.different}"
+        elif holder:
+            self.untouched = _find_view_of_model(holder)
+        else:
+            self.untouched = "" if forced else find_notice(self.env, made.model)
+            self.instrumentation = None if self.untouched else made.instrumentation
+            chosen = made.boxed if self.untouched else made.model
+            if chosen is not None:
+                swap_in(self._base, copy(chosen))
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_rng": self.unwrapped._np_random}
@@ -254,6 +243,26 @@ def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:
         f"The feet of {env} are read once a control step, at its end, and not in each of its {substeps} "
         f"substeps ({reason}): contact forces that change within a step are aliased; real sensors average."
     )
+
+
+def _describe(
+    base: Any, foreign: bool, soles: Any, spec: str | Path | mujoco.MjSpec | None, in_place: bool | None
+) -> mujoco.MjSpec | None:
+    """Return the description of an environment's robot, if there is one; refuse changes of what has none."""
+    if foreign and (soles or in_place or spec is not None):
+        raise ValueError(
+            "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
+            "exchange: leave them out, and put what is needed into the task's own MJCF."
+        )
+    description = None if foreign else find_description(spec, base)
+    if description is None and (soles or in_place):
+        raise ValueError(
+            f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
+            "needed: give 'spec', a file or a mujoco.MjSpec."
+        )
+    if soles and in_place is False:
+        raise ValueError("'soles' changes the model: leave 'in_place' alone.")
+    return description
 
 
 def _check_types(cells: Any, soles: Any) -> None:

@@ -8,7 +8,8 @@ Hence
 .. math:: F = K W^T (W K W^T)^{-1} w.
 
 Three numbers go in and four come out, so one combination of the four forces is always zero. With equal
-stiffness on a rectangle it is the warp (+, -, +, -) around the corners.
+stiffness on a rectangle it is the warp (+, -, +, -) around the corners. Horizontally all cells are taken to
+be equally stiff.
 """
 
 import numpy as np
@@ -59,6 +60,14 @@ class SolePlate:
     def share(self) -> NDArray[np.float64]:
         """Forces of the cells per load (fz, tx, ty) at the sole's origin, shape (4, 3): 1 and 1/m."""
         return self._share
+
+    @property
+    def across(self) -> NDArray[np.float64]:
+        """Horizontal forces of the cells, along x, then y, per load (fx, fy, tz) at the origin, (8, 3)."""
+        y, x = self._load_of_cells[1], -self._load_of_cells[2]
+        turn = np.concatenate([y.mean() - y, x - x.mean()]) / (4.0 * (x.var() + y.var()))
+        even = np.repeat(np.eye(2), 4, axis=0) / 4.0
+        return np.column_stack([even + np.outer(turn, [y.mean(), -x.mean()]), turn])
 
     @property
     def load_of_cells(self) -> NDArray[np.float64]:

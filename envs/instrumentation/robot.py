@@ -73,6 +73,15 @@ class MeasuredRobot:
                 shares[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = plate.share.T
         return shares
 
+    @cached_property
+    def shear_of_wrench(self) -> NDArray[np.float64]:
+        """Horizontal forces of all cells along x, and then y, per wrench of each foot, shape (6 F, 8 F)."""
+        shares = np.zeros((6 * len(self.feet), 2, 4 * len(self.feet)))
+        for i, plate in enumerate(self.plates):
+            if plate is not None:
+                shares[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = plate.across.T.reshape(3, 2, 4)
+        return shares.reshape(len(shares), -1)
+
     @property
     def size(self) -> int:
         """Columns of a row: 27 a foot, 27 for the torso, one a joint, and the time."""

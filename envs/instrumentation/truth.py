@@ -141,6 +141,16 @@ class FeetTruth:
         return wrench.reshape(*wrench.shape[:-2], -1) @ self.layout.force_of_wrench
 
     @property
+    def shear_cell(self) -> Array:
+        """Horizontal forces of the load cells in N, along x of all, and then along y, shape (..., 8 F)."""
+        wrench = self.wrench_sole
+        return wrench.reshape(*wrench.shape[:-2], -1) @ self.shear_map()
+
+    def shear_map(self) -> Array:
+        """Return the map from :attr:`wrench_sole` to the cells' horizontal forces, (6 F, 8 F): x, then y."""
+        return self.layout.shear_of_wrench
+
+    @property
     def position_torso(self) -> Array:
         """Origin of the torso's frame in the world in m, shape (..., 3)."""
         return self._body[..., TorsoColumns.position]

@@ -62,9 +62,12 @@ class TruthChannels:
         )
         # Cell forces are linear in the 12 readings of both plate sensors: -reading plus the preload.
         self.force_of_plates: NDArray[np.float64] = np.zeros((12, 8))
+        self.shear_of_plates: NDArray[np.float64] = np.zeros((12, 2, 8))
         preload = np.zeros(12)
         for i, (foot, plate) in enumerate(zip(FEET, self.plates, strict=True)):
             self.force_of_plates[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = -plate.share.T
+            sideways = -plate.across.T.reshape(3, 2, 4)
+            self.shear_of_plates[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = sideways
             body = model.body(f"{foot}_plate")
             load = np.array([0.0, 0.0, weight * body.mass[0]])
             arm = body.ipos - model.site(f"{foot}_sole").pos
@@ -128,6 +131,15 @@ class Truth:
     def cell_map(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the map from :attr:`plate` to :attr:`force_cell`: factors (12, 8) and N to add (8,)."""
         return self.channels.force_of_plates, self.channels.preload
+
+    @property
+    def shear_cell(self) -> NDArray[np.float64]:
+        """Horizontal forces of the load cells in N, along x of all eight, and then along y, shape (S, 16)."""
+        return self.plate @ self.shear_map()
+
+    def shear_map(self) -> NDArray[np.float64]:
+        """Return the map from :attr:`plate` to the cells' horizontal forces, (12, 16): along x, then y."""
+        return self.channels.shear_of_plates.reshape(12, 16)
 
     @cached_property
     def force_cell(self) -> NDArray[np.float64]:

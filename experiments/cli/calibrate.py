@@ -31,6 +31,9 @@ def walk(
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
     zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
+    stand: Annotated[
+        float, Option(help="The window takes its weights of the first so many s, of a quiet stand.")
+    ] = 0.0,
     split_gaps: Annotated[bool, Option("--split-gaps", help="Go on after gaps in time.")] = False,
     topics: Topics = None,
     guess: Guess = False,
@@ -52,7 +55,9 @@ def walk(
             read = read_log(log, gap, topics, feet_alone=method in ("tare", "none"))
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
         where |= {"accept": accept or "", "ros2": ros2}
-        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
+        result = calibrate_log(
+            read, method, start, settle=settle, zero_phase=zero_phase, stand=stand, **where
+        )
     show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 

@@ -82,11 +82,11 @@ def weights(
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
     from surefoot.experiments.study.page import save_tables
-    from surefoot.experiments.weights.paper import paper_table_2, table_2, table_3
-    from surefoot.experiments.weights.weighing import run_weighing
+    from surefoot.experiments.weights.paper import paper_table_2, repeat_tables, table_2, table_3
+    from surefoot.experiments.weights.weighing import weigh_after_walk
 
-    report = run_weighing(seed=seed)
-    tables = (paper_table_2()[0], table_2(report), table_3(report))
+    report = weigh_after_walk(seed)
+    tables = (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
     if out is not None:
         save_tables(out, tables)
     show(tables, {} if out is None else {"tables": out}, as_json=as_json)
@@ -94,7 +94,7 @@ def weights(
 
 def demo(
     out: Out = Path("out/demo"),
-    seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
+    seeds: Annotated[int, Option(help="Walks, of which up to four are walked in closed loops.", min=1)] = 8,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
     as_json: Json = False,

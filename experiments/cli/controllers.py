@@ -95,7 +95,7 @@ def _wandb(project: str, out: Path, options: Any) -> Any:
 def evaluate(
     ctx: typer.Context,
     controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
-    task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
+    task: Annotated[str, Option(help="balance-hard, walk-hard, balance or walk.")] = "balance-hard",
     feed: Feeds = None,
     severity: Annotated[
         Numbers, Option(help="How bad the sensors are; again for more. 1 by default.")

@@ -290,6 +290,7 @@ def _check_axis(name: str, values: Sequence[Any]) -> None:
 
 
 EVALUATED = ("true", "none", "weights", "quasi-static", "window", "moment")  # feeds of an evaluation
+EVALUATED_TASK = "balance-hard"  # where good feet matter: where nobody acts, a third of the robots falls
 
 
 def evaluation_plan(
@@ -300,7 +301,7 @@ def evaluation_plan(
     seeds: int = 50,
     first_seed: int = 20_000,
     cop_inputs: tuple[str, ...] = COP_INPUTS[:1],
-    task: str = next(iter(TASKS)),
+    task: str = EVALUATED_TASK,
 ) -> EpisodePlan:
     """Return the plan of an evaluation, whatever order things are named in; ValueError at a wrong one."""
     for name, value, least in (("seeds", seeds, 1), ("first_seed", first_seed, 0)):

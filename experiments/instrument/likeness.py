@@ -61,7 +61,7 @@ def simulate(recording: Recording, cells: LoadCells, periods: Floats, seed: int 
     load = np.zeros((len(time), K)) if recording.load is None else recording.load[rows]
     signs = cells.polarity if len(cells.polarity) == K else (cells.polarity[0],)
     mechanics = replace(cells.mechanics, mounting_warp_std=0.0, mounting_common_std=0.0)
-    device = load_cells(replace(cells, channels=K, polarity=signs, mechanics=mechanics))
+    device = load_cells(replace(cells, channels=K, polarity=signs, mechanics=mechanics, shear_std=0.0))
     rng = np.random.default_rng(seed)
     state, read = device.init((K,), rng), np.empty((len(time), K))
     state = state._replace(period=np.where(np.isfinite(periods), periods, state.period))

@@ -16,7 +16,7 @@ from surefoot.names import page
 
 LISTED = f"{page('log-format')} lists every column and its unit."
 
-OF_USE = re.compile(r"(raw|reference|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
+OF_USE = re.compile(r"(raw|reference|momentum|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
 """Columns of a walk; others may hold anything."""
 
 FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond

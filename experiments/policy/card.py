@@ -49,17 +49,14 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
 
 
 def own_scores(out: Path) -> Frame | None:
-    """Scores that an evaluation wrote of the policy in a folder on its own task; ``None`` without any."""
-    task = _task_of(PolicyNetwork.load(out / POLICY))
+    """Scores that an evaluation wrote of the policy in a folder; ``None`` without any."""
     try:
         scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)
     except (FileNotFoundError, ValueError):
         return None
     if not set(WHOSE) <= set(scores.columns):
         return None
-    own = scores[
-        (scores["policy file"] == controller_hash(str(out / POLICY))) & (scores["task"] == task.name)
-    ]
+    own = scores[scores["policy file"] == controller_hash(str(out / POLICY))]
     return own[own["controller"] == own["controller"].iloc[0]] if len(own) else None
 
 
@@ -74,6 +71,7 @@ def write_card(out: Path) -> Path:
         draw_curve(curve, out / FIGURE, most)
     scores = own_scores(out)
     seeds = [] if scores is None else list(dict.fromkeys(scores["seeds"]))
+    scored = task.name if scores is None else scores["task"].iloc[0]
     sensors = options.get("sensors", "unknown")
     sizes = (sum(network.parts.values()), *(len(layer) for layer in network.biases))
     asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
@@ -101,9 +99,12 @@ def write_card(out: Path) -> Path:
         curve_file=CURVE,
         scores=None if scores is None else scores.drop(columns=list(WHOSE)),
         evaluate_command=f"{evaluated} --out {shlex.quote(str(out))}",
-        episodes=f"the episodes of the seeds {seeds[0]}, the same for all rows"
-        if len(seeds) == 1
-        else "episodes that are not the same for all rows",
+        episodes=("" if scored == task.name else f"episodes of the task `{scored}`: ")
+        + (
+            f"the episodes of the seeds {seeds[0]}, the same for all rows"
+            if len(seeds) == 1
+            else "episodes that are not the same for all rows"
+        ),
     )
     write_text(out / CARD, text)
     return out / CARD

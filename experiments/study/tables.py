@@ -170,8 +170,8 @@ def percent(part: float, form: str = ".0f") -> str:
 def number(value: float, digits: int = 3) -> str:
     """Return a number with some significant digits and no exponent; a dash for none.
 
-    >>> number(0.012345), number(123.4), number(float("nan"))
-    ('0.0123', '123', '–')
+    >>> [number(value) for value in (0.012345, 123.4, 1234.5, 9.999, 1e-12, float("nan"))]
+    ['0.0123', '123', '1234', '10.00', '0', '–']
     """
     return Valued.of(_digits(value, digits), value)
 

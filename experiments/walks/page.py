@@ -20,8 +20,9 @@ from surefoot.experiments.study.page import (
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
+from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.record import CONDITIONS, Condition
-from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import (
     PAPER_SCENARIOS,
     TRUE_MAP,
@@ -31,7 +32,7 @@ from surefoot.experiments.walks.scenarios import (
 )
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
-from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.experiments.weights.weighing import weigh_after_walk
 from surefoot.files import atomic_path
 
 _caption = Words("walks", "captions")
@@ -98,7 +99,7 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
         *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
-    overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS[:2]]
+    overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
     summary = (*overviews, timing, alarms)
     sections = [
         Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
@@ -138,13 +139,14 @@ def _save_summary(results: WalkStudyResults) -> None:
 def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Claim]]:
     """Return the sections about the CoP paper's study, and its claims."""
     folder = results.options.out / "figures"
-    weighing, coefficient = run_weighing(), paper_table_2()[1]
+    weighing, coefficient = weigh_after_walk(), paper_table_2()[1]
     slowest = results.timing.set_index("method")["slowest_us"]
     claims = findings.weight_claims(coefficient, weighing.calibrated.cop, weighing.calibrated.vgrf)
     claims += findings.walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
     claims += findings.loop_claims(results.loop) if len(results.loop) else []
     sections = [
         _walking_section(results, folder),
+        *((_cycle_section(results, folder),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
         weights_section(weighing, folder),
         *((_sensitivity_section(results, folder),) if len(results.sensitivity) else ()),
@@ -238,6 +240,16 @@ def _tag(speed: float) -> str:
     return f"{speed:g}".replace(".", "_")
 
 
+def _cycle_section(results: WalkStudyResults, folder: Path) -> Section:
+    # In the middle of the paper's speeds, if it was walked.
+    speed, titles = results.speeds[len(results.speeds) // 2], {c.name: c.title for c in CONDITIONS}
+    cycles = results.cycles[results.cycles["speed"] == speed]
+    one = cycles[cycles["seed"] == cycles["seed"].min()]
+    drawn = cycle_figure(folder / "gait_cycle.svg", one, titles, figures.DRAWN)
+    table, shown = cycle_table(cycles, titles), _figure(drawn, "Gait cycle", "gait_cycle", speed=speed)
+    return Section("gait-cycle", "Gait cycles", tables=(table,), figures=shown)
+
+
 def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
     horizon = results.options.loop_duration
     drawn: tuple[ReportFigure, ...] = ()
@@ -252,13 +264,19 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
 
 
 def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
-    parts = _by_yardstick(results.sensitivity, (YARDSTICKS[0], YARDSTICKS[2]))
+    of_stand = results.sensitivity["weight"] == STANDING
+    parts = _by_yardstick(results.sensitivity[~of_stand], (YARDSTICKS[0], YARDSTICKS[2]))
+    standing = _by_yardstick(results.sensitivity[of_stand], YARDSTICKS)
+    fixed = _by_yardstick(results.yardsticks[results.yardsticks["method"] == "window"], YARDSTICKS)
     curves = figures.sensitivity_curves(folder / "sensitivity.svg", parts)
     return Section(
         "sensitivity",
         "How much hangs on the window's weights",
         (_say_paper("sensitivity"),),
-        tables=tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
+        tables=(
+            *(tables.sensitivity_table(part, title) for title, part in parts.items()),
+            tables.standing_table(fixed, standing),
+        ),
         figures=_figure(curves, "Sensitivity", "weights"),
     )
 

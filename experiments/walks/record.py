@@ -4,25 +4,26 @@ The robot walks on its true centre of pressure, and its cells do not act back on
 conditions. The calibration from weights is done with those very cells before the walk.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from scipy.linalg import block_diag
 
 import surefoot
-from surefoot.calibration import MomentumReference, Parameters, Reference
+from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
 from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
+from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, make_g1, make_walker
 from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.momentum import unknown
 from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
-from surefoot.sensors import ForceTorque, LoadCells
+from surefoot.sensors import ForceTorque, LoadCells, sized
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
@@ -146,6 +147,8 @@ def record_walk(
     sensors: Mapping[str, Any] | None = None,
     beliefs: Mapping[str, Any] | None = None,
     clock_error: float = 0.0,
+    held: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    policy: str = "",
     **env_options: Any,
 ) -> dict[str, Log]:
     """Walk once, and return the readings of each condition's cells: a log by its name.
@@ -156,36 +159,45 @@ def record_walk(
     of :class:`~surefoot.wrappers.FootSensors` (IMU, encoders and link), of
     :class:`~surefoot.wrappers.SelfCalibration` (how wrong the robot is about itself) and of
     :class:`~surefoot.envs.nao.walk.NaoWalkEnv`. Telemetry is ``clock_error`` s later than the robot believes:
-    the believed moment of a reference is that much earlier in truth.
+    the believed moment of a reference is that much earlier in truth. The robot is ``held`` as :func:`lift`
+    says. With a ``policy`` it is a Unitree G1, on larger cells of the same kind.
     """
-    options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
-    _, tap = make_walker("true", speed=speed, duration=duration, **options)
+    base, act = _walker(speed, duration, policy, env_options)
     # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
     youngest = min(condition.age for condition in conditions)
-    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
-    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "moment", **(beliefs or {}))
-    bare: Any = env.unwrapped
-    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
+    averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
+    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None, averaged=averaged)
+    bare: Any = base.unwrapped
+    weight = float(bare.model.body_subtreemass[0]) * GRAVITY
+    on = {"config": sized(carried, weight), "feet": G1_FEET} if policy else {"config": carried}
+    worn = FootSensors(base, **on, **(sensors or {}))
+    env, source = SelfCalibration(worn, "moment", **(beliefs or {})), worn.source
     _, info = env.reset(seed=seed)
-    controller.reset()
-    known = {"seed": seed, "truth": bare.truth, "drawing": bare.drawing, "dt": bare.dt}
-    feet = [FootInstruments(c.cells, c.ankle, index=i, **known) for i, c in enumerate(conditions)]
+    dt = source.dt
+    known = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
+    feet = [
+        FootInstruments(sized(c.cells, weight) if policy and c.cells else c.cells, c.ankle, index=i, **known)
+        for i, c in enumerate(conditions)
+    ]
+    torso = bare.model.body(source.drawing.torso).id
     time: list[float] = []
     believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}
     position, rotation = [], []
     done = terminated = False
     while not done:
-        _, _, terminated, truncated, info = env.step(controller(tap.seen))
-        truth = bare.truth
-        time.append((len(time) + 1) * bare.dt)
+        if held[0]:
+            bare.data.xfrc_applied[torso, 2] = weight * lift(len(time) * dt, *held)
+        _, _, terminated, truncated, info = env.step(act(len(time) * dt))
+        truth = source.truth
+        time.append((len(time) + 1) * dt)
         for age, both in believed.items():
             both.append(_believe(env, env.reference_time - (age - youngest + clock_error)))
         for one in feet:
-            one.read(truth, bare.dt)
+            one.read(truth, dt)
         position.append(truth.position_sole[-1].copy())
         rotation.append(truth.R_world_sole[-1].copy())
-        done = terminated or truncated
-    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": bare.dt, "seed": seed}
+        done = terminated or truncated or time[-1] > duration - 0.5 * dt
+    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": dt, "seed": seed}
     common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
     env.close()
     about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
@@ -195,6 +207,28 @@ def record_walk(
         condition.name: _make_log(condition, one, believed[condition.age], poses, about, common)
         for condition, one in zip(conditions, feet, strict=True)
     }
+
+
+def lift(time: float, share: float, begin: float, end: float) -> float:
+    """Return the share of its weight that somebody takes off a robot at a time in s, within half a second."""
+    return share * float(np.clip(2.0 * min(time - begin, end - time), 0.0, 1.0))
+
+
+def _walker(
+    speed: float, duration: float, policy: str, options: Mapping[str, Any]
+) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
+    """Return a robot and its controller, which stands first: a NAO with its true CoP fed back, or a G1."""
+    if policy:
+        robot = make_g1(policy)
+        base: Any = robot.unwrapped
+        return robot, lambda time: base.policy(
+            base.state(), np.array([speed, 0.0, 0.0]) * (time > STAND_TIME)
+        )
+    given: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | dict(options)
+    _, tap = make_walker("true", speed=speed, duration=duration, **given)
+    bare: Any = tap.unwrapped
+    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
+    return tap, lambda time: controller(tap.seen)
 
 
 def _make_log(

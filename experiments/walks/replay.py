@@ -17,7 +17,9 @@ from surefoot.calibration import (
     Reference,
     replay,
 )
-from surefoot.experiments.arrays import Floats
+from surefoot.calibration.setup import OnlineSetup
+from surefoot.calibration.window.config import confidence_from_standing
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.columns import channel_slugs, slug
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
@@ -25,7 +27,8 @@ from surefoot.files import parse_json, read_text
 
 
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
-    """Run one method over a log, N samples at once, from a map; options as of :func:`replay`."""
+    """Run one method over a log, N samples at once, from a map; options as of :func:`make_calibrator`."""
+    options = _with_standing(log, initial, options)
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
     # Accelerations are what can be filtered forwards and backwards.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
@@ -33,9 +36,33 @@ def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Es
 
 
 def make_calibrator(log: Log, method: str, **options: Any) -> FootCalibrator:
-    """Make a calibrator of a log's robot; options as of :class:`FootCalibrator`."""
+    """Make a calibrator of a log's robot; options as of :class:`FootCalibrator`.
+
+    And ``stand``: for how many s the robot stands at the beginning; of these the window then takes its
+    weights, as in the CoP paper.
+    """
+    options = _with_standing(log, starting_map(log), options)
     known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
     return FootCalibrator(log.layout, method, **known, **options)
+
+
+def _with_standing(log: Log, initial: Parameters, options: dict[str, Any]) -> dict[str, Any]:
+    """Return options with the window's weights of a quiet stand, for ``stand`` among them.
+
+    Raises LogError if the log has none.
+    """
+    if not (stand := options.pop("stand", 0.0)):
+        return options
+    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    setup = OnlineSetup(layout=log.layout, mass=log.mass, initial=initial, **known)
+    # Filters settle in the first second; a reference describes the sample of `lag` samples ago.
+    rows = np.flatnonzero((log.time > log.time[0] + 1.0) & (log.time < log.time[0] + stand))
+    told = take_rows(log.reference, np.minimum(rows + log.lag, len(log) - 1))
+    try:
+        delta_force, delta_cop = confidence_from_standing(setup, log.raw[rows], told)
+    except ValueError as error:
+        raise LogError(f"{error} The log's first {stand:g} s were taken for a quiet stand.") from None
+    return {**options, "delta_force": delta_force, "delta_cop": delta_cop}
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:

@@ -26,6 +26,7 @@ from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
@@ -35,6 +36,7 @@ from surefoot.experiments.walks.run_score import (
     running_rmse,
     score_run,
     trace_of,
+    walk_of,
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import (
@@ -49,8 +51,12 @@ from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
+STANDING = (
+    "of a quiet stand"  # in the place of a weight that is scaled: w_F and w_P as the CoP paper has them
+)
 LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
+BOUNDED = 3  # walks of a scenario that have a bound: it varies by 1 % from walk to walk
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
 TIMED = 1600  # samples of one walk on which an update is timed: 20 s
 PHASES = 4  # the window solves at every fourth sample: one of four samples is the slow one
@@ -68,6 +74,7 @@ class WalkStudyResults:
     errors: Frame = field(default_factory=pd.DataFrame)  # running, of the CoP: time (s), cop (m)
     yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
     traces: Frame = field(default_factory=pd.DataFrame)  # ends of walks
+    cycles: Frame = field(default_factory=pd.DataFrame)  # a row a run and foot, see ``walks.gait_cycle``
     sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
     timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
@@ -94,7 +101,8 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     results = WalkStudyResults(options, chosen)
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
-    limits = [bound_case(s, options) for s in chosen] if bounds else []
+    few = replace(options, seeds=min(options.seeds, BOUNDED))
+    limits = [bound_case(s, few) for s in chosen] if bounds else []
     scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
@@ -133,9 +141,10 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
 def _weight_cases(
     options: WalkStudyOptions, chosen: tuple[Scenario, ...]
 ) -> dict[tuple[str, float], list[Case]]:
-    """List the cases of the window with one of its weights scaled, by weight and factor."""
+    """List the cases of the window with a weight scaled, by weight and factor, and with those of standing."""
     fewer = replace(options, seeds=min(options.seeds, options.sensitivity_seeds))
-    return {
+    of_stand = [score_case(s, "window", fewer, {"stand": STAND_TIME}) for s in chosen if s.paper]
+    return ({(STANDING, 1.0): of_stand} if options.factors else {}) | {
         (weight, factor): [score_case(s, "window", fewer, {changed: factor}) for s in chosen if s.paper]
         for weight, changed in WEIGHTS.items()
         for factor in options.factors
@@ -147,7 +156,7 @@ def _loop_cases(
     options: WalkStudyOptions, speeds: tuple[float, ...]
 ) -> dict[tuple[float, float], list[Case]]:
     """List the closed loops of the stabiliser, by severity and speed in m/s: episodes of a sweep."""
-    seeds, duration = tuple(range(options.seeds)), options.loop_duration
+    seeds, duration = tuple(range(options.seeds))[: options.loop_seeds], options.loop_duration
     plans = {
         (severity, speed): EpisodePlan(
             ("stabiliser",), feeds, (f"speed-{speed:g}",), (severity,), seeds, duration=duration
@@ -206,7 +215,7 @@ def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
 def _collect(
     results: WalkStudyResults, store: Store, scored: list[Case], scaled: dict[tuple[str, float], list[Case]]
 ) -> None:
-    for name in ("scores", "errors", "yardsticks", "traces"):
+    for name in ("scores", "errors", "yardsticks", "traces", "cycles"):
         setattr(results, name, store.rows(name, scored))
     if not len(results.scores):
         for name, error in store.failures(scored).items():
@@ -233,7 +242,7 @@ def score_case(
     """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario, with changed options.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
-    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
+    and for the scenarios of the CoP paper ``yardsticks``, ``traces`` and ``cycles``.
     """
     changed = dict(changes or {})
     name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
@@ -325,16 +334,22 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: 
         if scenario.paper:
             rows = yardsticks_of(stream, method, played.force, options.settle)
             found.setdefault("yardsticks", []).extend(rows)
+            ways = {method: played.force} | ({"truth": stream.truth.force} if method == TRUE_MAP else {})
+            found.setdefault("cycles", []).extend(
+                {**walk_of(stream), "seed": stream.seed, "method": way, **cycle}
+                for way, force in ways.items()
+                for cycle in cycle_rows(stream, force)
+            )
             if stream.seed == 0:
                 found["traces"] = trace_of(stream, method, played.force)
     return found
 
 
 def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
-    rows = []
+    rows, shears = [], any(c.cells and c.cells.shear_std for c in scenario.walk.conditions)
     for stream in streams_of(scenario, options)[0]:
-        # A bound knows of no fault: what it says of a channel that fails would mean nothing.
-        if not stream.faults:
+        # A bound knows of no fault, hand or shear: what it says of these would mean nothing.
+        if not (stream.faults or scenario.walk.held[0] or shears):
             limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
             named = {f"bound_{part}": value for part, value in limit.items()}
             rows.append({"scenario": scenario.name, "seed": stream.seed, **named})

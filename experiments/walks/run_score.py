@@ -15,9 +15,9 @@ Errors are root mean squares over the judged samples, as in :mod:`surefoot.exper
   claimed, each over its degrees of freedom, so that 1 is right. NaN for a method that claims none.
 * ``alarms``, ``hours``: how often a flag of a fault rose on a channel that had none, and in how much
   walking.
-* ``found``, ``isolated``, ``named``, ``after``: with a fault, the time in s until any of those flags rose;
-  whether the channels flagged up to 1 s later are the faulty ones and no other; whether the flag names the
-  fault; and the CoP error from 1 s after the fault on.
+* ``found``, ``isolated``, ``named``, ``after``, ``after_foot``: with a fault, the time in s until any of
+  those flags rose; whether the channels flagged up to 1 s later are the faulty ones and no other; whether the
+  flag names the fault; and the CoP error from 1 s after the fault on, of both feet together and of each foot.
 """
 
 from functools import reduce
@@ -87,7 +87,7 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
     row |= _parameter_errors(stream, played)
     row |= _consistency(stream, played)
     row |= _flags(stream, played)
-    return row | _faults(stream, played, cop)
+    return row | _faults(stream, played, cop, foot)
 
 
 def running_rmse(time: Floats, error: Floats) -> Floats:
@@ -162,13 +162,14 @@ def _flags(stream: Stream, played: Played) -> dict[str, float]:
     return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
 
 
-def _faults(stream: Stream, played: Played, cop: Floats) -> dict[str, float]:
+def _faults(stream: Stream, played: Played, cop: Floats, foot: Floats) -> dict[str, float]:
     time = stream.log.time
     accused = (played.flags & int(FAULT_FLAGS)) != 0
     start = min((fault.start for fault in stream.faults), default=float("inf"))
     before = (time >= stream.began) & (time < start)
     rising = accused[1:] & ~accused[:-1]
-    row = dict.fromkeys(("alarms", "hours", "found", "isolated", "named", "after"), float("nan"))
+    names = ("alarms", "hours", "found", "isolated", "named", "after", "after_foot")
+    row = dict.fromkeys(names, float("nan"))
     row["alarms"] = float(rising[before[1:]].sum())
     row["hours"] = float(before.sum() * stream.log.dt / 3600.0)
     if not stream.faults:
@@ -177,7 +178,7 @@ def _faults(stream: Stream, played: Played, cop: Floats) -> dict[str, float]:
     accused |= (played.flags & int(reduce(or_, kinds))) != 0
     guilty = {n for fault in stream.faults for n in (fault.channel, fault.other) if n is not None}
     raised = np.flatnonzero(accused.any(axis=1) & (time >= start))
-    row["after"] = rms(cop[time >= start + GRACE])
+    row["after"], row["after_foot"] = (rms(error[time >= start + GRACE]) for error in (cop, foot))
     row["found"] = float(time[raised[0]] - start) if len(raised) else float("inf")
     if len(raised):
         window = (time >= start) & (time <= time[raised[0]] + GRACE)
@@ -229,7 +230,7 @@ def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]
     ways = {method: force} | ({"truth": truth.force} if method == TRUE_MAP else {})
     return [
         {
-            **_walk(stream),
+            **walk_of(stream),
             "method": name,
             "time": log.time[shown],
             "cop": cop_world(one, log.layout, truth.position_sole, truth.R_world_sole)[shown],
@@ -244,13 +245,14 @@ def _baseline(stream: Stream) -> Floats:
     return found
 
 
-def _walk(stream: Stream) -> dict[str, Any]:
+def walk_of(stream: Stream) -> dict[str, Any]:
+    """Return the condition and the speed in m/s of a walk."""
     about = stream.log.about
     return {"condition": str(about["condition"]), "speed": float(about["speed_m_s"])}
 
 
 def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
-    return {**_walk(stream), "seed": stream.seed, "method": name, "against": against}
+    return {**walk_of(stream), "seed": stream.seed, "method": name, "against": against}
 
 
 def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[str, float]:
@@ -282,5 +284,6 @@ def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
     return {
         "cop": float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
         "vgrf": float(np.sqrt(np.mean((asked.vgrf - true_vgrf)[counted] ** 2))),
+        "cop_foot": float("nan"),
         "cell": float("nan"),
     }

@@ -5,6 +5,7 @@ square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NA
 late.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -29,6 +30,9 @@ converter runs at 78 to 94 Hz by itself, as HX711 chips do."""
 INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
 """The same cells with an ideal converter."""
 
+MEAN = Condition("mean", "that read means of control steps", LoadCells(rate=None, averaged=True), "nominal")
+"""The same cells for feet that hit the ground hard: no instant and no old conversion says much of these."""
+
 
 @dataclass(frozen=True)
 class Walk:
@@ -41,6 +45,8 @@ class Walk:
     sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
     beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
     clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
+    held: tuple[float, float, float] = (0.0, 0.0, 0.0)  # by a share of its weight, from and to times in s
+    policy: str = ""  # of a G1 in place of the NAO
     conditions: tuple[Condition, ...] = (CHIPS,)
 
     def length(self, duration: float) -> float:
@@ -67,6 +73,8 @@ def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict
             sensors=walk.sensors,
             beliefs=walk.beliefs,
             clock_error=walk.clock_error * (-1.0) ** seed,
+            held=walk.held,
+            policy=walk.policy,
             **walk.env,
         )
         for name, log in logs.items():
@@ -141,6 +149,9 @@ _WARM = Condition(
     replace(HX711_LOAD_CELLS, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0),
     "nominal",
 )
+_SHEARED = Condition("shear", "feeling shear", replace(HX711_LOAD_CELLS, shear_std=0.1), "nominal")
+_STILL = {"route": ((1.0, 0.0, 0.0),)}
+_HELD = STAND_TIME + 11.0, STAND_TIME + 19.0
 _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque(averaged=False))
 _BOTH = Condition(
     "both", "cells and six-axis sensors", HX711_LOAD_CELLS, "nominal", ForceTorque(averaged=False)
@@ -238,6 +249,33 @@ _TABLE = (
         "The reference's own errors: an assumed centre of mass that is 10 mm off.",
         Walk("com", beliefs={"errors": {"com": 0.010}}),
     ),
+    Scenario(
+        "standing",
+        "standing",
+        "A robot that stands still shows sums of its cells, and no cell's share: is anything moved that "
+        "nobody knows?",
+        Walk("standing", 0.0, env=_STILL),
+    ),
+    Scenario(
+        "standing-held",
+        "standing, held by a fifth of its weight",
+        "Somebody lifts a standing robot for 8 s: are the cells blamed for it?",
+        Walk("standing-held", 0.0, env=_STILL, held=(0.2, *_HELD)),
+    ),
+    Scenario(
+        "walking-held",
+        "walking, held by 15 % of its weight",
+        "A gantry takes a part of a walking robot's weight for 8 s, and lets go.",
+        Walk("walking-held", held=(0.15, *_HELD)),
+    ),
+    Scenario(
+        "shear",
+        "cells that feel shear",
+        "Cells read a tenth (one standard deviation) of the horizontal forces on them, at 0.1 m/s: no map of "
+        "counts can undo it.",
+        Walk("shear", 0.1, conditions=(_SHEARED,)),
+        _SHEARED.name,
+    ),
     *(
         _fault(kind, title, **options)
         for kind, title, options in (
@@ -288,6 +326,17 @@ _TABLE = (
         long=True,
     ),
 )
+if "SUREFOOT_STRANGERS" in os.environ:
+    _TABLE += (
+        Scenario(
+            "g1-policy",
+            "a G1 by a published policy",
+            "A robot and a policy of others, at 0.4 m/s, on cells of its size. They read means of control "
+            "steps: it hits the ground so hard that readings 13 ms old are no use.",
+            Walk("g1-policy", 0.4, policy="ppo_g1_29dof", conditions=(MEAN,)),
+            MEAN.name,
+        ),
+    )
 
 PAPER_SCENARIOS = {
     (condition.name, speed): Scenario(
@@ -340,6 +389,7 @@ class WalkStudyOptions:
     settle: float = STAND_TIME + 10.0  # errors count from this time in s on
     quick: bool = False  # without long scenarios
     loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
+    loop_seeds: int | None = None  # of each closed loop at most
     loop_duration: float = STAND_TIME + 20.0  # in s, standing included
     factors: tuple[float, ...] = ()  # of the window's weights
     sensitivity_seeds: int = 5  # walks on which each weight is scaled
@@ -407,12 +457,13 @@ def full_options(
     )
 
 
-def demo_options(out: Path = Path("out/demo"), seeds: int = 4, jobs: int = 2) -> WalkStudyOptions:
+def demo_options(out: Path = Path("out/demo"), seeds: int = 8, jobs: int = 2) -> WalkStudyOptions:
     """Return the same at one speed, with fewer walks: less than two minutes on two cores."""
     return replace(
         full_options(out, seeds, jobs),
         scenarios=paper_names(0.04),
         loops={3.0: LOOPED},
+        loop_seeds=4,
         factors=(),
         film_duration=STAND_TIME + 10.0,
     )

@@ -1,6 +1,9 @@
 """One robot on different feet: the same task, pattern and controller on another feed of its CoP."""
 
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -137,6 +140,19 @@ def make_walker(
         **env_options,
     )
     return put_on_feet(bare, calibration, sensors=None if calibration is None else {"severity": severity})
+
+
+G1_FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
+
+
+def make_g1(policy: str) -> gym.Env[Any, Any]:
+    """Make the Unitree G1 that walks by a published policy, ``"ppo_g1_29dof"`` or ``"fastsac_g1_29dof"``.
+
+    It is no part of this package, and lies in the folder that the variable ``SUREFOOT_STRANGERS`` names.
+    """
+    sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
+    walker: gym.Env[Any, Any] = import_module("g1_policy").G1Walk(policy)
+    return walker
 
 
 class Moment(NamedTuple):

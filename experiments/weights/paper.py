@@ -12,7 +12,16 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section, Words
-from surefoot.experiments.study.tables import Table, decimal, number, table_of
+from surefoot.experiments.study.tables import (
+    NOTHING,
+    Cell,
+    Frame,
+    Table,
+    decimal,
+    number,
+    table_of,
+    with_deviation,
+)
 from surefoot.experiments.weights.weighing import WeighingReport
 
 
@@ -120,9 +129,64 @@ def table_3(report: WeighingReport) -> Table:
     return Table("table3", "Table 3: before and after calibration from weights", columns, rows, note)
 
 
+_MAPS = {"initial": "initial", "weights": "weights", "window": "window, walked", "moment": "moment, walked"}
+
+
+def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
+    """Return how repeated placements agree with their holes and with each other: by map, and by hole."""
+    spots = ["foot", "x", "y", "load"]
+    rows = report.repeats.assign(
+        off=lambda row: np.hypot(row["cop_x"] - row["x"], row["cop_y"] - row["y"]),
+        force_off=lambda row: row["vgrf"] - GRAVITY * row["load"],
+    )
+    parts = list(rows.groupby("map", sort=False))
+    published = dict(zip(_MAPS, TABLE_3.values(), strict=False))
+
+    def spread(column: str, factor: float) -> Cell:
+        # About the mean of its own hole and weight.
+        return lambda part: number(factor * float(np.sqrt(part[1].groupby(spots)[column].var().mean())))
+
+    def rmse(column: str, factor: float) -> Cell:
+        return lambda part: number(factor * float(np.sqrt((part[1][column] ** 2).mean())))
+
+    def paper(column: str, factor: float) -> Cell:
+        return lambda part: (
+            number(factor * getattr(published[part[0]], column)) if part[0] in published else NOTHING
+        )
+
+    columns: dict[str, Cell] = {
+        "map": lambda part: _MAPS[part[0]],
+        "CoP rmse (mm)": rmse("off", 1e3),
+        "CoP rmse, paper (mm)": paper("cop", 1e3),
+        "std of repeats, x (mm)": spread("cop_x", 1e3),
+        "std of repeats, y (mm)": spread("cop_y", 1e3),
+        "vGRF rmse (N)": rmse("force_off", 1.0),
+        "vGRF rmse, paper (N)": paper("vgrf", 1.0),
+        "std of repeats, vGRF (N)": spread("vgrf", 1.0),
+    }
+    amount = len(rows) // rows.groupby([*spots, "map"]).ngroups
+    by_map = table_of("repeats", f"{amount} repeats of each placement", columns, parts, _say("repeats"))
+
+    def place(name: str) -> Cell:
+        def cell(spot: tuple[tuple[str, float, float, float], Frame]) -> str:
+            own = 1e3 * spot[1][spot[1]["map"] == name][["cop_x", "cop_y"]]
+            return ", ".join(with_deviation(own[axis].mean(), own[axis].std()) for axis in own)
+
+        return cell
+
+    by_hole: dict[str, Cell] = {
+        "hole (mm)": lambda spot: f"{1e3 * spot[0][1]:.1f}, {1e3 * spot[0][2]:.1f}",
+        "weight (kg)": lambda spot: decimal(spot[0][3]),
+        **{_MAPS[name]: place(name) for name, _ in parts},
+    }
+    title = "CoP of repeated placements on the left foot, x, y (mm): mean ± standard deviation"
+    left = rows[rows["foot"] == rows["foot"].iloc[0]]
+    return by_map, table_of("repeats_holes", title, by_hole, list(left.groupby(spots)))
+
+
 def weights_section(report: WeighingReport, folder: Path) -> Section:
     """Return the section about known weights, and draw its figures into a folder."""
-    tables = (paper_table_2()[0], table_2(report), table_3(report))
+    tables = (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
     shown = (
         ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", _say("figure_7")),
         ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", _say("figure_8")),

@@ -3,10 +3,15 @@
 Whole holes are held out of the fit for the score. Cells have curves, sit off the drawing and share the load
 by the plate's statics and their stiffnesses; weights have play in their holes. Weights of 510 g and less stay
 below the 5 N threshold: they have no centre of pressure to score.
+
+The same weights, put again and again into the same holes, say how far a centre of pressure is known (section
+4.2): by the data sheet's map, by that of the weights, and by those that the robot found while it walked.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -22,8 +27,10 @@ from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.sensors import LoadCells, load_cells
 from surefoot.sensors.devices.load_cells import LoadCellState, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
+from surefoot.wrappers import FootSensors, SelfCalibration
 
 _STREAM = 7001  # keeps this randomness apart from every other stream with the same seed
+_WALK = 24.0  # s of the walk before weighing, of which 4 are stood
 
 
 @dataclass(frozen=True)
@@ -41,10 +48,12 @@ class WeighingSetup:
     nonlinearity: float = 5e-4  # largest bow of a cell's curve, drawn either way, as a share of its capacity
     hole_play: float = 1e-4  # std of a weight's distance from the middle of its hole in m, per axis
     seconds_per_weighing: float = 0.0  # from one to the next, in which the cells drift; 0 if settled
+    repeats: int = 20  # of a weight in a hole, as in the paper
+    repeated_loads: tuple[float, ...] = (1.0, 4.0)  # kg
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is too small."""
-        check_count(self, "fitted_holes", "held_out_holes", "readings")
+        check_count(self, "fitted_holes", "held_out_holes", "readings", "repeats")
         check_positive(self, "hole_pitch")
         check_not_negative(self, "cell_position_std", "nonlinearity", "hole_play", "seconds_per_weighing")
 
@@ -73,6 +82,8 @@ class WeighingReport:
     initial: PlacementScore  # on held-out holes, by the data sheet's map
     calibrated: PlacementScore  # there, by the fitted channels and correction
     held_out: tuple[Placements, ...]
+    # A row a map, foot, hole (x, y in m), weight (load in kg) and repeat: cop_x, cop_y in m, vgrf in N.
+    repeats: pd.DataFrame
 
 
 @dataclass(eq=False)
@@ -110,12 +121,14 @@ def run_weighing(
     state: LoadCellState | None = None,
     layout: FeetLayout | None = None,
     seed: int = 0,
+    maps: Mapping[str, Parameters] | None = None,
 ) -> WeighingReport:
     """Calibrate a robot's load cells with known weights, and score the fits on held-out holes.
 
     Args ``state`` are the very cells, as ``load_cells(cells).init`` made them, of which errors of scale and
     offset are used; by default some are drawn. The layout has four cells a foot, a NAO's shoes by default.
-    Raises ValueError for other layouts or too few holes.
+    With other ``maps`` of these cells, by name, placements are repeated, and read by these as well. Raises
+    ValueError for other layouts or too few holes.
     """
     setup = WeighingSetup() if setup is None else setup
     layout = nao_shoe_layout() if layout is None else layout
@@ -131,9 +144,10 @@ def run_weighing(
     channels = fit_channels(code, weight, layout.channel_names)
 
     nominal = Parameters(cells.nominal_scale, cells.nominal_offset)
-    corrections, initial, placements = [], [], []
+    corrections, initial, placements, plates = [], [], [], []
     for foot, where in zip(layout.feet, layout.slices, strict=True):
-        hole, load, held_out, cell_load = _place(setup, foot, rng)
+        hole, load, held_out, cell_load, plate = _place(setup, foot, rng)
+        plates.append(plate)
         on_all_cells = np.zeros((len(load), cells.channels))
         on_all_cells[:, where] = cell_load
         raw = weighed.read(on_all_cells)
@@ -152,6 +166,19 @@ def run_weighing(
             vgrf_calibrated=after.sum(axis=1),
         )
         placements.append(unseen)
+    repeats = []
+    for i, plate in enumerate(plates if maps is not None else ()):
+        foot, where, fit = layout.feet[i], layout.slices[i], corrections[i]
+        hole, load, cell_load = _repeat(setup, plate, np.unique(placements[i].hole, axis=0), rng)
+        on_all_cells = np.zeros((len(load), cells.channels))
+        on_all_cells[:, where] = cell_load
+        raw = weighed.read(on_all_cells)
+        for name, one in {"initial": nominal, "weights": channels.value, **(maps or {})}.items():
+            force = one.force(raw)[:, where]
+            cop = fit.cop(force) if name == "weights" else cop_of_cells(force, _positions(foot))
+            about = {"map": name, "foot": foot.name, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}
+            found = {"cop_x": cop[:, 0], "cop_y": cop[:, 1], "vgrf": force.sum(axis=1)}
+            repeats.append(pd.DataFrame(about | found))
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
@@ -161,7 +188,26 @@ def run_weighing(
         initial=_pool(initial),
         calibrated=_pool([fit.score_held_out for fit in corrections]),
         held_out=tuple(placements),
+        repeats=pd.concat(repeats) if repeats else pd.DataFrame(),
     )
+
+
+def weigh_after_walk(seed: int = 0, methods: tuple[str, ...] = ("window", "moment")) -> WeighingReport:
+    """Walk for a while, then calibrate the same cells with known weights; repeat placements by all maps."""
+    maps = {}
+    for method in methods:
+        walker = gym.make(
+            "surefoot/NaoWalk-v0", disable_env_checker=True, push_impulse=(0.0, 0.0), stand_time=4.0
+        )
+        sensors = FootSensors(walker, HX711_LOAD_CELLS)
+        env = SelfCalibration(sensors, method)
+        env.reset(seed=seed)
+        for _ in range(round(_WALK / sensors.source.dt)):
+            *_, info = env.step(np.zeros(env.action_space.shape or ()))
+        maps[method] = Parameters(**info["surefoot"]["parameters"])
+        state = sensors.robot.hardware().instruments.cells
+        env.close()
+    return run_weighing(state=state, seed=seed, maps=maps)
 
 
 def _positions(foot: FootLayout) -> NDArray[np.float64]:
@@ -172,8 +218,8 @@ def _positions(foot: FootLayout) -> NDArray[np.float64]:
 
 def _place(
     setup: WeighingSetup, foot: FootLayout, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return holes (n, 2) in m, loads (n,) in N, which are held out (n,) and the cells' loads (n, 4) in N."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64], SolePlate]:
+    """Return holes (n, 2) in m, loads (n,) in N, if held out (n,), cells' loads (n, 4) in N, the plate."""
     drawn = _positions(foot)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     # The sides are not exact in binary: without the slack, rounding would decide about the outermost row.
@@ -192,8 +238,28 @@ def _place(
     held_out = np.repeat(np.arange(wanted) >= setup.fitted_holes, len(setup.placement_loads))
     stands = hole + setup.hole_play * rng.standard_normal(hole.shape)
     plate = SolePlate(drawn + setup.cell_position_std * rng.standard_normal(drawn.shape), setup.stiffness)
-    wrench = np.column_stack([load, stands[:, 1] * load, -stands[:, 0] * load])
-    return hole, load, held_out, wrench @ plate.share.T
+    return hole, load, held_out, _share(plate, load, stands), plate
+
+
+def _repeat(
+    setup: WeighingSetup, plate: SolePlate, holes: NDArray[np.float64], rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Put weights into the outermost holes and the middle one, again and again.
+
+    Return holes (n, 2) in m, loads (n,) in N, and the cells' loads (n, 4) in N.
+    """
+    off = holes - holes.mean(axis=0)
+    outermost = [np.argmax(off @ corner) for corner in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+    chosen = holes[[*outermost, np.argmin(np.linalg.norm(off, axis=1))]]
+    hole = np.repeat(chosen, len(setup.repeated_loads) * setup.repeats, axis=0)
+    load = np.tile(np.repeat(setup.repeated_loads, setup.repeats), len(chosen)) * GRAVITY
+    stands = hole + setup.hole_play * rng.standard_normal(hole.shape)
+    return hole, load, _share(plate, load, stands)
+
+
+def _share(plate: SolePlate, load: NDArray[np.float64], stands: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cells' loads in N, (n, 4), under weights in N, (n,), that stand at places in m, (n, 2)."""
+    return np.column_stack([load, stands[:, 1] * load, -stands[:, 0] * load]) @ plate.share.T
 
 
 def _pool(scores: list[PlacementScore]) -> PlacementScore:

@@ -24,6 +24,7 @@ from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
+from surefoot.sensors.stages.shear import mix
 
 Floats = NDArray[np.float64]
 
@@ -97,7 +98,9 @@ class CellsUnderFeet:
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return state._replace(charge=self.load(truth)[-1] * (state.period - state.due))
+        load = self.load(truth)[-1]
+        load = mix(load, state.shear) if self.config.shear_std else load
+        return state._replace(charge=load * (state.period - state.due))
 
     def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
@@ -105,30 +108,41 @@ class CellsUnderFeet:
         return counts, after
 
     def load(self, truth: Any) -> Floats:
-        """Return the loads that they read in each substep in N, shape (S, K)."""
+        """Return the loads that they feel in each substep in N, shape (S, K), or (S, 3 K) with shear."""
+        vertical = self._vertical(truth)
+        if not self.config.shear_std:
+            return vertical
+        across = (truth.wrench_sole[..., i] for i in (0, 1)) if self._one_a_foot else (truth.shear_cell,)
+        return np.concatenate([vertical, *across], axis=-1)
+
+    def _vertical(self, truth: Any) -> Floats:
+        """Return the vertical ones of the loads, shape (S, K)."""
         load: Floats = truth.wrench_sole[..., 2] if self._one_a_foot else truth.force_cell
         return load
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
         instant = self.config.rate is None and not self.config.averaged
-        load = self.load(truth)
+        load = self._vertical(truth)
         force: Floats = load[-1] + 0.0 if instant else load.mean(axis=0)
         return force
 
     def cell_map(self, truth: Any) -> tuple[Floats, Floats] | None:
-        """Return the map from a truth's loads to the cells' forces: factors and N to add, (K,).
+        """Return the map from a truth's loads to the cells' forces, as of :meth:`load`: factors and N to add.
 
         ``None`` where the library does not find these loads: of single cells in a simulation of plates.
         """
         if not self._one_a_foot:
             found: tuple[Floats, Floats] = truth.cell_map()
-            return found
+            if not self.config.shear_std:
+                return found
+            across = truth.shear_map()
+            return np.hstack([found[0], across]), np.append(found[1], np.zeros(across.shape[1]))
         if not truth.sensor_columns().soles:
             return None
-        factors = np.zeros((6 * self.channels, self.channels))
-        factors[2::6] = np.eye(self.channels)
-        return factors, np.zeros(self.channels)
+        parts = [np.kron(np.eye(self.channels), np.eye(6)[:, [i]]) for i in (2, 0, 1)]
+        factors = np.hstack(parts)[:, : self.config.loads]
+        return factors, np.zeros(self.config.loads)
 
     def _foot(self, name: str, foot: int, drawing: RobotDrawing) -> FootLayout:
         """Describe one foot."""

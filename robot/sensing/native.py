@@ -117,7 +117,7 @@ class NativeSensing:
         self._map: tuple[NDArray[np.float64], ...] = ()
         if "cells" in devices:
             arrays["map"], arrays["preload"] = self._map = self._cell_map(truth)
-            arrays["load"] = np.zeros((len(truth.time), devices["cells"].constants["channels"]))
+            arrays["load"] = np.zeros((len(truth.time), self._map[0].shape[1]))
             numbers["readings"] = len(self._map[0])
         if "ankles" in devices:
             arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))

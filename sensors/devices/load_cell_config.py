@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
+from surefoot.sensors.stages.shear import AXES
 from surefoot.sensors.transport.errors import CODINGS
 from surefoot.sensors.transport.wire import DIRECT, Wire
 
@@ -80,6 +81,11 @@ class LoadCells:
     """Where the warming levels off in K, exponentially; 0 for a ramp that goes on. 14 with a ramp of 14/900
     is what a robot's foot was seen to do."""
 
+    shear_std: float = 0.0
+    """Standard deviation of the share of a horizontal force that a cell reads as a vertical one, newtons a
+    newton, along each axis of the sole, each cell its own; such a cell feels three forces. Data sheets of bar
+    cells do not give it; 0.1 is chosen, for a bar that a sole above its axis bends."""
+
     settling: int = 1
     """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings
     1.5 conversions later than 1 does."""
@@ -118,6 +124,7 @@ class LoadCells:
             "offset_tempco",
             "temperature_ramp",
             "temperature_rise",
+            "shear_std",
         )
         require(
             self.rate is None
@@ -150,6 +157,11 @@ class LoadCells:
     def warms(self) -> bool:
         """Whether temperature matters: the cells warm up, and an error depends on it."""
         return self.temperature_ramp > 0.0 and (self.scale_tempco > 0.0 or self.offset_tempco > 0.0)
+
+    @property
+    def loads(self) -> int:
+        """Number of forces that the cells feel: K, or 3 K with shear, all vertical ones first."""
+        return self.channels * (AXES if self.shear_std else 1)
 
     @property
     def counts_per_newton(self) -> float:

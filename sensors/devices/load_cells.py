@@ -38,6 +38,7 @@ from surefoot.sensors.stages.converter import quantize, saturate, white_noise
 from surefoot.sensors.stages.mechanics import mechanics, offset_shift
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.nonlinearity import bent
+from surefoot.sensors.stages.shear import shear
 from surefoot.sensors.stages.temperature import temperature_rise, thermal_drift
 from surefoot.sensors.transport.wire import WireState, wire
 
@@ -60,6 +61,7 @@ class LoadCellState(NamedTuple):
             :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others.
         mechanics: State of the spring elements; ``()`` where nothing happens to loads.
         wire: State of the wire; ``()`` where nothing happens to codes.
+        shear: Shares of the horizontal forces along x and y that a cell reads, shape (2, K); ``()`` for none.
     """
 
     period: Array
@@ -71,6 +73,7 @@ class LoadCellState(NamedTuple):
     window: Any = ()
     mechanics: Any = ()
     wire: Any = ()
+    shear: Any = ()
 
 
 SCALE, OFFSET, RISE = 0, 1, 2
@@ -83,6 +86,7 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     With a clock the reading is a block of substeps (:mod:`~surefoot.sensors.stages.clock`); without one it is
     the load of the instant, or the mean where that is asked for.
     """
+    sideways = [shear(config.shear_std)] if config.shear_std else []
     element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [
         scale_drift(config.initial_scale_std, config.scale_drift),
@@ -100,10 +104,10 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
         converter += [saturate(*config.code_range), quantize(1.0)]
     way = [_wire(config)] if config.wire.acts else []
     if config.rate is None:
-        return chain(*element, *bridge, moving_average(config.settling), *converter, *way)
+        return chain(*sideways, *element, *bridge, moving_average(config.settling), *converter, *way)
     measured = chain(*element, *bridge)
     held = sample_and_hold(measured, config.rate, settling=config.settling, converter=chain(*converter))
-    return chain(held, *way)
+    return chain(*sideways, held, *way)
 
 
 @device
@@ -111,7 +115,8 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """Build load cells with their stages fused, for speed.
 
     ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes
-    true loads in N in S equal substeps that fill dt, shape (S, K), and returns counts, shape (K,). Cells with
+    true loads in N in S equal substeps that fill dt, shape (S, K), or (S, 3 K) of cells that feel shear
+    (:mod:`~surefoot.sensors.stages.shear`), and returns counts, shape (K,). Cells with
     a clock average the load over each conversion; others take the last substep's, or the mean if they are
     ``averaged``.
 
@@ -139,11 +144,13 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
     way = _wire(config) if config.wire.acts else None
+    sideways = shear(config.shear_std) if config.shear_std else None
     remembers = element is not None or settling > 1
 
     def init(shape: tuple[int, ...], rng: Rng) -> LoadCellState:
         check_channels(shape, config.channels)
         nothing = np.zeros(shape)
+        shares = sideways.init(shape, rng) if sideways else ()
         period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng)
         window: Any = ()
         if settling > 1:
@@ -156,13 +163,15 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             thermal = np.concatenate([drawn[1::2] * tempco_std, nothing[None]])
         brought = way.init(shape, rng) if way else ()
         return LoadCellState(
-            period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought
+            period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought, shares
         )
 
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
-        if block.ndim != 2 or block.shape[1] != config.channels:
-            raise ValueError(f"Loads must have the shape (S, {config.channels}), got {block.shape}.")
-        period, due, charge, held, error, thermal, window, felt, brought = state
+        if block.ndim != 2 or block.shape[1] != config.loads:
+            raise ValueError(f"Loads must have the shape (S, {config.loads}), got {block.shape}.")
+        period, due, charge, held, error, thermal, window, felt, brought, shares = state
+        if sideways:
+            block, _ = sideways.apply(block, shares, rng, dt)
         if remembers:
             block = np.where(np.isfinite(block), block, np.nan)
         load = block.mean(axis=0) if averaged else block[-1] + 0.0
@@ -195,7 +204,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         counts = held = np.where(converts, counts, held)
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)
-        return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought)
+        return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought, shares)
 
     return Corruption(init, apply)
 
@@ -241,8 +250,8 @@ def static_counts(
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
-    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis and creep, which no
-    map of counts can undo, are left out.
+    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis, creep and shear,
+    which no map of counts can undo, are left out.
 
     Returns:
         Scale in N per count and offset in N, both (K,): the true load is scale * counts + offset.

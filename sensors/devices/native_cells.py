@@ -25,6 +25,7 @@ def _constants(config: LoadCells) -> dict[str, Any]:
         "averaged": config.averaged,
         "settling": config.settling,
         "warms": config.warms,
+        "shears": config.shear_std > 0.0,
         "plays": len(slacks),
         "creeps": len(shares),
         "highest_rate": config.rate[1] if config.rate else 0.0,

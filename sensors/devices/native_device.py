@@ -28,7 +28,7 @@ class Kind(NamedTuple):
         build: Makes the Python of a configuration.
         constants: Returns the values of the first record of a configuration, by its names there.
         blocks: Whether it reads blocks of substeps rather than an instant.
-        loads: How many loads it reads; ``None`` for as many as it has channels.
+        loads: How many loads it reads; ``None`` for as many as its configuration says, or as it has channels.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
     def count_loads(self, config: Any) -> int:
         """Return how many loads a device of a configuration reads."""
-        return int(self.loads or config.channels)
+        return int(self.loads or getattr(config, "loads", config.channels))
 
 
 class NativeState:

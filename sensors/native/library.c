@@ -73,7 +73,7 @@ static const place places[] = {
 
     WHOLE_OF(cells_config), WHOLE_OF(cells),
 
-    C_INT(channels), C_INT(clocked), C_INT(averaged), C_INT(settling), C_INT(warms), C_INT(plays), C_INT(creeps),
+    C_INT(channels), C_INT(clocked), C_INT(averaged), C_INT(settling), C_INT(warms), C_INT(shears), C_INT(plays), C_INT(creeps),
     C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise), C_REAL(scale_walk),
     C_REAL(offset_walk), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
     C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),
@@ -83,7 +83,7 @@ static const place places[] = {
     S_REAL(period), S_REAL(due), S_REAL(charge), S_REAL(held), S_REAL(error), S_REAL(thermal),
     S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
     S_REAL(mechanics_creep_yielded), S_REAL(mechanics_mounting_offset), S_REAL(mechanics_mounting_load),
-    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), WIRE_STATE(cells),
+    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), S_REAL(shear), WIRE_STATE(cells),
 
     WHOLE_OF(force_torque_config), WHOLE_OF(force_torque),
 
@@ -231,7 +231,7 @@ static void find_wrench(const sf_real *foot, sf_real *wrench) {
 }
 
 static void find_load(const sf_sense_records *at, const sf_real *truth) {
-    int K = at->feet.cells_config->channels;
+    int K = sf_loads(at->feet.cells_config);
     sf_real wrench[SF_AXES * SF_LOAD_CELLS];
     for (int row = 0; row < at->rows; row++) {
         const sf_real *felt = truth + row * at->columns + at->at_cells;

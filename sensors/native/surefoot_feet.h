@@ -54,9 +54,10 @@ SF_API void sf_feet_step(const sf_feet *f, const sf_real *load, int rows, const 
 SF_API void sf_feet_begin(const sf_feet *f, const sf_real *load, int rows, const sf_real *wrench,
                           sf_real *counts) {
     if (f->cells_config) {
-        int K = f->cells_config->channels;
-        for (int i = 0; i < K; i++)
-            f->cells->charge[i] = load[(rows - 1) * K + i] * (f->cells->period[i] - f->cells->due[i]);
+        const sf_real *last = load + (rows - 1) * sf_loads(f->cells_config);
+        for (int i = 0; i < f->cells_config->channels; i++)
+            f->cells->charge[i] =
+                sf_felt(f->cells_config, f->cells, last, i) * (f->cells->period[i] - f->cells->due[i]);
     }
     sf_feet_read(f, load, rows, wrench, (sf_real)f->first, counts);
     for (int n = 0; n < f->more; n++) sf_feet_read(f, load, rows, wrench, (sf_real)f->dt, counts);

@@ -31,7 +31,7 @@
 #define SF_CELLS_OF_A_FOOT 4
 
 typedef struct {
-    int channels, clocked, averaged, settling, warms, plays, creeps;
+    int channels, clocked, averaged, settling, warms, shears, plays, creeps;
     sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, noise, scale_walk, offset_walk;
     sf_real temperature_ramp, temperature_rise;
     /* The spring elements. */
@@ -47,7 +47,7 @@ typedef struct {
     sf_real mechanics_nonlinearity_quadratic[SF_LOAD_CELLS], mechanics_hysteresis_plays[SF_PLAYS * SF_LOAD_CELLS];
     sf_real mechanics_creep_yielded[SF_CREEPS * SF_LOAD_CELLS], mechanics_mounting_offset[SF_LOAD_CELLS];
     sf_real mechanics_mounting_load[SF_LOAD_CELLS], mechanics_mounting_impact[SF_LOAD_CELLS];
-    sf_real mechanics_overload_excess[2 * SF_LOAD_CELLS];
+    sf_real mechanics_overload_excess[2 * SF_LOAD_CELLS], shear[2 * SF_LOAD_CELLS];
     sf_wire_state wire;
 } sf_cells;
 
@@ -117,13 +117,23 @@ SF_API void sf_mechanics(const sf_cells_config *c, sf_cells *s, sf_random *strea
 
 /* -------------------------------------------------------------------------------------------- the converter */
 
-/* The integral of a signal, constant in each of the substeps of a block, from its start up to a time. */
-SF_API sf_real sf_integral(const sf_real *block, int rows, int channels, sf_real step, sf_real time) {
-    int last = time > 0 ? (int)(time / step) : 0;
+/* How many loads of the cells stand in a row: vertical ones, and with shear those along x and y after them. */
+SF_API int sf_loads(const sf_cells_config *c) { return c->shears ? 3 * c->channels : c->channels; }
+
+/* The force in a row that cell i takes for a vertical one. */
+SF_API sf_real sf_felt(const sf_cells_config *c, const sf_cells *s, const sf_real *row, int i) {
+    int K = c->channels;
+    return c->shears ? row[i] + s->shear[i] * row[K + i] + s->shear[K + i] * row[2 * K + i] : row[i];
+}
+
+/* The integral of what cell i feels, constant in each of the substeps of a block, from its start up to a time. */
+SF_API sf_real sf_integral(const sf_cells_config *c, const sf_cells *s, const sf_real *block, int i, int rows,
+                           sf_real step, sf_real time) {
+    int last = time > 0 ? (int)(time / step) : 0, wide = sf_loads(c);
     sf_real sum = 0;
     if (last > rows - 1) last = rows - 1;
-    for (int row = 0; row < last; row++) sum += block[row * channels];
-    return sum * step + (time - last * step) * block[last * channels];
+    for (int row = 0; row < last; row++) sum += sf_felt(c, s, block + row * wide, i);
+    return sum * step + (time - last * step) * sf_felt(c, s, block + last * wide, i);
 }
 
 /* Return the mean of the last conversions of a chip that finished `came` more. */
@@ -146,32 +156,32 @@ SF_API sf_real sf_settle(const sf_cells_config *c, sf_real *window, sf_real sign
 
 /* ------------------------------------------------------------------------------------------------- the step */
 
-/* Read the cells: loads in N at the ends of equal substeps that fill dt, a row each, to counts, one a cell. */
+/* Read the cells: loads in N (sf_loads of them) at the ends of equal substeps that fill dt, a row each, to counts, one a
+   cell. */
 SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stream, const sf_real *block,
                           int substeps, sf_real dt, sf_real *counts) {
-    int K = c->channels, most = (int)(c->highest_rate * dt) + 1, draws = 0;
+    int K = c->channels, wide = sf_loads(c), most = (int)(c->highest_rate * dt) + 1, draws = 0;
     int acts = c->nonlinearity > 0 || c->plays || c->creeps || c->warp_std > 0 || c->common_std > 0 ||
                c->overload_share > 0;
     int remembers = acts || c->settling > 1;
     sf_real step = dt / substeps;
     sf_real number[SF_LOAD_CELLS], load[SF_LOAD_CELLS], drawn[3 * SF_LOAD_CELLS], root = (sf_real)sqrt(dt);
     for (int i = 0; i < K; i++) {
-        const sf_real *own = block + i;
-        number[i] = 0, load[i] = own[(substeps - 1) * K];
+        number[i] = 0, load[i] = sf_felt(c, s, block + (substeps - 1) * wide, i);
         if (c->averaged) {
             load[i] = 0;
-            for (int row = 0; row < substeps; row++) load[i] += own[row * K];
+            for (int row = 0; row < substeps; row++) load[i] += sf_felt(c, s, block + row * wide, i);
             load[i] /= substeps;
         }
         if (c->clocked) {
             number[i] = (sf_real)floor((dt - s->due[i]) / s->period[i]);
             sf_real period = s->period[i], at = s->due[i] + number[i] * period;
             sf_real total = 0, end = 0, begin = -s->charge[i];
-            for (int row = 0; row < substeps; row++) total += own[row * K];
+            for (int row = 0; row < substeps; row++) total += sf_felt(c, s, block + row * wide, i);
             total *= step;
             s->due[i] = at + (period - dt);
-            if (number[i] >= 0) end = sf_integral(own, substeps, K, step, at);
-            if (number[i] >= 1) begin = sf_integral(own, substeps, K, step, at - period);
+            if (number[i] >= 0) end = sf_integral(c, s, block, i, substeps, step, at);
+            if (number[i] >= 1) begin = sf_integral(c, s, block, i, substeps, step, at - period);
             int known = number[i] >= 1 || (number[i] >= 0 && isfinite(s->charge[i]));
             load[i] = known ? (end - begin) / period : total / dt;
             s->charge[i] = number[i] >= 0 ? total - end : s->charge[i] + total;

@@ -1,7 +1,5 @@
 """The filter in C against the Python that specifies it: the same estimates and states, sample by sample."""
 
-import copy
-import pickle
 import runpy
 import shutil
 import subprocess
@@ -10,21 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _ankles import ANKLES, on_ankles
+from _ankles import ANKLES
 from _native import SANITIZED, compile_program, library_of
-from _robots import BAD
-from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
+from _native_filters import AT, SAMPLES, Log, same, same_estimate
+from _synthetic import DT, LAYOUT, MASS
 
-from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
+from surefoot.calibration import FeetLayout, FootLayout, OnlineSetup, Parameters
 from surefoot.calibration.episodes import begin_episode
-from surefoot.calibration.native import NATIVE, NativeState, c_source, native_filter
+from surefoot.calibration.native import NATIVE, c_source, native_filter
 from surefoot.calibration.online import online_method
 from surefoot.native import compiler, leaves_of
 from surefoot.native.build import FLAGS
 
 ROOT = Path(__file__).parents[2]
-SAMPLES, AT = 2000, 800
-CLOSE = 1e-9
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
@@ -48,33 +44,6 @@ LAYOUTS = {
     "heavy ankles": FeetLayout(tuple(HEAVY[1])),
     "heavy both": FeetLayout(tuple(FootLayout.combined(f.name, f, a) for f, a in zip(*HEAVY, strict=True))),
 }
-
-
-walk_once = cache(walk)
-
-
-class Log:
-    """Two thousand samples of one robot, to be spoilt: readings, beliefs, times, and when it is retracted."""
-
-    def __init__(self, layout, seed=1, noise=0.05):
-        rng = self.rng = np.random.default_rng([61, seed])
-        own = walk_once(seed, 0.1, SAMPLES * DT - 3.0, 3.0, BAD)
-        cells, ankles = NOMINAL.force(own.raw), None
-        if "cells" not in layout:
-            ankles = on_ankles(seed, 0.1, SAMPLES * DT - 1.0).force[:SAMPLES]
-            ankles = ankles * (1.0 + 0.05 * rng.normal(size=12)) + 0.5 * rng.normal(size=12)
-            ankles = ankles + noise * rng.normal(size=ankles.shape)
-        if "both" in layout:
-            self.force = np.concatenate([cells[:, :4], ankles[:, :6], cells[:, 4:], ankles[:, 6:]], axis=1)
-        else:
-            self.force = cells if ankles is None else ankles
-        self.reference = Reference(*(part.copy() for part in own.reference))
-        self.times = np.full(SAMPLES, DT)
-        self.retracted = set()
-        self.begun = set()
-
-    def row(self, k):
-        return Reference(*(part[k] for part in self.reference))
 
 
 def dead(log):
@@ -250,41 +219,11 @@ def robot(library, layout="cells", lag=2, method="moment", age=0.0, **options):
     return online_method(method, setup, **options), filter_
 
 
-def same(name, expected, found, close=CLOSE, spread=1.0):
-    """Assert that two arrays are the same: discrete ones exactly, covariances by their own deviations.
-
-    ``spread`` is by how much farther apart covariances may be than all else.
-    """
-    expected, found = np.asarray(expected), np.asarray(found)
-    assert (expected.shape, expected.dtype) == (found.shape, found.dtype), name
-    if expected.dtype.kind != "f":
-        np.testing.assert_array_equal(found, expected, err_msg=name)
-        return
-    size = np.abs(expected).max(initial=0.0, where=np.isfinite(expected)) + np.zeros(expected.shape)
-    if name in ("nis", "vgrf"):
-        size = np.maximum(size, 1.0)  # a sum of squares, each of order one; a difference of forces of newtons
-    if "covariance" in name:
-        std = np.sqrt(np.abs(np.diagonal(expected, axis1=-2, axis2=-1)))
-        size = spread * std[..., :, None] * std[..., None, :]
-    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected), err_msg=name)
-    there = ~np.isnan(expected)
-    off = np.abs(found - expected)[there] - close * size[there]
-    assert (off <= 0.0).all(), f"{name}: {np.max(off)} too far"
-
-
 def same_state(stream, native, expected, state, **tolerance):
     found = native.unpack(state)
     assert type(found) is type(expected)
     for (path, a), (_, b) in zip(leaves_of(expected), leaves_of(found), strict=True):
         same(path[-1], a, b, **tolerance)
-
-
-def same_estimate(expected, found, **tolerance):
-    for name, a, b in zip(expected._fields, expected, found, strict=True):
-        if a is None:
-            assert b is None, name
-        else:
-            same(name, a, b, **tolerance)
 
 
 def play(stream, native, log, exchange=(), **tolerance):
@@ -476,94 +415,3 @@ def test_every_field_of_a_record_is_in_the_table(library):
             assert end <= offset < end + 8
             end = offset + size
         assert end <= fields[""][2] < end + 8
-
-
-def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library):
-    initial = Parameters(np.ones(12), np.zeros(12))
-    setup = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17)
-    assert native_filter(library, "moment", setup, {"block": 1.0}) is None
-    assert native_filter(library, "window", setup, {"window": 2.0}) is None
-    assert native_filter(library, "module:mine", setup, {}) is None
-    late = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17, lag=9)
-    assert native_filter(library, "moment", late, {}) is None
-    assert native_filter(None, "moment", setup, {}) is None
-
-
-@pytest.fixture
-def calibrators(library, monkeypatch):
-    """The same calibrator by the library and by Python."""
-    made = []
-    for found in (library, None):
-        monkeypatch.setattr(
-            "surefoot.calibration.foot_calibrator.rooms", lambda found=found: (found,) if found else ()
-        )
-        made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
-    monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: (library,))
-    return made
-
-
-def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path):
-    log = Log("cells")
-    by_library, by_python = calibrators
-    for k in range(400):
-        for calibrator in calibrators:
-            calibrator.update(log.force[k], log.row(k))
-    assert isinstance(by_library._state, NativeState)
-    kept = by_library.state
-    by_library.save(tmp_path / "feet.npz")
-    others = [copy.deepcopy(by_library), pickle.loads(pickle.dumps(by_library)), *calibrators]
-    others.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
-    others[-1].load(tmp_path / "feet.npz")
-    others.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
-    others[-1].state = kept
-    by_python.state = kept
-    for k in range(400, 500):
-        estimates = [
-            other.update(log.force[k].tolist() if k % 2 else log.force[k], log.row(k)) for other in others
-        ]
-        if k == 450:
-            for other in others:
-                other.retract()
-    for estimate in estimates:
-        same_estimate(estimates[3], estimate)
-    assert kept.time == pytest.approx(5.0 - 0.1, abs=0.2)
-    by_library.reset()
-    assert by_library.state is None
-
-
-def test_a_calibrator_goes_on_in_python_where_it_must(calibrators):
-    log = Log("cells")
-    by_library, _ = calibrators
-    by_library.update(log.force[0], log.row(0))
-    by_library.update(log.force[1], log.row(1), 1)  # a whole number of seconds
-    assert not isinstance(by_library._state, NativeState)
-    by_library.update(log.force[2], log.row(2))
-    assert isinstance(by_library._state, NativeState)
-    assert by_library.state.waiting == 0
-    by_library.reset()
-    single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.row(0)))
-    assert by_library.update(log.force[0], single).force.dtype == np.float64
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda raw, row: (raw[:5], row),
-        lambda raw, row: (raw[None], row),
-        lambda raw, row: (raw, None),
-        lambda raw, row: (raw, row._replace(com=row.com[:2])),
-        lambda raw, row: (raw, row._replace(com=[0.0, 0.0, 0.3])),
-        lambda raw, row: (raw, row._replace(R_level_sole=row.R_level_sole[0])),
-        lambda raw, row: (raw, row._replace(stance=row.stance.astype(float))),
-        lambda raw, row: (raw, row._replace(swing=row.swing[:1])),
-    ],
-)
-def test_what_is_no_sample_is_refused_in_the_same_words(calibrators, spoil):
-    log, said = Log("cells"), []
-    for calibrator in calibrators:
-        calibrator.update(log.force[0], log.row(0))
-        with pytest.raises((ValueError, TypeError)) as caught:
-            calibrator.update(*spoil(log.force[1], log.row(1)))
-        said.append((caught.type, str(caught.value)))
-        calibrator.update(log.force[1], log.row(1))
-    assert said[0] == said[1]

@@ -143,3 +143,10 @@ def test_pages_use_few_whats() -> None:
 def test_words_in_bold_in_the_glossary_are_in_no_name_and_no_docstring() -> None:
     assert len(forbidden()) > 5
     assert not {word: spoken().words[word] for word in forbidden() if word in spoken().words}
+
+
+def test_a_file_of_tests_is_about_one_thing() -> None:
+    lengths = {
+        path.name: path.read_text(encoding="utf-8").count("\n") for path in (ROOT / "tests").rglob("*.py")
+    }
+    assert not {name: length for name, length in lengths.items() if length >= 450}

@@ -1,65 +1,17 @@
 """Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is beside them."""
 
 import pickle
-import re
-from contextlib import nullcontext
 from copy import deepcopy
 
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from _toy import Toy, warned
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
 
 from surefoot.envs import FeetTruth, InstrumentedEnv, instrument, load_robot_spec
-
-LEGS = "".join(
-    f'<body name="foot_{side}" pos="0 {y} -0.5"><joint name="{side}" axis="0 1 0" pos="0 0 0.1" '
-    'stiffness="300" damping="20" armature="0.02"/>'
-    '<geom type="box" size="0.1 0.04 0.02" pos="0.03 0 0"/></body>'
-    for side, y in (("l", 0.1), ("r", -0.1))
-)
-TOY = (
-    '<mujoco><worldbody><geom type="plane" size="5 5 1"/><body name="trunk" pos="0 0 0.52"><freejoint/>'
-    '<geom size="0.1" mass="5"/>{site}{legs}</body></worldbody>{end}</mujoco>'
-)
-
-
-class Toy(gym.Env):
-    """Two rigid legs, which keep whatever a test wants kept."""
-
-    observation_space = gym.spaces.Box(-np.inf, np.inf, (9,))
-    action_space = gym.spaces.Box(-1.0, 1.0, (1,))
-    frame_skip = 5
-
-    def __init__(self, site="", end="", fullpath=None):
-        self.xml = TOY.format(site=site, legs=LEGS, end=end)
-        if fullpath is not None:
-            self.fullpath = fullpath
-            self.fullpath.write_text(self.xml)
-        self.make()
-
-    def make(self):
-        self.model = mujoco.MjModel.from_xml_string(self.xml)
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_forward(self.model, self.data)
-        return self.data.qpos.copy(), {}
-
-    def step(self, action):
-        mujoco.mj_step(self.model, self.data, self.frame_skip)
-        return self.data.qpos.copy(), 0.0, False, False, {}
-
-
-def warned(reason):
-    """Expect the warning that feet are read once a step, with its reason, or none."""
-    match = (
-        rf"read once a control step, at its end, and not in each of its \d+ substeps \({re.escape(reason)}"
-    )
-    return pytest.warns(UserWarning, match=match) if reason else nullcontext()
 
 
 @pytest.fixture
@@ -382,17 +334,6 @@ def test_without_a_description_the_model_is_read_from_beside(path):
         assert InstrumentedEnv(base).untouched.startswith("its file is of another robot: its bodies are")
 
 
-def test_another_model_made_at_a_reset_is_refused(path):
-    class Fickle(Toy):
-        def reset(self, **given):
-            self.make()
-            return super().reset(**given)
-
-    env = InstrumentedEnv(Fickle(fullpath=path))
-    with pytest.raises(RuntimeError, match="Fickle made itself another model or data at a reset"):
-        env.reset()
-
-
 def test_soles_give_round_feet_an_area():
     env = InstrumentedEnv(gym.make("Humanoid-v5", terminate_when_unhealthy=False), soles=True)
     assert env.drawing.flaw == ""
@@ -423,154 +364,6 @@ def test_soles_give_round_feet_an_area():
             InstrumentedEnv(gym.make("Humanoid-v5"), soles=soles)
 
 
-def test_bad_input_is_refused_before_the_first_step(path):
-    with pytest.raises(TypeError, match=r"on MuJoCo, .* CartPoleEnv has no 'model', no 'data'\. Give an"):
-        InstrumentedEnv(gym.make("CartPole-v1"))
-    with pytest.raises(ValueError, match="No left and right foot could be found"):
-        InstrumentedEnv(gym.make("Ant-v5"))
-    for in_place in (None, False):
-        with pytest.raises(ValueError, match=r"each once, got \['paw'\]; the model's bodies are \['torso'"):
-            InstrumentedEnv(gym.make("Humanoid-v5"), ["paw"], in_place=in_place)
-        with pytest.raises(ValueError, match=r"no area: .* give it a flat geom: InstrumentedEnv\("):
-            InstrumentedEnv(gym.make("Humanoid-v5"), cells={"left_foot": np.zeros((4, 2))}, in_place=in_place)
-    for feet, got in (("left_foot", "a string"), (1, "1"), ([1, 2], r"\[1, 2\]"), (b"ab", "b'ab'")):
-        with pytest.raises(TypeError, match=f"'feet' must be a sequence of names of bodies.* got {got}"):
-            InstrumentedEnv(gym.make("Humanoid-v5"), feet)
-    once = InstrumentedEnv(Toy(fullpath=path))
-    with pytest.raises(ValueError, match="is instrumented already: use it as it is"):
-        InstrumentedEnv(once)
-    with pytest.raises(ValueError, match="begin with 'surefoot/' already"):
-        InstrumentedEnv(once.env)
-
-
-@pytest.mark.parametrize(
-    ("name", "feet", "match"),
-    [
-        ("Hopper-v5", None, r"only 'foot' is at the ground\. InstrumentedEnv\(env, feet=\('foot',\)\) tells"),
-        (
-            "Ant-v5",
-            None,
-            r"4 of them are equally low, .* feet=\(first, second, \.\.\.\)\..*'body 4 without a name'",
-        ),
-        ("HalfCheetah-v5", None, "'bfoot' and 'ffoot' do not lie side by side.* name them: feet="),
-        (
-            "HumanoidStandup-v5",
-            None,
-            "lower_arm' are lowest, but in its zero pose the robot lies: .*keyframe",
-        ),
-        (
-            "HumanoidStandup-v5",
-            ["left_foot", "right_foot"],
-            "does not stand on them in its zero pose: 'torso'",
-        ),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:.*settotalmass")
-def test_robots_that_do_not_stand_on_two_feet_are_told_what_they_can_do(name, feet, match):
-    with pytest.raises(ValueError, match=match):
-        InstrumentedEnv(gym.make(name), feet)
-
-
-def test_the_way_out_of_a_hopper_is_open():
-    env = InstrumentedEnv(gym.make("Hopper-v5"), ("foot",))
-    env.reset(seed=0)
-    loads = [env.step(np.zeros(3))[4]["surefoot"]["truth"]["vgrf"][0] for _ in range(30)]
-    assert max(loads) > 10.0
-
-
-def test_the_way_out_of_a_robot_that_was_drawn_lying_is_open():
-    bare = gym.make("HumanoidStandup-v5")
-    spec = mujoco.MjSpec.from_file(bare.unwrapped.fullpath)
-    half = np.sqrt(0.5)
-    spec.add_key(name="stand", qpos=[0.0, 0.0, 1.3, half, 0.0, half, 0.0, *np.zeros(17)])
-    env = InstrumentedEnv(bare, ("left_foot", "right_foot"), spec=spec)
-    assert not env.untouched
-    # Its soles look away from the head, which lies along -x, and its toes point to where its belly is.
-    for foot in env.instrumentation.feet:
-        np.testing.assert_allclose(foot.R_foot_sole[:, 2], (-1.0, 0.0, 0.0), atol=0.02)
-        np.testing.assert_allclose(foot.R_foot_sole[:, 0], (0.0, 0.0, 1.0), atol=0.02)
-    other = gym.make("HumanoidStandup-v5")
-    np.testing.assert_array_equal(env.reset(seed=3)[0], other.reset(seed=3)[0])
-    for _ in range(10):
-        action = env.action_space.sample()
-        np.testing.assert_array_equal(env.step(action)[0], other.step(action)[0])
-    # Soles are put under feet as they stand there, and not as they lie.
-    soled = InstrumentedEnv(gym.make("HumanoidStandup-v5"), soles=True, spec=spec)
-    assert all(len(foot.polygon) == 4 for foot in soled.instrumentation.feet)
-
-
-@pytest.mark.parametrize(
-    ("extra", "match"),
-    [
-        ('<joint name="more" axis="1 0 0"/>', "the one hangs on 3 joints and the other on 2"),
-        ('<geom size="0.02" pos="0 0 -0.5"/>', "'trunk' is lower than 'foot_l' and 'foot_r'"),
-    ],
-    ids=["unlike", "lower"],
-)
-def test_a_pair_that_is_no_pair_of_feet_is_refused_and_may_be_named(extra, match):
-    text = TOY.format(site="", legs=LEGS, end="")
-    where = '<joint name="l"' if "joint" in extra else '<geom size="0.1" mass="5"/>'
-    text = text.replace(where, extra.replace("-0.5", "-0.9") + where)
-    spec = mujoco.MjSpec.from_string(text)
-    with pytest.raises(ValueError, match=match + r".* name them: feet=\(left, right\)"):
-        instrument(spec)
-    assert [foot.body for foot in instrument(spec, ("foot_l", "foot_r")).feet] == ["foot_l", "foot_r"]
-
-
-class Physics:
-    """Holds a robot as dm_control's physics does."""
-
-    class Held:
-        def __init__(self, ptr):
-            self.ptr = ptr
-
-    def __init__(self, xml):
-        self.model = self.Held(mujoco.MjModel.from_xml_string(xml))
-        self.data = self.Held(mujoco.MjData(self.model.ptr))
-
-
-class Controlled(Toy):
-    """An environment of dm_control, as shimmy shows it."""
-
-    def make(self):
-        self.physics = Physics(self.xml)
-
-    def control_timestep(self):
-        return self.frame_skip * self.physics.model.ptr.opt.timestep
-
-    def reset(self, *, seed=None, options=None):
-        mujoco.mj_resetData(self.physics.model.ptr, self.physics.data.ptr)
-        return self.physics.data.ptr.qpos.copy(), {}
-
-    def step(self, action):
-        mujoco.mj_step(self.physics.model.ptr, self.physics.data.ptr, self.frame_skip)
-        return self.physics.data.ptr.qpos.copy(), 0.0, False, False, {}
-
-
-def test_dm_controls_physics_is_read_beside():
-    with warned("dm_control's physics holds it"):
-        env = InstrumentedEnv(Controlled())
-    own = InstrumentedEnv(Toy(), in_place=False)
-    assert env.dt == own.dt
-    assert env.untouched == "dm_control's physics holds it"
-    env.reset(seed=0)
-    own.reset(seed=0)
-    for _ in range(20):
-        env.step(None)
-        own.step(None)
-        np.testing.assert_array_equal(env.truth.rows, own.truth.rows)
-    assert env.truth.vgrf().sum() > 10.0
-    copy = deepcopy(env)
-    copy.step(None)
-    env.step(None)
-    np.testing.assert_array_equal(copy.truth.rows, env.truth.rows)
-    copy.unwrapped.make()
-    with pytest.raises(TypeError, match="copied to another model, which nobody watches"):
-        deepcopy(copy)
-    with pytest.raises(ValueError, match="dm_control's physics cannot exchange"):
-        InstrumentedEnv(Controlled(), soles=True)
-
-
 def test_a_wrapped_environment_is_made_again_from_its_spec():
     cells = {"left_foot": np.array([(0.1, 0.03), (0.1, -0.03), (-0.05, 0.03), (-0.05, -0.03)])}
     soles = {"left_foot": (0.25, 0.1, 0.01), "right_foot": (0.25, 0.1, 0.01)}
@@ -594,15 +387,3 @@ def test_a_single_row_reads_as_many_do():
     single = np.concatenate([truth.wrench_sole for truth in rows])
     assert np.abs(single).max() > 10.0
     np.testing.assert_allclose(batch.wrench_sole, single, rtol=1e-12, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"cells": [(0.0, 0.0)]}, "'cells' must map the bodies of feet to places of four cells"),
-        ({"soles": ["left_foot"]}, "'soles' must be True, or map the bodies of feet"),
-    ],
-)
-def test_options_that_name_no_feet_are_refused(options, text):
-    with pytest.raises(TypeError, match=text):
-        InstrumentedEnv(gym.make("Humanoid-v5"), **options)

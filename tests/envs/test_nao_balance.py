@@ -4,7 +4,6 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
 from surefoot.envs.biped import effort
@@ -21,24 +20,6 @@ CALM = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}
 def run(env, seed, steps, action=ZERO):
     env.reset(seed=seed)
     return [env.step(action) for _ in range(steps)]
-
-
-def test_it_is_an_environment():
-    # Gymnasium takes NaN for a difference: nothing may lift a foot in the first step.
-    env = gym.make("surefoot/NaoBalance-v0", duration=0.5, joint_noise=0.0, velocity_noise=0.0)
-    check_env(env.unwrapped, skip_render_check=True)
-    assert env.unwrapped.stand_time == 3.5
-
-
-def test_an_episode_is_its_seed():
-    first, second = (run(NaoBalanceEnv(stand_time=0.1, payload_time=(0.1, 0.3)), 4, 60) for _ in range(2))
-    for (a, reward_a, *_), (b, reward_b, *_) in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a["state"], b["state"])
-        assert reward_a == reward_b
-    # A used environment starts as a new one does, whatever it carried.
-    env = NaoBalanceEnv(stand_time=0.1, payload_time=(0.1, 0.3))
-    run(env, 9, 60)
-    np.testing.assert_array_equal(run(env, 4, 60)[-1][0]["state"], first[-1][0]["state"])
 
 
 def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():

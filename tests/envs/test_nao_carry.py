@@ -3,7 +3,6 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
 from surefoot.envs.nao.carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOXES, NaoCarryEnv
@@ -17,24 +16,6 @@ SHORT = {"speeds": (0.04,), "stand_time": 0.5, "duration": 2.5, "payload_time": 
 def run(env, seed, steps, action=ZERO):
     env.reset(seed=seed)
     return [env.step(action) for _ in range(steps)]
-
-
-def test_it_is_an_environment():
-    # Gymnasium takes NaN for a difference: nothing may lift a foot in the first step.
-    env = gym.make("surefoot/NaoCarry-v0", **(SHORT | CALM))
-    check_env(env.unwrapped, skip_render_check=True)
-
-
-def test_an_episode_is_its_seed():
-    options = SHORT | {"speeds": (0.02, 0.04)}
-    first, second = (run(NaoCarryEnv(**options), 4, 100) for _ in range(2))
-    for (a, reward_a, *_), (b, reward_b, *_) in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a["state"], b["state"])
-        assert reward_a == reward_b
-    # A used environment starts as a new one does, whatever it carried.
-    env = NaoCarryEnv(**options)
-    run(env, 9, 100)
-    np.testing.assert_array_equal(run(env, 4, 100)[-1][0]["state"], first[-1][0]["state"])
 
 
 def test_speed_and_load_are_drawn():

@@ -2,13 +2,10 @@
 
 import pickle
 import re
-import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
 from surefoot.envs.nao.env import NaoEnv
@@ -16,18 +13,6 @@ from surefoot.envs.nao.stand import NaoStandEnv
 
 ZERO = np.zeros(11, dtype=np.float32)
 SHAPES = {"state": (63,), "foot_force": (8,), "cop_foot": (2, 2), "cop": (2,), "cop_valid": (3,)}
-
-
-def rollout(env, seed, actions):
-    """All that an episode returns, flattened."""
-    observation, info = env.reset(seed=seed)
-    returned = [observation, info["surefoot"]["truth"]]
-    for action in actions:
-        observation, reward, terminated, truncated, info = env.step(action)
-        returned += [observation, {"reward": reward, "end": terminated}, info["surefoot"]["truth"]]
-        if terminated or truncated:
-            break
-    return np.concatenate([np.ravel(value) for part in returned for value in part.values()])
 
 
 @pytest.fixture
@@ -44,49 +29,12 @@ def rendering(monkeypatch):
     env.close()
 
 
-def test_gymnasium_finds_nothing_wrong():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make("surefoot/NaoStand-v0").unwrapped, skip_render_check=True)
-
-
-@pytest.mark.filterwarnings("ignore:.*unconventional shape")
-def test_stable_baselines_finds_nothing_wrong():
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(NaoStandEnv(), skip_render_check=True)
-
-
-def test_specs_survive_pickle_and_json():
-    options = {"sway": [0.01, 0.02], "cell_stiffness": [1.0] * 8, "friction": [0.5, 0.5], "duration": 2.0}
-    spec = gym.make("surefoot/NaoStand-v0", **options).spec
-    assert pickle.loads(pickle.dumps(spec)) == spec
-    again = EnvSpec.from_json(spec.to_json())
-    assert again == spec
-    actions = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 11))
-    first = rollout(gym.make(spec), 5, actions)
-    np.testing.assert_array_equal(first, rollout(gym.make(again), 5, actions))
-
-
-def test_same_seed_same_episode_bit_for_bit():
-    options = {"push_impulse": (0.1, 0.3), "push_interval": 0.3}
-    actions = np.random.default_rng(1).uniform(-0.3, 0.3, (150, 11))
-    first, second = NaoStandEnv(**options), NaoStandEnv(**options)
-    expected = rollout(first, 11, actions)
-    np.testing.assert_array_equal(expected, rollout(second, 11, actions))
-    # An episode leaves nothing behind for the next.
-    np.testing.assert_array_equal(expected, rollout(first, 11, actions))
-    assert not np.array_equal(expected, rollout(first, 12, actions))
-
-
-def test_what_was_returned_stays_as_it_was():
+def test_a_seed_brings_the_same_command():
     env = NaoStandEnv()
-    observation, info = env.reset(seed=0)
-    truth = info["surefoot"]["truth"]
-    kept = pickle.dumps((observation, truth))
+    env.reset(seed=0)
     command = pickle.dumps(env.command)
     for _ in range(5):
         env.step(np.full(11, 0.5))
-    assert pickle.dumps((observation, truth)) == kept
     env.reset(seed=0)
     assert pickle.dumps(env.command) == command
 
@@ -264,10 +212,12 @@ def test_targets_move_no_faster_than_the_motors_and_stay_in_their_limits():
 
 def test_actions_beyond_their_bounds_are_clipped():
     direction = np.array([1.0, -1.0] * 5 + [1.0])
-    inside, beyond = NaoStandEnv(), NaoStandEnv()
-    np.testing.assert_array_equal(
-        rollout(inside, 0, [direction] * 10), rollout(beyond, 0, [30.0 * direction] * 10)
-    )
+    seen = []
+    for factor in (1.0, 30.0):
+        env = NaoStandEnv()
+        env.reset(seed=0)
+        seen.append([env.step(factor * direction)[0]["state"] for _ in range(10)])
+    np.testing.assert_array_equal(*seen)
 
 
 def test_episodes_draw_their_friction_and_their_start():
@@ -281,16 +231,6 @@ def test_episodes_draw_their_friction_and_their_start():
     drawn = np.array(friction)[:, 0, 0]
     assert 0.4 <= drawn.min() < 0.7 < 0.9 < drawn.max() <= 1.2
     assert 0.001 < np.std(starts, axis=0).max() <= 0.005
-
-
-def test_vector_environments_step():
-    envs = gym.make_vec("surefoot/NaoStand-v0", num_envs=2, vectorization_mode="sync", duration=0.1)
-    observations, _ = envs.reset(seed=0)
-    assert observations["foot_force"].shape == (2, 8)
-    for _ in range(10):
-        observations, *_ = envs.step(np.zeros((2, 11), dtype=np.float32))
-    assert envs.single_observation_space["state"].contains(observations["state"][1])
-    envs.close()
 
 
 def test_bad_actions_are_refused():
@@ -349,13 +289,6 @@ def test_frames_show_the_robot_and_its_markers(rendering):
     assert 20 < red.sum() < 2000
     rendering.markers = []
     np.testing.assert_array_equal(plain, rendering.render())
-
-
-def test_without_a_render_mode_nothing_is_drawn():
-    env = NaoStandEnv()
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="without a render mode"):
-        assert env.render() is None
 
 
 def test_a_window_without_a_screen_is_refused(monkeypatch):

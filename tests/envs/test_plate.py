@@ -22,6 +22,17 @@ def test_cells_carry_the_load_and_nothing_else(stiffness, load):
     np.testing.assert_allclose(plate.load_of_cells @ force, load, atol=1e-9)
 
 
+def test_horizontal_forces_add_up_and_turn_evenly():
+    load, (x, y) = np.array([20.0, -7.0, 1.3]), RECTANGLE.T
+    along = SolePlate(RECTANGLE, [1.2, 0.9, 0.8, 1.1]).across @ load
+    fx, fy = along[:4], along[4:]
+    np.testing.assert_allclose([fx.sum(), fy.sum(), (x * fy - y * fx).sum()], load, atol=1e-12)
+    # Equally stiff cells move with a rigid plate: by a shift, and by a turn about their middle.
+    arms = RECTANGLE - RECTANGLE.mean(axis=0)
+    turned = np.column_stack([fx - fx.mean(), fy - fy.mean()])
+    np.testing.assert_allclose((turned * arms).sum(axis=1), 0.0, atol=1e-12)
+
+
 @given(stiffnesses, loads)
 def test_the_constraint_is_zero_under_any_load(stiffness, load):
     plate = SolePlate(RECTANGLE, stiffness)

@@ -1,6 +1,6 @@
 """Made logs and episodes: small, seeded, and known to the last digit."""
 
-import importlib.util
+import dataclasses
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -29,19 +29,9 @@ MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "mom
 
 
 @pytest.fixture(scope="session")
-def benchmark_script() -> Callable[[str], ModuleType]:
-    """Give a function that imports a script of benchmarks/, or skips where there are none: in the wheel."""
-
-    def load(name: str) -> ModuleType:
-        path = Path(__file__).parents[2] / "benchmarks" / f"{name}.py"
-        if not path.is_file():
-            pytest.skip("the benchmarks are not part of the wheel")
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-
-    return load
+def benchmark_script(load_script: Callable[[str], ModuleType]) -> Callable[[str], ModuleType]:
+    """Give a function that imports a script of benchmarks/, or skips."""
+    return lambda name: load_script(f"benchmarks/{name}.py")
 
 
 @pytest.fixture
@@ -84,6 +74,22 @@ def log() -> Log:
         truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
         about={"speed_m_s": 0.0},
     )
+
+
+@pytest.fixture
+def full(log: Log) -> Log:
+    """Give a log with beliefs of both kinds."""
+    reference = log.reference
+    momentum = MomentumReference(
+        com=reference.com,
+        com_velocity=0.1 * reference.com_acceleration,
+        angular_momentum=0.1 * reference.angular_momentum_rate,
+        position_sole=reference.position_sole,
+        R_level_sole=reference.R_level_sole,
+        stance=reference.stance,
+        swing=reference.swing,
+    )
+    return dataclasses.replace(log, momentum=momentum)
 
 
 @pytest.fixture(scope="session")

@@ -2,15 +2,13 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from surefoot.calibration import calibrate_in_situ, replay
 from surefoot.experiments.cli.app import app
@@ -18,125 +16,14 @@ from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.instrument.check import check_log
 from surefoot.experiments.logs.bag import Series, guess_topics, read_bag
-from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
-from surefoot.experiments.logs.motion import count_rows, even_times
+from surefoot.experiments.logs.format import Log, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import standard_deviations
-from surefoot.names import page
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
+from _bags import COUNTS, FORMATS, IMU, JOINTS, RUNNER, WRENCH, Ros, Topic, describe, one_format, topics_of
 
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
-
-RUNNER = CliRunner()
-START = 1_700_000_000  # s since 1970
-FORMATS = ("ros1", "sqlite3", "mcap")
 VECTORS = (("specific_force", "m_s2"), ("angular_velocity", "rad_s"))
-
-
-class Topic(NamedTuple):
-    """What one node publishes: messages of a type, made of rows of numbers."""
-
-    name: str
-    kind: str
-    time: np.ndarray  # when each row was measured in s, shape (M,)
-    values: np.ndarray  # shape (M, n)
-    names: tuple[str, ...] = ()  # of joints
-    ahead: float = 0.0  # its clock before the recorder's in s
-    late: float = 0.0005  # least time to the recorder in s
-
-
-class Ros:
-    """Writes bags of one format."""
-
-    def __init__(self, form: str) -> None:
-        self.form = form
-        self.store = get_typestore(Stores.ROS1_NOETIC if form == "ros1" else Stores.ROS2_HUMBLE)
-
-    def write(self, path: Path, topics: list[Topic], seed: int = 0, keep: float = 0.99) -> Path:
-        """Write a bag: rows are lost, stamps jitter, and messages are late by chance."""
-        rng = np.random.default_rng(seed)
-        path = path.with_suffix(".bag") if self.form == "ros1" else path.with_suffix("")
-        messages = []
-        for topic in topics:
-            arrived = np.flatnonzero(rng.random(len(topic.time)) < keep)
-            stamps = topic.time + topic.ahead + 1e-4 * rng.standard_normal(len(topic.time))
-            received = topic.time + topic.late + rng.exponential(1e-3, len(topic.time))
-            for row in arrived.tolist():
-                made = np.ascontiguousarray(topic.values[row])
-                messages.append((START + received[row], START + stamps[row], topic, made))
-        messages.sort(key=lambda message: message[0])
-        with self._writer(path) as writer:
-            kinds = {topic.name: topic.kind for topic in topics}
-            links = {name: writer.add_connection(name, kinds[name], typestore=self.store) for name in kinds}
-            for received, stamp, topic, row in messages:
-                made = self._made(topic, stamp, row)
-                encode = self.store.serialize_ros1 if self.form == "ros1" else self.store.serialize_cdr
-                writer.write(links[topic.name], round(received * 1e9), encode(made, topic.kind))
-        return path
-
-    def _writer(self, path: Path) -> Any:
-        if self.form == "ros1":
-            return Writer1(path)
-        plugin = StoragePlugin.MCAP if self.form == "mcap" else StoragePlugin.SQLITE3
-        return Writer2(path, version=9, storage_plugin=plugin)
-
-    def _made(self, topic: Topic, stamp: float, row: np.ndarray) -> Any:
-        types = self.store.types
-        seconds = int(stamp)
-        time = types["builtin_interfaces/msg/Time"](seconds, round((stamp - seconds) * 1e9) % 1_000_000_000)
-        number = (0,) if self.form == "ros1" else ()
-        header = types["std_msgs/msg/Header"](*number, time, "")
-        vector = types["geometry_msgs/msg/Vector3"]
-        none = np.zeros(0)
-        kind = types[topic.kind]
-        if topic.kind.endswith("MultiArray"):
-            layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
-            return kind(layout, row.astype(np.int32 if "Int32" in topic.kind else np.float64))
-        if topic.kind.endswith("JointState"):
-            return kind(header, list(topic.names), row, none, none)
-        if topic.kind.endswith("Imu"):
-            turn, nine = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), np.zeros(9)
-            return kind(header, turn, nine, vector(*row[3:]), nine, vector(*row[:3]), nine)
-        if topic.kind.endswith("Int32"):
-            return kind(int(row[0]))
-        wrench = types["geometry_msgs/msg/Wrench"](vector(*row[:3]), vector(*row[3:]))
-        return kind(header, wrench)
-
-
-COUNTS, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
-IMU, WRENCH = "sensor_msgs/msg/Imu", "geometry_msgs/msg/WrenchStamped"
-
-
-def topics_of(walk: Any) -> list[Topic]:
-    """What a robot would publish of the recorded walk: the IMU's clock is 3.7 s ahead of all others."""
-    motion, told = walk.motion, walk.description
-    arrived = motion["time_s"].to_numpy()
-    even, _ = even_times(arrived, count_rows(arrived, told["dt_s"]))
-    measured = even - told["delay_s"]
-    joints = [name for name in motion.columns if name.startswith("joint_")]
-    names = tuple(name.removeprefix("joint_").removesuffix("_rad") for name in joints)
-    imu = motion.columns[-6:]
-    return [
-        Topic("/feet/left", COUNTS, walk.log.time, walk.log.raw[:, :4]),
-        Topic("/feet/right", COUNTS, walk.log.time, walk.log.raw[:, 4:]),
-        Topic("/joint_states", JOINTS, measured, motion[joints].to_numpy(), names),
-        Topic("/imu", IMU, measured, motion[imu].to_numpy(), ahead=3.7),
-    ]
-
-
-def describe(path: Path, walk: Any, **changes: Any) -> None:
-    """Write a log's description beside it."""
-    write_log(walk.log, path.with_suffix(".csv"))
-    path.with_suffix(".csv").unlink()
-    side = path.with_suffix(".json")
-    told = json.loads(side.read_text())
-    del told["lag_samples"]
-    motion = {key: value for key, value in walk.description.items() if key not in ("delay_s", "dt_s")}
-    side.write_text(json.dumps(told | {"motion": motion | changes}))
 
 
 @pytest.fixture(
@@ -168,10 +55,6 @@ def learnt(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> tupl
     table[[name for name in table if not name.startswith("reference_")]].to_csv(path, index=False)
     recorded_walk.motion.to_csv(path.with_suffix(".motion.csv"), index=False)
     return learn(read_log(path))
-
-
-one_format = pytest.mark.parametrize("ros", ["mcap"], indirect=True)
-"""For what does not depend on the format."""
 
 
 def learn(log: Log) -> tuple[np.ndarray, np.ndarray]:
@@ -256,120 +139,6 @@ def test_guess_prints_the_mapping_file(bag: Path) -> None:
     assert 'linear_acceleration.z = "accelerometer_z_m_s2"\n' in result.stdout
 
 
-def change(old: str, new: str) -> Callable[[Path], None]:
-    def spoil(path: Path) -> None:
-        mapping = path.with_suffix(".topics.toml")
-        mapping.write_text(mapping.read_text().replace(old, new))
-
-    return spoil
-
-
-BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "no such topic": (
-        change("/imu", "/imu/data"),
-        "{bag}: has no message of the topic '/imu/data', which walk.topics.toml names; there are "
-        "'/feet/left', '/feet/right', '/imu', '/joint_states'.",
-    ),
-    "no such field": (
-        change("linear_acceleration", "acceleration"),
-        "{bag}: '/imu' holds sensor_msgs/msg/Imu, which has no field 'acceleration'; there are header, "
-        "orientation, orientation_covariance, angular_velocity, angular_velocity_covariance, "
-        "linear_acceleration, linear_acceleration_covariance.",
-    ),
-    "no number": (
-        change("linear_acceleration.x", "orientation"),
-        "{bag}: '/imu' holds sensor_msgs/msg/Imu, in which 'orientation' is no number; name one of "
-        "its parts, or another topic.",
-    ),
-    "too few elements": (
-        change("data.3", "data.4"),
-        "{bag}: '/feet/left' holds no number under 'data.4' in any message.",
-    ),
-    "no such joint": (
-        change("position.LHipRoll", "position.l_hip"),
-        "{bag}: '/joint_states' holds no number under 'position.l_hip' in any message. Its names are LHipYaw",
-    ),
-    "a column twice": (
-        change("gyroscope_x", "gyroscope_y"),
-        "walk.topics.toml: column 'gyroscope_y_rad_s' is there twice; name each column once.",
-    ),
-    "no text": (
-        change('"gyroscope_x_rad_s"', "1"),
-        "walk.topics.toml: topics./imu: must be a table of fields, such as data.0 = "
-        "'raw_left_front_left_count'.",
-    ),
-    "an offset of nothing": (
-        change("# Proposed", '[offsets_s]\n"/odom" = 1.0\n# Proposed'),
-        "walk.topics.toml: offsets_s names '/odom', which is not among the topics.",
-    ),
-    "two clocks that do not overlap": (
-        change("# Proposed", '[offsets_s]\n"/imu" = 1000.0\n# Proposed'),
-        "{bag}: no overlap in time: '/joint_states' from ",
-    ),
-    "joints and feet that do not overlap": (
-        change("# Proposed", '[offsets_s]\n"/joint_states" = 100.0\n"/imu" = 96.3\n# Proposed'),
-        "{bag}: joints and IMU reach from 99",
-    ),
-    "no TOML": (change("[topics", "{topics"), "walk.topics.toml: not TOML: "),
-    "no mapping file": (
-        lambda path: path.with_suffix(".topics.toml").unlink(),
-        "{bag}: the mapping file walk.topics.toml is not there; --guess prints one to begin with, and "
-        "--topics names another.",
-    ),
-    "no description": (
-        lambda path: path.with_suffix(".json").unlink(),
-        "{bag}: the description walk.json is not beside it; it holds layout, mass and calibrations; "
-        f"{page('log-format')} shows one.",
-    ),
-    "no bag": (
-        lambda path: path.unlink() if path.is_file() else shutil.rmtree(path),
-        "{path}: no such file; 'surefoot demo' records logs under out/demo/logs.",
-    ),
-}
-
-
-@one_format
-@pytest.mark.parametrize("case", BAD_BAGS)
-def test_a_bad_bag_is_one_line(bag: Path, tmp_path: Path, case: str) -> None:
-    spoil, reason = BAD_BAGS[case]
-    for one in bag.parent.iterdir():
-        (shutil.copytree if one.is_dir() else shutil.copy)(one, tmp_path / one.name)
-    path = tmp_path / bag.name
-    spoil(path)
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
-    assert result.exit_code == 2, result.output
-    assert result.stderr.count("\n") == 1
-    expected = "surefoot: " + reason.format(bag=bag.name, path=path)
-    assert result.stderr[: len(expected)] == expected
-    assert result.stderr[len(expected) :] == "\n" or not expected.endswith(".")
-
-
-def test_a_bag_that_ends_in_the_middle(bag: Path, tmp_path: Path) -> None:
-    path = tmp_path / bag.name
-    (shutil.copytree if bag.is_dir() else shutil.copy)(bag, path)
-    file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path)])
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"surefoot: {path.name}: not a whole bag (")
-    assert result.stderr.endswith(
-        "); `ros2 bag reindex` or `rosbag reindex` mends a recording that was cut off, and `rosbags-convert "
-        "--exclude-topic` leaves out what cannot be decoded.\n"
-    )
-    assert result.stderr.count("\n") == 1
-
-
-def test_an_empty_bag_and_what_is_none(ros: Ros, tmp_path: Path) -> None:
-    path = ros.write(tmp_path / "walk", [Topic("/feet", COUNTS, np.zeros(0), np.zeros((0, 8)))])
-    for options in ([], ["--guess"]):
-        result = RUNNER.invoke(app, ["calibrate", "walk", str(path), *options])
-        assert result.exit_code == 2
-        assert result.stderr == f"surefoot: {path.name}: the bag is empty: it holds no message.\n"
-    (tmp_path / "walk.csv").write_text("time_s\n")
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(tmp_path / "walk.csv"), "--guess"])
-    assert result.stderr == ("surefoot: walk.csv: no bag; one is a folder or ends in .bag, .mcap, .db3.\n")
-
-
 def test_a_file_of_a_folder_is_a_bag_as_well(bag: Path, tmp_path: Path) -> None:
     """As robots without a ``metadata.yaml`` leave it."""
     if bag.is_file():
@@ -379,15 +148,6 @@ def test_a_file_of_a_folder_is_a_bag_as_well(bag: Path, tmp_path: Path) -> None:
     found, whole = read_bag(path, bag.with_suffix(".topics.toml")), read_bag(bag)
     for one, other in zip(found.series, whole.series, strict=True):
         np.testing.assert_array_equal(one.time, other.time)
-
-
-def test_without_rosbags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
-    with pytest.raises(LogError) as refused:
-        read_bag(tmp_path / "walk.bag")
-    assert str(refused.value) == (
-        'walk.bag: bags are read by rosbags.highlevel, which is missing: pip install "surefoot[ros]".'
-    )
 
 
 class TestTables:

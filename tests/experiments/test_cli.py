@@ -1,7 +1,6 @@
 """The command: what it says, and that it says it in one line with a cure when something is wrong."""
 
 import ast
-import dataclasses
 import importlib.util
 import io
 import json
@@ -62,48 +61,6 @@ def test_the_full_study_chooses_its_scenarios_itself() -> None:
     )
 
 
-def test_weights_print_the_papers_tables(tmp_path: Path) -> None:
-    result = RUNNER.invoke(app, ["compare", "weights", "--out", str(tmp_path)])
-    assert result.exit_code == 0
-    assert "Table 2: the paper's counts, fitted again" in result.stdout
-    assert "Table 3: before and after calibration from weights" in result.stdout
-    assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
-
-
-def test_calibrating_a_walk(log: Log, tmp_path: Path, undrawn: None) -> None:
-    path = write_log(log, tmp_path / "walk.parquet")
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
-    assert result.exit_code == 0, result.output
-    walk = pd.read_parquet(tmp_path / "walk.none.parquet")
-    assert len(walk) == len(log)
-    assert log.truth is not None
-    np.testing.assert_allclose(walk["force_right_rear_right_N"], log.truth.force[:, 7], atol=1e-6)
-    np.testing.assert_allclose(walk["vgrf_left_N"], log.truth.force[:, :4].sum(axis=1), atol=1e-6)
-    found = json.loads((tmp_path / "walk.none.json").read_text())
-    np.testing.assert_allclose(found["scale_N_per_count"], log.nominal.scale)
-    assert found["channels"] == list(log.layout.channel_names)
-    assert "Errors from 0 s on" in result.stdout
-
-
-def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path, undrawn: None) -> None:
-    path = write_log(dataclasses.replace(log, truth=None, seed=None), tmp_path / "walk.csv")
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
-    assert result.exit_code == 0, result.output
-    assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.moment.parquet").is_file()
-
-
-def test_calibrating_from_weights(tmp_path: Path) -> None:
-    load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
-    table = pd.DataFrame({"load_kg": load, "raw_left_front_left_count": 8.3e6 - 4e5 * load})
-    table.to_csv(tmp_path / "scales.csv", index=False)
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(tmp_path / "scales.csv")])
-    assert result.exit_code == 0, result.output
-    found = json.loads((tmp_path / "scales.map.json").read_text())
-    assert found["channels"] == ["left_front_left"]
-    assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)
-
-
 def as_json(arguments: list[str]) -> dict[str, Any]:
     """Parse the JSON that a command prints: all of its output, and not a word beside it on a pipe."""
     result = RUNNER.invoke(app, [*arguments, "--json"])
@@ -118,23 +75,27 @@ def as_json(arguments: list[str]) -> dict[str, Any]:
 
 def test_a_calibrated_walk_as_json(log: Log, tmp_path: Path, undrawn: None) -> None:
     path = write_log(log, tmp_path / "walk.parquet")
-    said = as_json(["calibrate", "walk", str(path), "--method", "tare"])
+    new = tmp_path / "new"
+    said = as_json(["calibrate", "walk", str(path), "--method", "tare", "--out", str(new)])
     ends = {"calibrated walk": "parquet", "parameters": "json", "report": "html"}
-    assert said["files"] == {what: str(tmp_path / f"walk.tare.{end}") for what, end in ends.items()}
+    assert said["files"] == {what: str(new / f"walk.tare.{end}") for what, end in ends.items()}
     first = said["tables"]["parameters"]["rows"][0]
     assert first["cell"] == "left, front-left"
     assert (first["offset (N)"], first["offset changed by (N)"]) == (-160.0, 0.0)
     assert said["tables"]["flags"]["rows"][0]["on"] is None
     scores = said["tables"]["score"]["rows"]
-    found = pd.read_parquet(tmp_path / "walk.tare.parquet")["force_right_rear_right_N"]
+    walk = pd.read_parquet(new / "walk.tare.parquet")
     assert log.truth is not None
     assert scores[0]["single cell (N)"] == pytest.approx(0.0, abs=1e-6)
-    np.testing.assert_allclose(found, log.truth.force[:, 7], atol=1e-6)
+    np.testing.assert_allclose(walk["force_right_rear_right_N"], log.truth.force[:, 7], atol=1e-6)
+    np.testing.assert_allclose(walk["vgrf_left_N"], log.truth.force[:, :4].sum(axis=1), atol=1e-6)
 
 
 def test_weights_as_json(tmp_path: Path) -> None:
-    said = as_json(["compare", "weights"])
-    assert list(said["tables"]) == ["table2_paper", "table2_simulated", "table3"]
+    said = as_json(["compare", "weights", "--out", str(tmp_path)])
+    assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
+    names = ["table2_paper", "table2_simulated", "table3", "repeats", "repeats_holes"]
+    assert list(said["tables"]) == names
     row = said["tables"]["table2_paper"]["rows"][0]
     assert (row["cell"], row["no load"], row["c, paper"]) == ("left foot, front left", 8347750, -2.38250654)
     load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
@@ -144,6 +105,9 @@ def test_weights_as_json(tmp_path: Path) -> None:
     (row,) = said["tables"]["weighings"]["rows"]
     assert row["scale (1e-6 N/count), ± one sigma"]["value"] == pytest.approx(-9.81 / 0.4, rel=1e-12)
     assert said["files"] == {"map": str(tmp_path / "scales.map.json")}
+    found = json.loads((tmp_path / "scales.map.json").read_text())
+    assert found["channels"] == ["left_front_left"]
+    assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)
 
 
 def test_every_command_that_prints_a_table_prints_json() -> None:

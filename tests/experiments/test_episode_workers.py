@@ -1,12 +1,9 @@
-"""Sweeps on real processes: killed, crashed, and on clusters."""
+"""Sweeps on real processes: crashed, and on clusters."""
 
 import importlib.util
-import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pandas as pd
@@ -14,7 +11,6 @@ import pytest
 
 from surefoot.experiments.episodes import EpisodePlan, run_plan
 from surefoot.experiments.episodes.run import EPISODES
-from surefoot.experiments.study.store import JOURNAL
 
 TOYS = """
 import os, time
@@ -62,31 +58,6 @@ def ended(process: subprocess.Popen[bytes], folder: Path) -> str:
     said = (folder / "said.txt").read_text()
     assert code == 0, said
     return said
-
-
-@pytest.mark.slow
-def test_a_killed_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    controllers, journal = '["sweep_toys:slow"]', tmp_path / "out" / JOURNAL
-    first = command(tmp_path, controllers, seeds=9, backend="local")
-    while not (journal.is_file() and journal.read_bytes().count(b"\n") >= 3) and first.poll() is None:
-        time.sleep(0.01)
-    first.send_signal(signal.SIGKILL)
-    assert first.wait() == -signal.SIGKILL, (tmp_path / "said.txt").read_text()
-    lines = [json.loads(line) for line in journal.read_text().splitlines()]
-    kept = pd.DataFrame([row for line in lines for row in line["tables"]["episodes"]])
-    assert 3 <= len(kept) < 9
-    assert not (tmp_path / "out" / EPISODES).exists()
-    # Those who worked for the killed one may take a moment to notice; they write nothing.
-    monkeypatch.syspath_prepend(tmp_path)
-    results = run_plan(plan_of("sweep_toys:slow", seeds=9), tmp_path / "out")
-    assert results.computed == 9 - len(kept)
-    rows = pd.read_parquet(tmp_path / "out" / EPISODES)
-    assert sorted(rows["case"]) == list(range(9))
-    # How long an episode took never comes out twice alike: those that were there were not run again.
-    merged = kept.merge(rows, on="case")
-    assert len(merged) == len(kept)
-    assert (merged["wall_time_x"] == merged["wall_time_y"]).all()
-    assert (merged["digest_x"] == merged["digest_y"]).all()
 
 
 def plan_of(*controllers: str, seeds: int) -> EpisodePlan:

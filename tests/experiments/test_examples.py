@@ -1,12 +1,13 @@
 """The examples of a live loop: a log sent over a socket or a growing file comes out as a replay has it."""
 
-import importlib.util
 import json
 import socket
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,19 +15,10 @@ import pytest
 from surefoot.calibration import replay
 from surefoot.experiments.logs.format import Log
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 
-
-def load(name: str) -> ModuleType:
-    path = EXAMPLES / f"{name}.py"
-    if not path.is_file():
-        pytest.skip("the examples are not part of the wheel")
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def examples(load_script: Callable[[str], ModuleType]) -> tuple[ModuleType, ...]:
+    return tuple(load_script(f"examples/{name}.py") for name in ("live_loop", "send_log"))
 
 
 def expected(log: Log, method: str) -> np.ndarray:
@@ -35,8 +27,8 @@ def expected(log: Log, method: str) -> np.ndarray:
     return replay(log.layout, method, log.raw, log.reference, steps, **options).force
 
 
-def test_a_socket_carries_a_log_there_and_back(log: Log) -> None:
-    live_loop, send_log = load("live_loop"), load("send_log")
+def test_a_socket_carries_a_log_there_and_back(examples: Any, log: Log) -> None:
+    live_loop, send_log = examples
     with socket.create_server(("127.0.0.1", 0)) as door:
         seconds: list[np.ndarray] = []
         server = threading.Thread(target=lambda: seconds.append(live_loop.serve(door, "tare")))
@@ -57,8 +49,8 @@ def test_a_socket_carries_a_log_there_and_back(log: Log) -> None:
     assert [a["time_s"] for a in answers] == log.time.tolist()
 
 
-def test_a_missing_reading_is_answered_with_its_flag(log: Log) -> None:
-    live_loop, send_log = load("live_loop"), load("send_log")
+def test_a_missing_reading_is_answered_with_its_flag(examples: Any, log: Log) -> None:
+    live_loop, send_log = examples
     log.raw[5, 2] = np.nan
     lines: list[str] = []
     send_log.send(log, lines.append, lambda: None, fast=True)
@@ -69,8 +61,10 @@ def test_a_missing_reading_is_answered_with_its_flag(log: Log) -> None:
     assert np.isfinite(found["force_N"]).all()
 
 
-def test_a_file_is_followed_as_it_grows_even_in_pieces_of_lines(log: Log, tmp_path: Path) -> None:
-    live_loop, send_log = load("live_loop"), load("send_log")
+def test_a_file_is_followed_as_it_grows_even_in_pieces_of_lines(
+    examples: Any, log: Log, tmp_path: Path
+) -> None:
+    live_loop, send_log = examples
     lines: list[str] = []
     send_log.send(log, lines.append, lambda: None, fast=True)
     text = "".join(lines)
@@ -93,8 +87,8 @@ def test_a_file_is_followed_as_it_grows_even_in_pieces_of_lines(log: Log, tmp_pa
     np.testing.assert_allclose([json.loads(a)["force_N"] for a in answers], expected(log, "none"), atol=1e-9)
 
 
-def test_a_file_that_stops_growing_ends_the_loop(tmp_path: Path) -> None:
-    live_loop = load("live_loop")
+def test_a_file_that_stops_growing_ends_the_loop(examples: Any, tmp_path: Path) -> None:
+    live_loop, _ = examples
     path = tmp_path / "stream.jsonl"
     path.write_text("one\ntwo\nthr")
     assert list(live_loop.follow(path, patience=0.02)) == ["one\n", "two\n"]

@@ -11,14 +11,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 import surefoot.envs
 from surefoot.calibration.in_situ.fit import read_calibration
 from surefoot.controllers import CalibrationMotion
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.envs.prelude import Prelude
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes.episode import Episode
 from surefoot.experiments.episodes.plan import plan_from_toml
 from surefoot.experiments.force_torque.config import read_config
@@ -187,15 +185,6 @@ def test_a_policy_is_saved_over_no_pipe_and_no_folder(make: Any, tmp_path: Path)
     assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
     policy.save(tmp_path / "named as given")
     assert PolicyNetwork.load(tmp_path / "named as given").notes == policy.notes
-
-
-def test_a_command_says_it_in_one_line(tmp_path: Path) -> None:
-    nested(tmp_path / "walk.parquet")
-    done = CliRunner().invoke(app, ["calibrate", "walk", str(tmp_path / "walk.parquet")])
-    assert done.exit_code == 2
-    assert done.stderr.splitlines() == [
-        "surefoot: walk.parquet: the description: not JSON: it is nested more than 64 levels deep."
-    ]
 
 
 @pytest.fixture(scope="module")

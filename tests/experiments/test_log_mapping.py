@@ -44,11 +44,12 @@ def test_times_of_day_are_seconds(log: Log, tmp_path: Path) -> None:
     np.testing.assert_allclose(read_log(path).time - 1e-9 * EPOCH, log.time, atol=5e-7)
 
 
-def test_tables_at_rates_of_their_own_come_onto_the_rows_of_the_feet(log: Log, tmp_path: Path) -> None:
+def test_tables_at_rates_of_their_own_come_onto_the_rows_of_the_feet(full: Log, tmp_path: Path) -> None:
     """The lines between two rows of a faster table, the last of flags; counts are never made up."""
-    path = write_log(log, tmp_path / "walk.csv")
+    log, path = full, write_log(full, tmp_path / "walk.csv")
     table = pd.read_csv(path)
-    beliefs = [name for name in table.columns if name.startswith("reference_") and "_q" not in name]
+    beliefs = [name for name in table.columns if name.startswith(("reference_", "momentum_"))]
+    beliefs = [name for name in beliefs if "_q" not in name]
     flags = [name for name in beliefs if name.endswith(("_stance", "_swing"))]
     moved = [name for name in beliefs if name not in flags]
     fine = np.arange(-0.1, 1.0, 1 / 200)
@@ -73,6 +74,8 @@ def test_tables_at_rates_of_their_own_come_onto_the_rows_of_the_feet(log: Log, t
     np.testing.assert_allclose(found.raw, log.raw, rtol=1e-15)
     exact = np.interp(log.time, fine, body["reference_com_x_m"])
     np.testing.assert_allclose(found.reference.com[:, 0], exact, atol=1e-12)
+    assert found.momentum is not None
+    np.testing.assert_allclose(found.momentum.com[:, 0], exact, atol=1e-12)
     on = (log.time * 30.0 + 1e-9).astype(int)
     np.testing.assert_array_equal(found.reference.stance[:, 0], (on < 10) | (on >= 20))
     assert found.about["notices"][1] == "body.csv: 220 rows, 200 a second."

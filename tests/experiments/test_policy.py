@@ -1,7 +1,6 @@
 """A balance policy from training to its scores: small trainings, short episodes."""
 
 import dataclasses
-import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -300,18 +299,12 @@ def test_the_commands(trained, tmp_path):
     assert "There is no feed 'sand'" in answer.output
 
 
-def test_the_example_wraps_trains_and_compares(monkeypatch):
-    path = Path(__file__).parents[2] / "examples" / "train_balance.py"
-    if not path.is_file():
-        pytest.skip("the examples are not part of the wheel")
-    spec = importlib.util.spec_from_file_location("train_balance", path)
-    example = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "train_balance", example)
-    spec.loader.exec_module(example)
+def test_the_example_wraps_trains_and_compares(load_script):
+    example = load_script("examples/train_balance.py")
     env = example.on_drifting_feet(example.CALIBRATED, **SHORT)
     total = example.mean_return(None, env, [4])
     assert total == pytest.approx(example.mean_return(None, example.on_true_feet(**SHORT), [4]))
-    assert len(path.read_text().splitlines()) < 100
+    assert len(Path(example.__file__).read_text().splitlines()) < 100
 
 
 WALK = TrainOptions(task="walk", steps=16, environments=1, rollout=8, batch=8, epochs=1, every=2, hidden=8)

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.weights.paper import TABLE_2, TABLE_3
-from surefoot.experiments.weights.weighing import WeighingSetup, run_weighing
+from surefoot.experiments.weights.paper import TABLE_2, TABLE_3, repeat_tables
+from surefoot.experiments.weights.weighing import WeighingSetup, run_weighing, weigh_after_walk
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
 
@@ -33,6 +35,28 @@ def test_reaches_the_paper_s_table_3_on_holes_never_fitted(seed):
     assert report.calibrated.cop < report.calibrated.cop_raw
     # 20 holes, two feet: four weights above the threshold of seven.
     assert (report.calibrated.placements, report.calibrated.weighings) == (160, 280)
+
+
+def test_repeated_placements_spread_as_weights_do_in_their_holes():
+    """And a map that is off by a fifth of a newton on one cell is off by as much on the foot."""
+    start = Parameters(PERFECT_LOAD_CELLS.nominal_scale, PERFECT_LOAD_CELLS.nominal_offset)
+    off = start._replace(offset=start.offset + 0.2 * (np.arange(8) == 3))
+    setup = replace(IDEAL, hole_play=1e-3, repeats=400)
+    rows = run_weighing(setup, PERFECT_LOAD_CELLS, maps={"off": off}).repeats
+    assert len(rows) == 3 * 2 * 5 * 2 * 400
+    spread = rows.groupby(["map", "foot", "x", "y", "load"])[["cop_x", "cop_y"]].std()
+    np.testing.assert_allclose(spread, 1e-3, rtol=0.15)
+    force = (rows["vgrf"] - GRAVITY * rows["load"]).groupby([rows["map"], rows["foot"]]).mean().unstack()
+    np.testing.assert_allclose(force.loc["off"], [0.2, 0.0], atol=1e-9)
+    np.testing.assert_allclose(force.drop("off"), 0.0, atol=1e-6)
+
+
+def test_a_walk_brings_weights_most_of_the_way_back():
+    report = weigh_after_walk(methods=("moment",))
+    by_map, by_hole = repeat_tables(report)
+    rmse = {row[0]: float(row[1]) for row in by_map.rows}
+    assert rmse["weights"] < rmse["moment, walked"] < 0.3 * rmse["initial"]
+    assert len(by_hole.rows) == 10
 
 
 def test_perfect_cells_on_a_perfect_plate_need_nothing():

@@ -3,103 +3,37 @@
 import copy
 import pickle
 import subprocess
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
-import gymnasium as gym
-import mujoco
 import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
+from _native_robots import (
+    DT,
+    PACKETS,
+    ROBOTS,
+    motion,
+    on_feet,
+    python,
+    robot,
+    round_feet,
+    same,
+    same_info,
+)
 
-from surefoot.calibration import FeetLayout, nao_shoe_layout
-from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NATIVE, Library
-from surefoot.envs import InstrumentedEnv
-from surefoot.envs.instrumentation.drawing import draw_nao
-from surefoot.native import Record, compiler
-from surefoot.robot.beliefs.believed import nothing
-from surefoot.robot.beliefs.errors import BeliefErrors
+from surefoot.native import compiler
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs
-from surefoot.robot.foot_view import ALL, CERTAINTY, DETERMINED, EACH, PARTS, FootView
-from surefoot.robot.native import view_dtype, view_record
 from surefoot.sensors.telemetry.computer import TelemetryLayout
-from surefoot.sensors.transport.link import Packet
-from surefoot.wrappers import FootSensors, SelfCalibration
 
-PACKETS, PERIOD, DT, LATE = 2000, 0.01, 0.0125, 0.03
-ERRORS = BeliefErrors(mass=0.01, com=0.005)
-CLOSE = 1e-9
-SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
-BARE = tuple(part for part in SHOWN if part not in CERTAINTY)
 CORNERS = np.random.default_rng(8).normal(size=(2, 4, 3)) * (0.06, 0.03, 0.001)
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-def random_tree(
-    seed: int, places: tuple[tuple[float, float], ...] = ((0.0, 0.1), (0.0, -0.1))
-) -> mujoco.MjSpec:
-    """A robot of bodies that hang anywhere on each other, by no hinge, one or three; it has legs."""
-    rng = np.random.default_rng([71, seed])
-
-    def vector(size):
-        return rng.normal(scale=size, size=3)
-
-    def massive(body):
-        body.mass, body.ipos = rng.uniform(0.05, 2.0), vector(0.05)
-        body.inertia = 1e-3 * (1.0 + rng.random(3))
-        body.iquat, body.explicitinertial = rng.normal(size=4), True
-        bodies.append(body)
-        return body
-
-    spec, bodies = mujoco.MjSpec(), []
-    spec.compiler.degree = False
-    torso = massive(spec.worldbody.add_body(name="torso"))
-    torso.add_freejoint()
-    torso.add_site(name="imu", pos=vector(0.1))
-    for number in range(12):
-        body = massive(
-            bodies[int(rng.integers(len(bodies)))].add_body(pos=vector(0.2), quat=rng.normal(size=4))
-        )
-        for i in range(rng.choice([0, 1, 1, 3])):
-            body.add_joint(name=f"{number} {i}", axis=vector(1.0), pos=vector(0.05), ref=rng.normal())
-    for side, place in zip(soles_of(len(places)), places, strict=True):
-        leg = massive(torso.add_body(pos=(*place, -0.3)))
-        leg.add_joint(name=f"{side} hip", axis=(0.0, 1.0, 0.0), pos=vector(0.05))
-        foot = massive(leg.add_body(pos=(0.0, 0.0, -0.3)))
-        foot.add_joint(name=f"{side} ankle", axis=(1.0, 0.0, 0.0))
-        foot.add_site(name=side, pos=vector(0.02), quat=(1.0, *vector(0.01)))
-    return spec
-
-
-def soles_of(feet: int) -> tuple[str, ...]:
-    return ("left_sole", "right_sole") if feet == 2 else tuple(f"sole {foot}" for foot in range(feet))
-
-
-def on_feet(feet: int) -> NominalModel:
-    angle = 2.0 * np.pi * np.arange(feet) / feet
-    places = tuple(zip(0.2 * np.cos(angle), 0.15 * np.sin(angle), strict=True))
-    return NominalModel(random_tree(2, places), ERRORS, sites=("imu", *soles_of(feet)))
-
-
-def humanoid() -> NominalModel:
-    env = InstrumentedEnv(gym.make("Humanoid-v5"))
-    env.close()
-    return NominalModel.of_drawing(env.drawing, ERRORS)
-
-
-ROBOTS = {
-    "nao": lambda: NominalModel.of_drawing(draw_nao(), ERRORS),
-    "humanoid": humanoid,
-    **{f"{feet} feet": lambda feet=feet: on_feet(feet) for feet in (1, 3, 4, 8)},
-    **{f"tree {seed}": lambda seed=seed: NominalModel(random_tree(seed), ERRORS) for seed in (1, 2, 3)},
-}
 
 
 @pytest.fixture(scope="module")
@@ -107,51 +41,9 @@ def library(tmp_path_factory) -> Library:
     return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
-def robot(name: str) -> NominalModel:
-    model = ROBOTS[name]()
-    model.draw(np.random.default_rng(3))
-    return model
-
-
 @pytest.fixture(scope="module")
 def model() -> NominalModel:
     return robot("tree 2")
-
-
-def python(model: NominalModel, averaged: bool = True, lag: int = 5, places=None) -> Beliefs:
-    layout = TelemetryLayout(len(model.joint_names))
-    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT, touching=places)
-
-
-def round_feet(feet: int) -> np.ndarray:
-    """Centres and radii of the balls of each foot."""
-    rng = np.random.default_rng(9)
-    return np.concatenate(
-        [0.02 * rng.normal(size=(feet, 2, 3)), rng.uniform(0.01, 0.03, (feet, 2, 1))], axis=2
-    )
-
-
-def motion(joints: int, seed: int = 0) -> list[Packet]:
-    """Smooth motions of all joints, odd postures, falls, flights; packets late, lost, repeated, spoilt."""
-    rng, where = np.random.default_rng([72, seed]), TelemetryLayout(joints)
-    time = PERIOD * np.arange(PACKETS)[:, None]
-    values = 0.2 * rng.normal(size=where.size) * np.sin(rng.uniform(1.0, 9.0, where.size) * time)
-    # Now and then it stands still, so that feet are found to stand.
-    values *= (np.sin(0.7 * time) > -0.3) * 1.0
-    values += 1e-4 * rng.normal(size=values.shape)
-    values[:, where.accelerometer] += (0.0, 0.0, 9.81)
-    for start in range(1500, 1900, 50):
-        values[start : start + 40, where.joint_position] = rng.normal(size=joints)
-    values[700:720, where.accelerometer] *= 0.1
-    values[1200:1290, where.accelerometer] = (9.0, 1.0, 0.5)
-    late = LATE + 0.004 * rng.standard_normal(PACKETS)
-    packets = [Packet(n, PERIOD * n + late[n], row) for n, row in enumerate(values)]
-    for n, spoilt in ((300, np.nan), (500, np.inf), (501, 1e7)):
-        packets[n].values[rng.integers(where.size)] = spoilt
-    lost = rng.random(PACKETS) < 0.002
-    packets = [packet for packet in packets if not lost[packet.number]]
-    packets.insert(900, packets[899])
-    return packets
 
 
 def commands(seed: int = 0, feet: int = 2):
@@ -162,24 +54,6 @@ def commands(seed: int = 0, feet: int = 2):
         for _ in range(int(rng.integers(1, 30))):
             swing = np.zeros(feet, bool) if swinging is None else swinging
             yield SimpleNamespace(stance=~swing, swing=swing)
-
-
-def same(expected, found, name: str = "") -> None:
-    expected, found = np.asarray(expected), np.asarray(found)
-    assert (expected.shape, expected.dtype) == (found.shape, found.dtype), name
-    if expected.dtype.kind != "f":
-        np.testing.assert_array_equal(found, expected, err_msg=name)
-        return
-    largest = np.abs(expected).max(axis=0, initial=0.0, where=np.isfinite(expected))
-    off = np.abs(found - expected) <= CLOSE * np.maximum(largest, 1e-3)
-    assert (off | (np.isnan(expected) & np.isnan(found))).all(), name
-
-
-def same_info(expected: dict, found: dict) -> None:
-    assert list(expected) == list(found)
-    for name, part in expected.items():
-        assert type(part) is type(found[name])
-        same(part, found[name], name)
 
 
 def same_state(expected: Beliefs | MomentumBeliefs, native: NativeBeliefs) -> None:
@@ -450,102 +324,3 @@ int main(void) {
     return 0;
 }
 """
-
-
-@pytest.mark.parametrize(("method", "show"), [("window", BARE), ("moment", PARTS)])
-def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, method, show):
-    """With the library and without, whole episodes are the same; a held reference is NaN."""
-    said, estimates = [], []
-    for found in (library, None):
-        rooms = () if found is None else (found,)
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda rooms=rooms: rooms)
-        monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda found=found: found)
-        env = SelfCalibration(FootSensors(make_bare()), method, show=show)
-        env.reset(seed=4)
-        assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
-        action, rows = np.zeros(env.action_space.shape, np.float32), []
-        for step in range(121):
-            if step == 60:
-                env = copy.deepcopy(env)
-            if step == 120:
-                before, as_it_was = rows[-1], copy.deepcopy(rows[-1])
-                env.freeze()
-            rows.append(env.step(action))
-            assert (env.robot._native is not None) == (found is not None)
-        np.testing.assert_array_equal(env.reference.com, nothing(2).com)
-        np.testing.assert_equal(before, as_it_was, "what was handed out stays as it is")
-        said.append(rows)
-        estimates.append(copy.deepcopy(env).estimate)
-        env.close()
-    for name, one, two in zip(Estimate._fields, *estimates, strict=True):
-        one, two = np.array(one, np.float64), np.array(two, np.float64)  # of nothing NaN
-        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-6, err_msg=name)
-    for one, two in zip(*said, strict=True):
-        assert list(one[0]) == list(two[0])
-        for name, part in one[0].items():
-            assert (part.shape, part.dtype) == (two[0][name].shape, two[0][name].dtype), name
-            np.testing.assert_allclose(part, two[0][name], rtol=1e-6, atol=1e-6, err_msg=name)
-        same_info(one[4]["surefoot"]["reference"], two[4]["surefoot"]["reference"])
-        assert list(one[4]["surefoot"]) == list(two[4]["surefoot"])
-    assert said[0][-1][0]["cop_valid"].any()
-    assert said[0][-1][0]["cop"] is not said[0][-2][0]["cop"]
-
-
-class Estimates:
-    """Estimates of a filter that is none, at random: with no load, with too much of it, and with flags."""
-
-    def __init__(self, library: Library, feet: FootView, seed: int) -> None:
-        self.rng, K = np.random.default_rng([74, seed]), feet.every["foot_force"].shape[0]
-        F = feet.every["vgrf"].shape[0]
-        shapes = {
-            "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "flags": (K,),
-            "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (F,),
-        }  # fmt: skip
-        self.estimate = Record(library.record("estimate", shapes))
-        self.config = library.record_of("config", {"channels": K, "feet": F})
-
-    def draw(self) -> Estimate:
-        now, rng = self.estimate.now, self.rng
-        for name in ("force", "wrench", "vgrf"):
-            now[name] = 10.0 ** rng.uniform(-1.0, 4.0) * rng.normal(size=now[name].shape)
-        now["wrench"][:, 2] = np.abs(now["wrench"][:, 2]) + 1.0
-        now["force_std"] = rng.random(now["force_std"].shape)
-        now["cop_foot"], now["cop_covariance"] = (
-            rng.normal(size=now["cop_foot"].shape),
-            rng.normal(size=(2, 2)),
-        )
-        now["flags"] = rng.integers(0, 2**15, now["flags"].shape)
-        now["cop_valid"], now["cop_foot_valid"] = rng.random() < 0.7, rng.random(now["vgrf"].size) < 0.7
-        parts = {name: now[name].copy() for name in now.dtype.names}
-        empty = dict.fromkeys(("scale", "offset", "covariance"))
-        return Estimate(**parts, **empty)
-
-
-@pytest.mark.parametrize(("feet", "flaw"), [(2, ""), (2, "no area"), (4, "round"), (1, "")])
-def test_what_is_shown_is_the_python_s(library, feet, flaw):
-    model, rolls = robot("tree 2" if feet == 2 else f"{feet} feet"), flaw == "round"
-    native = NativeBeliefs(library, python(model, places=round_feet(feet) if rolls else None))
-    native.update(motion(len(model.joint_names))[:60])
-    parts = tuple(part for part in SHOWN if not (flaw and part == "cop_foot"))
-    shoe = nao_shoe_layout().feet[0]
-    layout = FeetLayout(tuple(replace(shoe, name=f"foot {i}") for i in range(feet)))
-    one, two = (FootView(parts, layout, 5.3, flaw, rolls=rolls) for _ in range(2))
-    source, config = Estimates(library, one, 1), view_record(library, one)
-    shown, soles = Record(view_dtype(library, one)), np.zeros((feet, 4))
-    for step in range(300):
-        estimate, time = source.draw(), 0.5 + 0.001 * step
-        places, (found, held) = native.soles(time), (shown.now, two.held)
-        expected, soles[...] = one.show(estimate, places), places
-        library.functions.surefoot_view_show(
-            source.config.ctypes.data, config.ctypes.data, held.ctypes.data, source.estimate.address,
-            soles.ctypes.data, shown.address,
-        )  # fmt: skip
-        for name, part in expected.items():
-            assert (part.shape, part.dtype) == (found[name].shape, found[name].dtype), name
-            np.testing.assert_allclose(found[name], part, rtol=2e-7, err_msg=name)
-        # The one goes on with what the other holds.
-        np.testing.assert_allclose(one.held, two.held, rtol=1e-12, atol=1e-12)
-        if step == 150:
-            two = copy.deepcopy(two)
-    assert np.any(one.held[EACH]) == (not flaw)
-    assert np.any(one.held[ALL]), "all feet together have a centre of pressure in any case"

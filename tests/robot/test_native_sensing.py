@@ -38,6 +38,12 @@ CASES: dict[str, dict[str, Any]] = {
     "both": {"ankles": "icub-ftsens", "faults": BROKEN, "severity": 0.5},
     "nobody listens": {"faults": BROKEN, "measure_state": False},
     "a robot of others": {"soles": True, "ankles": "icub-ftsens"},
+    "shear": {"config": LoadCells(shear_std=0.05), "ankles": "icub-ftsens"},
+    "a robot of others with shear": {"soles": True, "config": LoadCells(shear_std=0.05, capacity=500.0)},
+    "a cell a foot with shear": {
+        "soles": True,
+        "config": LoadCells(channels=2, polarity=(1,), shear_std=0.05, capacity=900.0),
+    },
 }
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

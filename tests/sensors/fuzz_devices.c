@@ -32,7 +32,7 @@ typedef sf_cells_config constants;
 typedef sf_cells memory;
 #define FITS sf_cells_fits
 #define STEP(load, dt) read_feet(load, dt, k % 97 == 0)
-#define FELT (SUBSTEPS * config.channels)
+#define FELT (SUBSTEPS * sf_loads(&config))
 #define CHANNELS config.channels
 #endif
 #define SUBSTEPS 5
@@ -66,7 +66,7 @@ static int fill(const char *name, void *record, size_t size) {
 
 int main(int count, char **names) {
     static const double all[] = {NAN, HUGE_VAL, -HUGE_VAL, 3e38, -3e38, 1e-30, 0.0, -0.0, 1e6, -1e6};
-    static sf_real load[SUBSTEPS * SF_LOAD_CELLS];
+    static sf_real load[3 * SUBSTEPS * SF_LOAD_CELLS];
     if (count != 4 || !fill(names[1], &config, sizeof config) || !fill(names[2], &state, sizeof state)) return 1;
     if (!FITS(&config)) return 2;
     long samples = atol(names[3]);

@@ -35,6 +35,7 @@ from surefoot.sensors import (
     strain_gauges,
     white_noise,
 )
+from surefoot.sensors.corruption import stateless
 from surefoot.sensors.devices.load_cells import load_cell_chain
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.clock import sample_and_hold
@@ -46,6 +47,7 @@ from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.nonlinearity import cross_nonlinearity, nonlinearity, random_nonlinearity
 from surefoot.sensors.stages.overload import overload
+from surefoot.sensors.stages.shear import shear
 from surefoot.sensors.stages.temperature import thermal_drift
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
@@ -111,6 +113,12 @@ FAULTS = (
     Fault("dead", 7, stop=0.05),
 )
 
+
+def sideways(stage: Corruption[Any]) -> Corruption[Any]:
+    """Feed a stage with vertical loads and with shear of a third and of minus a fifth of them."""
+    return chain(stateless(lambda load, rng, dt: np.concatenate([load, load / 3, -load / 5], axis=-1)), stage)
+
+
 # Name: (how to make it, channels, whether it reads blocks of substeps).
 STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "empty chain": (chain, 8, False),
@@ -168,6 +176,12 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
         6,
         False,
     ),
+    "shear": (lambda: sideways(shear(0.1)), 8, False),
+    "whole load cells that feel shear": (
+        lambda: sideways(load_cells(LoadCells(shear_std=0.1, **WHOLE))),
+        8,
+        True,
+    ),
     "load cells, drifting scales only": (cells_with(offset_drift=0.0), 8, True),
     "load cells, drifting offsets only": (cells_with(scale_drift=0.0, input_noise=0.0), 8, True),
 }
@@ -201,6 +215,7 @@ NULL = {
     "nonlinearity": (lambda: nonlinearity(0.0, 0.0, 10.0), False),
     "mounting": (lambda: mounting(1.0, 0.0), False),
     "overload": (lambda: overload(0.0, 5.0), False),
+    "shear": (lambda: sideways(shear(0.0)), False),
     "moving average": (lambda: moving_average(1, 3), False),
     "burst gaps": (lambda: burst_gaps(0.0, 0.1), False),
     "stale repeats": (lambda: stale_repeats(0.0), False),

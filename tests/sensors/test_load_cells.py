@@ -70,6 +70,8 @@ def spring(**fields) -> LoadCells:
         replace(HX711_LOAD_CELLS, mechanics=BAR_CELLS_ON_HX711.mechanics),
         replace(HX711_LOAD_CELLS, wire=BAR_CELLS_ON_HX711.wire),
         BAR_CELLS_ON_HX711,
+        replace(BAR_CELLS_ON_HX711, shear_std=0.1),
+        replace(HX711_LOAD_CELLS, shear_std=0.1, rate=None),
         replace(BAR_CELLS_ON_HX711, rate=(20.0, 30.0)),
         replace(BAR_CELLS_ON_HX711, rate=None),
         NAO_FSR,
@@ -81,7 +83,7 @@ def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
     state, other_state = fused.init((8,), rng), chained.init((8,), other)
     loads = np.random.default_rng(1)
     for _ in range(100):
-        block = loads.normal(6.0, 4.0, (10, 8))
+        block = loads.normal(6.0, 4.0, (10, config.loads))
         counts, state = fused.apply(block, state, rng, DT)
         if config.rate is None:
             block = block.mean(axis=0) if config.averaged else block[-1]

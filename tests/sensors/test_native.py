@@ -89,6 +89,8 @@ TABLE: dict[str, Any] = {
     "offsets drift": LoadCells(scale_drift=0.0, input_noise=0.0, adc_bits=0),
     "nothing drifts": LoadCells(scale_drift=0.0, offset_drift=0.0, input_noise=0.0, adc_bits=0),
     "impacts": LoadCells(mechanics=Mechanics(mounting_common_std=2.0, impact_threshold=3.0), adc_bits=0),
+    "shear": LoadCells(mechanics=ELEMENT, settling=4, capacity=40.0, shear_std=0.1),
+    "shear, averaged": LoadCells(rate=None, averaged=True, shear_std=0.1, adc_bits=0),
     "words": LoadCells(wire=Wire(wrong_words=0.3), coding="two's complement", adc_bits=16),
     "four cells": LoadCells(channels=4, mechanics=ELEMENT, adc_bits=0),
     "sixteen cells": LoadCells(channels=16, mechanics=ELEMENT, adc_bits=0),
@@ -120,7 +122,7 @@ TABLE |= {
     "faults, no converter": Broken((*ALL_FAULTS[:2], *ALL_FAULTS[3:]), LoadCells(adc_bits=0, polarity=(1,))),
 }
 WHOLE = ("whole", "six axes, whole", "gauges, whole", "faults")
-QUICK = ("hx711-load-cells", "slow chips", "words", "four cells", *WHOLE)
+QUICK = ("hx711-load-cells", "slow chips", "shear", "words", "four cells", *WHOLE)
 
 
 @pytest.fixture(scope="module")

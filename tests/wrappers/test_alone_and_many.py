@@ -93,6 +93,7 @@ def test_a_robot_of_many_is_the_robot_alone(case: str, mode: AutoresetMode) -> N
     each: list[Any] = [own.reset(seed=seed) for own, seed in zip(alone, seeds, strict=True)]
     rng, done, ends = np.random.default_rng(0), np.zeros(ROBOTS, dtype=bool), 0
     for _ in range(3 * EPISODE):
+        assert seen in many.observation_space
         for i, own in enumerate(each):
             _same(_of(seen, i), own[0])
             _same(_of(_told(infos), i), _told(own[-1]))
@@ -107,6 +108,7 @@ def test_a_robot_of_many_is_the_robot_alone(case: str, mode: AutoresetMode) -> N
             waits = mode is AutoresetMode.NEXT_STEP and before[i]
             each[i] = own.reset() if waits else own.step(action[i])
             if done[i] and mode is AutoresetMode.SAME_STEP:
+                assert infos["final_obs"][i] in many.single_observation_space
                 _same(infos["final_obs"][i], each[i][0])
             if done[i] and mode is not AutoresetMode.NEXT_STEP:
                 each[i] = own.reset()

@@ -1,9 +1,7 @@
 """Calibrators of many robots on torch tensors, on the example's toy, by kernels on a CPU or a GPU."""
 
 import copy
-import importlib.util
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,18 +23,12 @@ from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 from surefoot.wrappers.gpu.kernels import kernel
 from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "gpu_stack.py"
 LAYOUT, MASS, DT, N = nao_shoe_layout(), 5.305, 1 / 80, 4
 
 
 @pytest.fixture(scope="module")
-def toy():
-    if not EXAMPLE.is_file():
-        pytest.skip("the examples are not part of the wheel")
-    spec = importlib.util.spec_from_file_location("gpu_stack", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def toy(load_script):
+    return load_script("examples/gpu_stack.py")
 
 
 @pytest.fixture(autouse=True)

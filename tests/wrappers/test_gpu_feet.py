@@ -59,6 +59,7 @@ ALONE = {
     "warming": {"config": CONFIGS["warming"]},
     "bars": {"config": "hx711-bar-cells"},
     "late": {"config": replace(HX711_LOAD_CELLS, settling=4, wire=Wire(delay=0.03, jitter=0.004))},
+    "shear": {"config": replace(HX711_LOAD_CELLS, shear_std=0.05)},
     "ankles": {"config": "icub-force-torque"},
     "own severity": {"severity": (0.5, 2.0)},
     "by chance": {"faults": {"dies": 0.1, "within 0.1 s drops 50 %": 0.3}, "severity": (0.0, 1.0)},

@@ -77,35 +77,6 @@ def test_robots_do_what_they_do_bare_and_observations_fit_their_space(mode):
     assert ends >= 6
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_hardware_outlives_episodes_and_drifts(mode):
-    felt = VectorFootSensors(_copies(mode))
-    felt.reset(seed=1)
-    drawn, first = _cells(felt, "period"), _cells(felt, "error")
-    for _ in range(2 * EPISODE):
-        _, _, terminated, truncated, _ = felt.step(ACTIONS)
-        done = terminated | truncated
-        if mode is AutoresetMode.DISABLED and done.any():
-            before = _cells(felt, "error")
-            felt.reset(options={"reset_mask": done})
-            np.testing.assert_array_equal(_cells(felt, "error")[~done], before[~done])
-    np.testing.assert_array_equal(_cells(felt, "period"), drawn)
-    assert (_cells(felt, "error") != first).any(axis=(1, 2)).all()
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_fresh_gives_new_sensors_to_the_robot_that_is_reset_only(mode):
-    felt = VectorFootSensors(_copies(mode), fresh=True)
-    felt.reset(seed=1)
-    before = _cells(felt, "period")
-    for _ in range(EPISODE + (mode is AutoresetMode.NEXT_STEP)):
-        seen, *_ = felt.step(ACTIONS)
-    after = _cells(felt, "period")
-    np.testing.assert_array_equal(after[1:], before[1:])
-    assert (after[0] != before[0]).all()
-    assert np.isfinite(seen["foot_raw"]).all()
-
-
 def test_seeds_settle_all_and_options_decide_for_one_reset():
     felt = VectorFootSensors(_copies())
 
@@ -218,10 +189,9 @@ def test_what_does_not_fit_is_refused_at_the_door():
     [{}, {"settling": 3, "wire": Wire(delay=0.06, jitter=0.005)}, {"rate": None, "wire": Wire(delay=0.06)}],
     ids=["clock", "filter and wire", "wire alone"],
 )
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_no_reading_of_a_new_episode_is_of_the_last_one(mode, memory):
+def test_no_reading_of_a_new_episode_is_of_the_last_one(memory):
     cells = replace(preset("perfect", LoadCells), **({"rate": (10.0, 10.0)} | memory))
-    felt = VectorFootSensors(_copies(mode), cells)
+    felt = VectorFootSensors(_copies(), cells)
     since: list[list[Any]] = [[] for _ in range(ROBOTS)]
 
     def follow(seen: Any, infos: Any, starting: Any) -> int:
@@ -241,14 +211,10 @@ def test_no_reading_of_a_new_episode_is_of_the_last_one(mode, memory):
     follow(*felt.reset(seed=5), everyone)
     done, starts = ~everyone, 0
     for _ in range(3 * EPISODE):
-        before = done
+        starting = done
         seen, _, terminated, truncated, infos = felt.step(ACTIONS)
         done = terminated | truncated
-        starting = {AutoresetMode.NEXT_STEP: before, AutoresetMode.SAME_STEP: done}.get(mode, ~everyone)
         starts += follow(seen, infos, starting)
-        if mode is AutoresetMode.DISABLED and done.any():
-            seen, infos = felt.reset(options={"reset_mask": done.copy()})
-            starts += follow(seen, infos, done)
     assert starts >= 5
     before = [len(loads) for loads in since]
     follow(*felt.reset(), everyone)

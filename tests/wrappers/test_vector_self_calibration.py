@@ -68,37 +68,6 @@ def test_robots_learn_their_centre_of_pressure():
     assert np.mean(errors["moment"]) < 0.5 * np.mean(errors["none"]), errors
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
-    env = _vector(25, mode)
-    seen, _ = env.reset(seed=2)
-    start, ends, before = _learnt(env), 0, None
-    for _ in range(80):
-        assert seen in env.observation_space
-        learnt = _learnt(env)
-        seen, _, terminated, truncated, infos = env.step(ACTIONS)
-        assert set(infos["surefoot"]) == TOLD | {"contact_probability", "undetermined"}
-        done = terminated | truncated
-        if not done.any():
-            continue
-        ends += int(done.sum())
-        for robot in np.flatnonzero(done):
-            if mode is AutoresetMode.SAME_STEP:
-                final = infos["final_obs"][robot]
-                assert final in env.single_observation_space
-                assert (final["foot_force"] != seen["foot_force"][robot]).any()
-            if mode is AutoresetMode.DISABLED:
-                kept, shown = _learnt(env), seen["foot_force"]
-                seen, _ = env.reset(options={"reset_mask": done})
-                np.testing.assert_array_equal(_learnt(env)[~done], kept[~done])
-                np.testing.assert_array_equal(seen["foot_force"][~done], shown[~done])
-                break
-        before = learnt
-    assert ends >= 6
-    assert before is not None
-    assert (before != start).any(axis=1).all()
-
-
 def test_what_a_loaded_robot_showed_stands_while_others_are_reset(tmp_path):
     env = _vector(mode=AutoresetMode.DISABLED)
     env.reset(seed=2)
@@ -160,18 +129,6 @@ def test_old_readings_are_waited_for_alike_in_all_modes(mode):
         if mode is AutoresetMode.DISABLED and done.any():
             env.reset(options={"reset_mask": done.copy()})
             run = 0 if done[2] else run
-
-
-def test_references_of_a_robot_that_was_reset_are_of_its_new_episode_only():
-    env = _vector(12, AutoresetMode.SAME_STEP)
-    env.reset(seed=2)
-    lag = env.calibration.robots[0].late
-    unknown = []
-    for _ in range(24):
-        *_, infos = env.step(ACTIONS)
-        unknown.append(not infos["surefoot"]["reference"]["known"][0])
-    # The reset within a step is a sample of its own.
-    assert unknown[12:] == [k < lag + 1 for k in range(11)] + [True]
 
 
 def test_fresh_seeds_and_options_start_fresh():

@@ -53,7 +53,7 @@ _BODY = """
     const sf_{kind}_config *device = (const sf_{kind}_config *)config.data + mine;
     const sf_faults_config *broken = (const sf_faults_config *)more.data + mine;
     const int K = {channels};
-    const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * K;
+    const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * {loads};
     sf_real *counts = (sf_real *)found.data + (size_t)robot * K;
     sf_feet feet;
     memset(&feet, 0, sizeof feet);
@@ -69,10 +69,10 @@ _BODY = """
 """
 
 _DEVICES = {
-    True: (CELLS, "device->channels"),
-    False: (FORCE_TORQUE, "6 * device->sensors"),
+    True: (CELLS, "device->channels", "sf_loads(device)"),
+    False: (FORCE_TORQUE, "6 * device->sensors", "K"),
 }
-"""For load cells and for others: how the library has them, and their channels there."""
+"""For load cells and for others: how the library has them, their channels and loads there."""
 
 
 class FootSensorsModule(BatchModule):
@@ -180,7 +180,8 @@ class FootSensorsModule(BatchModule):
 
         Args:
             force: True forces in N (for six-axis sensors wrenches in N and N m) at the end of the step, shape
-                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K).
+                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K); 3 K with
+                shear, all vertical ones first, then those along the sole's x, then y.
             step: Number of the simulation step, if the module has no ``counter``.
 
         Returns:
@@ -191,7 +192,8 @@ class FootSensorsModule(BatchModule):
             ValueError: If their shape or device is not the module's.
         """
         tails = (("channels",), ("S", "channels")) if self._blocks else (("channels",),)
-        force = self._bring(force, "force", tails, self.channels).contiguous()
+        loads = getattr(self.config, "loads", self.channels)
+        force = self._bring(force, "force", tails, loads).contiguous()
         advances = self._begins(step)
         if advances or self._asked:
             count, first = self._first
@@ -276,7 +278,7 @@ class FootSensorsModule(BatchModule):
 
     def _build(self) -> Kernel:
         """Return the kernel, with room for these sensors."""
-        kind, channels = _DEVICES[self._blocks]
+        kind, channels, loads = _DEVICES[self._blocks]
         config = self.config
         cells = isinstance(config, LoadCells)
         sizes = {
@@ -288,7 +290,7 @@ class FootSensorsModule(BatchModule):
             "FAULTS": max(16, len(self._conditions.faults), self.channels * bool(self._conditions.chances)),
         }
         fits = tuple(f"surefoot_{name}_fits" for name in (kind.name, FAULTS.name))
-        body = _BODY.format(kind=kind.name, channels=channels)
+        body = _BODY.format(kind=kind.name, channels=channels, loads=loads)
         return kernel("sensors", ("surefoot_feet",), body, fits, tuple(sizes.items()), DTYPES[self.dtype])
 
     def _device(self, kind: Kind, config: Any) -> NativeDevice:
