@@ -79,6 +79,7 @@ style: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 types: $(VENV)/.dev
 	$(BIN)/mypy
+	$(BIN)/mypy benchmarks/step.py
 pyright: $(VENV)/.dev
 	$(BIN)/pyright
 imports: $(VENV)/.dev

@@ -237,14 +237,15 @@ def compare(found: dict[str, Stack], rounds: int, steps: int, resets: int = 0) -
     bare, wall = (np.array(next(iter(times.values()))) for times in (taken, walls))
     costs = {}
     for name in found:
-        used, passed = np.array(taken[name]), np.array(walls[name])
-        ratio = np.sort(used / bare)
+        busy, waited = np.array(taken[name]), np.array(walls[name])
+        ratio = np.sort(busy / bare)
         # Order statistics around the median: how many of n are below it is binomial.
         middle, away = len(ratio) / 2, 0.98 * np.sqrt(len(ratio))
         low, high = (ratio[int(np.clip(middle + off, 0, len(ratio) - 1))] for off in (-away, away))
-        medians = [np.median(part) for part in (passed, passed / wall, passed - wall)]
-        reset = np.median(timed[name]) if resets else np.nan
-        costs[name] = Cost(*map(float, (np.median(used), np.median(ratio), low, high, *medians, reset)))
+        medians = [np.median(part) for part in (waited, waited / wall, waited - wall)]
+        middles = np.median(busy), np.median(ratio)
+        of_reset = np.median(timed[name]) if resets else np.nan
+        costs[name] = Cost(*map(float, (*middles, low, high, *medians, of_reset)))
     return costs
 
 
@@ -354,8 +355,8 @@ def main() -> None:
         rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
         costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
         print_costs(costs, count)
-        bare, last = next(iter(costs.values())), list(costs.values())[-1]
-        more.append([name, f"{count:,}", str(threads), *row_of_many(bare, last, count)])
+        first, *_, end = costs.values()
+        more.append([name, f"{count:,}", str(threads), *row_of_many(first, end, count)])
     held = []
     robots_held = arguments.memory or (4096 if arguments.write else 0)
     for name in of_batches if robots_held else ():

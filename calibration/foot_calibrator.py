@@ -13,11 +13,12 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.native import (
+    Library,
     NativeFilter,
     NativeState,
     ReferenceRecord,
-    installed,
     native_filter,
+    rooms,
 )
 from surefoot.calibration.online import MethodOptions, online_method, resolve_method
 from surefoot.calibration.parameters import Parameters
@@ -106,7 +107,8 @@ class FootCalibrator:
     def _begin(self) -> None:
         """Build the method from the setup and the options."""
         self._pure = online_method(self.method, self.setup, **self._options)
-        self._native: NativeFilter | None = native_filter(installed(), self.method, self.setup, self._options)
+        each = (native_filter(room, self.method, self.setup, self._options) for room in rooms())
+        self._native: NativeFilter | None = next(filter(None, each), None)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_native")}
@@ -157,6 +159,8 @@ class FootCalibrator:
             self.setup.layout.check_reading(raw)
             raw = self._curves.straighten(raw)
         dt = self.setup.dt if dt is None else dt
+        if isinstance(reference, ReferenceRecord) and reference.library is not self.library:
+            reference = reference.reference()
         if self._native is not None and self._native.takes(raw, reference, dt):
             native = self._in_library()
             if native is not None:
@@ -167,6 +171,11 @@ class FootCalibrator:
         state = self._fresh_state(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
+
+    @property
+    def library(self) -> Library | None:
+        """The library that it runs in, if it does."""
+        return None if self._native is None else self._native.library
 
     def native(self) -> tuple[NativeFilter, NativeState] | None:
         """Return the library's filter and its state, started if there was no sample.

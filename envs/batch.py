@@ -2,9 +2,12 @@
 
 A robot's draws at an episode start come from an environment of its own. From there on the task's functions
 are called for all robots at once, on a :class:`~surefoot.envs.biped.State` with these in front of each array,
-and :class:`mujoco.batch.Batch` takes the place of ``mj_step``.
+and :class:`mujoco.batch.Batch` takes the place of ``mj_step``. All robots' environments share one model and
+one data; fields of the model in which robots differ, and MuJoCo's states, are the batch's.
 """
 
+import copy
+from collections.abc import Iterable
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -37,8 +40,8 @@ class BatchVectorEnv(SyncVectorEnv):
     """N robots of one task: like ``SyncVectorEnv`` of its environments, bit for bit, in less time.
 
     Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in each of its autoreset modes.
-    Attributes of a robot's own environment can be asked for by ``get_attr``; a value that is set there by
-    ``set_attr`` counts from its next episode on.
+    Attributes of a robot's own environment can be asked for by ``get_attr``, its ``model`` and ``data`` as
+    copies; a value that is set there by ``set_attr`` counts from its next episode on.
 
     A robot whose simulation diverges stands still until its step is over, where a lone one would start again
     at once.
@@ -63,6 +66,9 @@ class BatchVectorEnv(SyncVectorEnv):
 
     envs: list[BipedEnv]  # type: ignore[assignment]
 
+    _derives = frozenset(getattr(mujoco.MjModel, "_setconst_inputs", ()))
+    """Fields of a model of which MuJoCo derives others, named by the documentation of ``mujoco.batch``."""
+
     def __init__(
         self,
         task: type[BipedEnv],
@@ -80,15 +86,25 @@ class BatchVectorEnv(SyncVectorEnv):
                 "MuJoCo 3.17 or later, or make the environments with vectorization_mode='sync'."
             ) from error
         check_render_mode(options.get("render_mode"), ["rgb_array"])
-        super().__init__([partial(task, **options)] * num_envs, autoreset_mode=autoreset_mode)
+        made: list[BipedEnv] = []
+
+        def one() -> BipedEnv:
+            made.append(made[0].another() if made else task(**options))
+            return made[-1]
+
+        super().__init__([one] * num_envs, autoreset_mode=autoreset_mode)
+        for i, env in enumerate(made):
+            env.began = partial(self._take, i)
         self.ended: dict[int, SimpleNamespace] = {}
-        self._task, model = self.envs[0], self.envs[0].model
+        self._task, model = made[0], made[0].model
+        self._drawn = {name: getattr(model, name).copy() for name in self._task.varied}
         self._rows = np.empty((num_envs, self._task.substeps, model.nsensordata))
         self._qvel = np.empty((num_envs, self._task.substeps, model.nv))
         self._threads = threads or cores()
         self.state: State | None = None
         self._plans: list[Any] = [None] * num_envs
         self._batch = Batch(model, num_envs, threads)
+        self._varied = {name: self._batch.expand(name) for name in self._task.varied}
         # A robot's pushes write into its own row of all robots' forces.
         self._pushed = [SimpleNamespace(xfrc_applied=force) for force in self._batch.xfrc_applied]
 
@@ -183,13 +199,19 @@ class BatchVectorEnv(SyncVectorEnv):
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
-        self._share()
-        return super().call(name, *args, **kwargs)
+        results = []
+        for i, env in enumerate(self.envs):
+            self._bring(i)
+            found = env.get_wrapper_attr(name)
+            result = found(*args, **kwargs) if callable(found) else found
+            shared = result is env.model or result is env.data or isinstance(result, np.ndarray)
+            results.append(copy.copy(result) if shared else result)
+        self._restore()
+        return tuple(results)
 
     def render(self) -> tuple[Any, ...]:
         """Draw each robot: a frame (height, width, 3) of each."""
-        self._share()
-        return super().render()
+        return self.call("render")
 
     def _restart(self, starting: NDArray[np.bool_]) -> None:
         """Reset robots."""
@@ -205,13 +227,11 @@ class BatchVectorEnv(SyncVectorEnv):
             parts = (np.array([part] * self.num_envs) for part in states[0][3:])
             self.state = State(None, np.zeros(self.num_envs, dtype=np.int64), command, *parts)
         for i in np.flatnonzero(starting).tolist():
-            env = self.envs[i]
-            mujoco.mj_getState(env.model, env.data, self._batch.state[i], PHYSICS)
-            self._rows[i], self._qvel[i] = env.data.sensordata, env.data.qvel
             self.state.tick[i], self.state.target[i], self.state.cop_held[i] = 0, states[i].target, 0.0
             self._set_commands(i, states[i].command)
             self._plans[i] = states[i].plan
-        self._batch.set_models([env.model for env in self.envs])
+            # The present truth is that of all robots; what an own one says of its columns, the first says.
+            self.envs[i].truth = self._task.truth
         self.state = self.state._replace(plan=self._task.join(self._plans))
 
     def _set_commands(self, robots: Any, command: Command) -> None:
@@ -221,18 +241,11 @@ class BatchVectorEnv(SyncVectorEnv):
 
     def _disturb(self, stepping: NDArray[np.bool_], prepares: NDArray[np.bool_]) -> None:
         """Push robots, and hand payloads to them, as their own environments have drawn it."""
-        changed = False
-        for env, pushed, tick, steps, prepare in zip(
-            self.envs,
-            self._pushed,
-            self._present.tick.tolist(),
-            stepping.tolist(),
-            prepares.tolist(),
-            strict=True,
-        ):
-            changed |= steps and env.disturb(pushed, tick, prepare)
-        if changed:
-            self._batch.set_models([env.model for env in self.envs])
+        ticks, prepare = self._present.tick.tolist(), prepares.tolist()
+        for i in np.flatnonzero(stepping).tolist():
+            if self.envs[i].disturb(self._pushed[i], ticks[i], prepare[i]):
+                self._take_model(i, self._changes())
+                self._restore()
 
     def _look(self) -> Look:
         """Take in the robots' last control step."""
@@ -244,20 +257,51 @@ class BatchVectorEnv(SyncVectorEnv):
         keys: Any = self.single_observation_space
         return look._replace(observation={key: look.observation[key] for key in keys})
 
-    def _share(self) -> None:
-        """Bring the robots' own environments to where the robots are now."""
+    def _take(self, robot: int) -> None:
+        """Take over a robot from the model and the data in which it has just been reset."""
+        model, data = self._task.model, self._task.data
+        mujoco.mj_getState(model, data, self._batch.state[robot], PHYSICS)
+        self._rows[robot], self._qvel[robot] = data.sensordata, data.qvel
+        self._take_model(robot, self._task.varied)
+        self._restore()
+
+    def _take_model(self, robot: int, names: Iterable[str]) -> None:
+        """Keep fields of the model for one robot."""
+        derived = False
+        for name in names:
+            row, field = self._varied[name][robot], getattr(self._task.model, name)
+            derived |= name in self._derives and not np.array_equal(row, field)
+            row[...] = field
+        if derived:
+            self._batch.set_const([robot])
+
+    def _changes(self) -> list[str]:
+        """Return the fields of the model that are not as drawn."""
+        return [name for name, own in self._drawn.items() if (getattr(self._task.model, name) != own).any()]
+
+    def _restore(self) -> None:
+        """Make the model that robots share as it was drawn."""
+        model, changed = self._task.model, self._changes()
+        for name in changed:
+            getattr(model, name)[...] = self._drawn[name]
+        if not self._derives.isdisjoint(changed):
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def _bring(self, robot: int) -> None:
+        """Bring the model, the data and a robot's own environment to where the robot is now."""
         if self.state is None:
             return
-        for i, env in enumerate(self.envs):
-            self._batch.get_data(i, env.data)
-            mujoco.mj_forward(env.model, env.data)
-            env.state = env.state._replace(
-                tick=int(self.state.tick[i]),
-                target=self.state.target[i].copy(),
-                command=self._command_of(i),
-                cop_held=self.state.cop_held[i].copy(),
-            )
-            env.truth = self._truth_of(i)
+        env = self.envs[robot]
+        self._batch.get_model(robot, env.model)
+        self._batch.get_data(robot, env.data)
+        mujoco.mj_forward(env.model, env.data)
+        env.state = env.state._replace(
+            tick=int(self.state.tick[robot]),
+            target=self.state.target[robot].copy(),
+            command=self._command_of(robot),
+            cop_held=self.state.cop_held[robot].copy(),
+        )
+        env.truth = self._truth_of(robot)
 
     def _command_of(self, robot: int) -> Command:
         commanded: Any = self.command

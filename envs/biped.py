@@ -5,9 +5,10 @@ A task is a few functions of a robot's :class:`State`, which change nothing: :me
 :class:`~surefoot.envs.batch.BatchVectorEnv` for all of its robots, with these in front of each array.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import gymnasium as gym
 import mujoco
@@ -79,6 +80,9 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         quiet_ticks: Control steps at an episode's beginning in which residuals are checked, and not applied.
         last_tick: The tick at which an episode is truncated; None for never.
         fastest: How far targets move in a step at most, in rad.
+        varied: Fields of the model that ``place`` and ``disturb`` change.
+        shared: Attributes that :meth:`another` has in common with this one.
+        began: Called at the end of each reset.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
@@ -91,6 +95,9 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     quiet_ticks = 0
     fastest: Any = np.inf
+    varied: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ("model", "data", "observer", "mean_truth", "observation_space")
+    began: Callable[[], None] | None = None
 
     _neutral: str
     """What an action of zeros does, for messages."""
@@ -131,6 +138,14 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     def command(self) -> Command:
         """The robot's present command to itself."""
         return self.state.command
+
+    def another(self) -> Self:
+        """Return an environment of the same options in the same model and data.
+
+        One of both is in an episode at a time; who uses them keeps what an episode changes.
+        """
+        parts = [getattr(self, name) for name in self.shared]
+        return deepcopy(self, {id(part): part for part in parts})
 
     def draw(self, options: dict[str, Any]) -> Any:
         """Draw an episode's plan, and what disturbs it; called at every reset, after seeding."""
@@ -223,6 +238,8 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         mujoco.mj_forward(self.model, self.data)
         rows = np.tile(self.data.sensordata, (self.substeps, 1))
         look = self._end_step(State(plan, 0, command, target, 0.0, np.zeros((3, 2))), rows, self.data.qvel)
+        if self.began is not None:
+            self.began()
         return look.observation, {"surefoot": {"truth": self.mean_truth(rows)}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -134,7 +134,8 @@ class CalibrationSetup:
             usual["ripple"] = ALIASED
         self.options = usual | layout_options(self.layout, drawing) | options
         self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
-        self.mass = self.model().mass
+        self._nominal = NominalModel.of_drawing(drawing, self.errors)
+        self.mass = self._nominal.mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
         self.spaces = self.view().spaces
@@ -142,7 +143,7 @@ class CalibrationSetup:
 
     def model(self) -> NominalModel:
         """Make a robot's model of itself, as drawn."""
-        return NominalModel.of_drawing(self.drawing, self.errors)
+        return self._nominal.another()
 
     def calibrator(self, mass: float, initial: Parameters | None, dt: float, lag: int) -> FootCalibrator:
         """Make a calibrator; arguments as of :class:`~surefoot.calibration.FootCalibrator`."""
@@ -169,7 +170,6 @@ class RobotCalibration:
         initial: The map that it began from.
         model: The robot as it believes itself to be.
         beliefs: Its beliefs.
-        reference_time: The moment that the reference describes, in s of the host's clock since the reset.
         late: How many samples ago that was.
         frozen: Whether nothing is learnt for now.
         made: Whether there was a reset.
@@ -186,7 +186,6 @@ class RobotCalibration:
         self.calibrator: FootCalibrator
         self.initial: Parameters
         self.beliefs: Beliefs | MomentumBeliefs | NativeBeliefs
-        self.reference_time = 0.0
         self.frozen = self.made = False
         self.late = self._waiting = 0
         self._chances = Chances()
@@ -230,11 +229,11 @@ class RobotCalibration:
                 joined=packets_per_join(telemetry.period),
                 touching=setup.touching.round,
             )
-            if setup.by_momentum:
-                places = setup.touching.places
-                self.beliefs = native_beliefs(MomentumBeliefs(beliefs, places[..., :3], places[..., 3]))
-            else:
-                self.beliefs = native_beliefs(beliefs)
+            places, library = setup.touching.places, self.calibrator.library
+            self.beliefs = native_beliefs(
+                MomentumBeliefs(beliefs, places[..., :3], places[..., 3]) if setup.by_momentum else beliefs,
+                library,
+            )
         self._view.begin_episode()
         return fresh
 
@@ -245,7 +244,11 @@ class RobotCalibration:
             return own
         native = calibrator.native()
         self._native = None
-        if native is not None and isinstance(beliefs, NativeBeliefs):
+        if (
+            native is not None
+            and isinstance(beliefs, NativeBeliefs)
+            and beliefs.library is calibrator.library
+        ):
             self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
         return self._native
 
@@ -254,11 +257,10 @@ class RobotCalibration:
 
         The packets that have arrived belong to it. :meth:`note` has to follow.
         """
-        sensors, hold = self._sensors, self._next()
+        sensors, hold = self._sensors, self.next_sample()
         arrived = sensors.packet_rows()
         if arrived is None:
             self.beliefs.update(sensors.packets)
-        self._estimate = None  # made of the library's record when somebody asks
         how = native.put(sensors.raw, command, hold)
         rows, packets = arrived or NOTHING
         return Sample(rows, packets, self.reference_time, sensors.time, how)
@@ -269,7 +271,7 @@ class RobotCalibration:
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.packet_rows()
+        hold, beliefs, arrived = self.next_sample(), self.beliefs, self._sensors.packet_rows()
         if arrived is not None and isinstance(beliefs, NativeBeliefs):
             beliefs.update_rows(*arrived)
         else:
@@ -369,10 +371,18 @@ class RobotCalibration:
         start, now = self.calibrator.setup.initial, self.estimate
         return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
 
-    def _next(self) -> bool:
-        """Go on by one sample; return whether nothing is to be learnt of it."""
-        sensors = self._sensors
-        self.reference_time = sensors.time - self.late * sensors.telemetry.dt - self._setup.age
+    @property
+    def reference_time(self) -> float:
+        """The moment that the last sample's reference describes, in s of the host's clock since the reset."""
+        return float(self.reference_time_at(self._sensors.time))
+
+    def reference_time_at(self, time: Any) -> Any:
+        """Return the moment that a sample's reference describes, of the host's time, or of many."""
+        return time - self.late * self._sensors.telemetry.dt - self._setup.age
+
+    def next_sample(self) -> bool:
+        """Go on by one sample; return whether nothing is to be learnt of it. :meth:`note` has to follow."""
+        self._estimate = None  # made of the library's record when somebody asks
         hold = self.frozen or self._waiting > 0
         self._waiting = max(self._waiting - 1, 0)
         return hold

@@ -41,6 +41,28 @@ class Sample(NamedTuple):
     how: int
 
 
+class Samples(NamedTuple):
+    """The same for several robots, whose readings and plans the library takes where they lie.
+
+    Attributes:
+        rows: Addresses of rows of packets.
+        packets: Their numbers.
+        raw: Addresses of readings.
+        planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
+        then: The moments of the samples, in s on the hosts' clocks.
+        now: The hosts' clocks in s.
+        hold: Where nothing is learnt.
+    """
+
+    rows: list[int]
+    packets: list[int]
+    raw: list[int]
+    planned: NDArray[np.bool_] | None
+    then: NDArray[np.float64]
+    now: NDArray[np.float64]
+    hold: list[bool]
+
+
 class NativeSample:
     """The library for one robot; its beliefs, its filter and the held values stay those of the objects.
 
@@ -160,24 +182,30 @@ class NativeSample:
         return self._filter.read(self._of[1])
 
 
-def feed_many(natives: Sequence[NativeSample], samples: Sequence[Sample], threads: int) -> None:
+def feed_many(natives: Sequence[NativeSample], samples: Samples, threads: int) -> None:
     """Take in a sample of each of several robots, in one call of the library.
 
     Args:
         natives: The robots, one at least.
-        samples: One a robot, which were put where the library finds them.
+        samples: One a robot.
         threads: As of :func:`~surefoot.native.call_for_many`.
     """
     at = np.array([native._at for native in natives], dtype=np.uintp)
-    rows, packets, then, now, how = zip(*samples, strict=True)
-    found = np.zeros(len(samples), dtype=np.int32)
+    found, plans = np.zeros(len(natives), dtype=np.int32), np.zeros(len(natives), dtype=np.uintp)
+    how = 2 * np.array(samples.hold, dtype=np.int32)
+    if samples.planned is not None:
+        planned = np.ascontiguousarray(samples.planned)
+        how, plans = how + np.int32(1), plans + planned.ctypes.data
+        plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
     arguments = (
         at,
-        np.array([row or 0 for row in rows], dtype=np.uintp),
-        np.array(packets, dtype=np.int32),
-        np.array(then),
-        np.array(now),
-        np.array(how, dtype=np.int32),
+        np.array(samples.rows, dtype=np.uintp),
+        np.array(samples.packets, dtype=np.int32),
+        np.array(samples.raw, dtype=np.uintp),
+        plans,
+        samples.then,
+        samples.now,
+        how,
         found,
     )
     call_for_many(natives[0].many, arguments, threads)

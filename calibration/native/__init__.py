@@ -6,7 +6,7 @@ library also makes the references, for :mod:`surefoot.robot`.
 
 from surefoot.calibration.native.config import c_source
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
-from surefoot.calibration.native.library import NATIVE, installed
+from surefoot.calibration.native.library import NATIVE, installed, rooms
 from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.native import Library
 
@@ -19,4 +19,5 @@ __all__ = [
     "c_source",
     "installed",
     "native_filter",
+    "rooms",
 ]

@@ -69,6 +69,8 @@ def constants_of(
     if method not in _METHODS:
         return None
     number, raw = _METHODS[method], np.zeros(setup.layout.channels)
+    if library.record("config", {"offset": raw.shape, "wrench_map": setup.layout.wrench_map.shape}) is None:
+        return None
     own: dict[str, Any] = {}
     like: Any
     covariance = faults = None

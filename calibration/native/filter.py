@@ -82,6 +82,7 @@ class NativeFilter:
         constants: Those of the robot and the method.
 
     Attributes:
+        library: The library.
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: Its readings, shape (K,).
@@ -91,10 +92,12 @@ class NativeFilter:
     """
 
     def __init__(self, library: Library, constants: Constants) -> None:
-        self._functions, self.constants = library.functions, constants
+        self.library, self._functions = library, library.functions
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
-        self._template = constants.like
+        # Shapes and kinds are all that is wanted of it.
+        self._template = rebuilt(constants.like, _without_memory)
+        self.constants = constants._replace(like=self._template)
         self.certain = constants.covariance is not None
         self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
@@ -235,6 +238,13 @@ def native_filter(
     """Return a method for one robot by a library; ``None`` if it cannot be."""
     constants = None if library is None else constants_of(library, method, setup, options)
     return None if library is None or constants is None else NativeFilter(library, constants)
+
+
+def _without_memory(path: tuple[str, ...], part: Any) -> Any:
+    """Return an array of zeros in the place of another, with one zero in memory."""
+    if not isinstance(part, np.ndarray):
+        return part
+    return np.broadcast_to(np.zeros((), part.dtype), part.shape)
 
 
 def _name(path: tuple[str, ...]) -> str:

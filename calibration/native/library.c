@@ -349,9 +349,16 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     return found + 8 * fresh;
 }
 
-/* A sample of many robots, each argument and what is found with a number of each. */
+/* A sample of many robots, each argument and what is found with a number of each; readings and plans lie where they
+   were made. */
 EXPORTED void surefoot_sample_many(const sf_sample_records *const *at, const double *const *rows, const int *count,
-                                   const double *time, const double *now, const int *how, int *found, int robots) {
-    for (int i = 0; i < robots; i++) found[i] = surefoot_sample(at[i], rows[i], count[i], time[i], now[i], how[i]);
+                                   const sf_real *const *raw, const unsigned char *const *planned, const double *time,
+                                   const double *now, const int *how, int *found, int robots) {
+    for (int i = 0; i < robots; i++) {
+        sf_sample_records one = *at[i];
+        one.raw = raw[i];
+        one.planned = planned[i];
+        found[i] = surefoot_sample(&one, rows[i], count[i], time[i], now[i], how[i]);
+    }
 }
 #endif

@@ -31,10 +31,15 @@ NATIVE = Native(
             ctypes.c_int,
             (ADDRESS, ADDRESS, ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_int),
         ),
-        "surefoot_sample_many": (None, (*(ADDRESS,) * 7, ctypes.c_int)),
+        "surefoot_sample_many": (None, (*(ADDRESS,) * 9, ctypes.c_int)),
     },
     ("surefoot_sample_many",),
 )
+
+
+def rooms() -> tuple[Library, ...]:
+    """Return the libraries of this package, those with the least room in their records first."""
+    return NATIVE.rooms()
 
 
 def installed() -> Library | None:

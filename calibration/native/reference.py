@@ -47,6 +47,7 @@ class ReferenceRecord:
         feet: Number of its feet.
 
     Attributes:
+        library: The same.
         kind: The same.
         feet: The same.
         address: Where the library finds it.
@@ -61,7 +62,8 @@ class ReferenceRecord:
         dtype = reference_dtype(library, kind, reference_shapes(feet))
         if dtype is None:
             raise ValueError(feet_beyond(library, feet))
-        self.kind, self.feet, self.dtype, self.real = kind, feet, dtype, library.real
+        self.library, self.real = library, library.real
+        self.kind, self.feet, self.dtype = kind, feet, dtype
         self._record = Record(dtype)
         self._nothing = Record(dtype)
         self.address = self._record.address

@@ -93,6 +93,7 @@ class ExerciseEnv(BipedEnv):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     truth: FeetTruth
+    shared = (*BipedEnv.shared, "motion", "drawing", "_instrumentation", "_balance")
     _neutral = "zeros leave the exercise alone"
 
     def __init__(

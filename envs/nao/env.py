@@ -180,6 +180,8 @@ class NaoEnv(BipedEnv):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
     truth: Truth
+    shared = (*BipedEnv.shared, "channels", "_renderer", "position_cell_sole")
+    varied = ("pair_friction", "body_mass", "body_ipos", "body_inertia", "body_iquat")
     _neutral = "a policy that returns NaN has diverged, zeros leave the pattern alone"
 
     def __init__(

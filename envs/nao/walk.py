@@ -110,6 +110,8 @@ class NaoWalkEnv(NaoPatternEnv):
         ValueError: If the walk asks more than the legs can do, or an option is out of its range.
     """
 
+    shared = (*NaoPatternEnv.shared, "pattern")
+
     def __init__(
         self,
         *,

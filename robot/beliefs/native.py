@@ -1,5 +1,6 @@
 """The beliefs of one robot by the library: the same numbers as those of Python, to rounding."""
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class NativeBeliefs:
     """
 
     def __init__(self, library: Library, believed: Beliefs | MomentumBeliefs) -> None:
-        self.library, self._functions, self._spec = library, library.functions, believed
+        self.library, self._functions, self._spec = library, library.functions, _without_rows(believed)
         self.model = believed.model
         momentum = believed if isinstance(believed, MomentumBeliefs) else None
         beliefs, F = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed, self.model.feet
@@ -208,7 +209,8 @@ class NativeBeliefs:
 
     def unpack(self) -> Beliefs | MomentumBeliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        started, state, believed = self._spec.begin_episode(), self._state, self.believed.reference()
+        started: Beliefs | MomentumBeliefs = self._spec.begin_episode()
+        state, believed = self._state, self.believed.reference()
         if not isinstance(started, MomentumBeliefs):
             self._unpack(started)
             started.believed = believed
@@ -276,9 +278,25 @@ class NativeBeliefs:
         return native_beliefs, (self.unpack(),)
 
 
-def native_beliefs(beliefs: Beliefs | MomentumBeliefs) -> Beliefs | MomentumBeliefs | NativeBeliefs:
-    """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
-    library = installed()
+def _without_rows(beliefs: Any) -> Any:
+    """Return beliefs to begin episodes of, without the memory of an episode."""
+    bare = copy(beliefs)
+    bare.ring = None
+    if isinstance(bare, MomentumBeliefs):
+        bare.beliefs = _without_rows(bare.beliefs)
+    return bare
+
+
+def native_beliefs(
+    beliefs: Beliefs | MomentumBeliefs, library: Library | None = None
+) -> Beliefs | MomentumBeliefs | NativeBeliefs:
+    """Return beliefs that go on by a library, or as they are where there is none for such a robot.
+
+    Args:
+        beliefs: The Python's, which are used up.
+        library: That of the robot's calibrator; by default the one with room for all robots.
+    """
+    library = library or installed()
     if library is None or library.real != np.float64:
         return beliefs
     try:

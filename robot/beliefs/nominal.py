@@ -1,5 +1,6 @@
 """The model that a robot has of itself: the designer's drawing with masses that are a little off."""
 
+from copy import copy
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
@@ -24,6 +25,49 @@ class Masses(NamedTuple):
     mass: NDArray[np.float64]
     inertia: NDArray[np.float64]
     com_torso: NDArray[np.float64]
+
+
+class _Shared:
+    """MuJoCo's model and data of a drawing, for all robots that were drawn so: one of them at a time.
+
+    Attributes:
+        masses: Those of the robot whose turn it is.
+    """
+
+    def __init__(self, model: mujoco.MjModel, torso: int) -> None:
+        self.model, self.data, self._torso = model, mujoco.MjData(model), torso
+        # Older MuJoCo would leave out a centre of mass that is no longer where the torso's origin is.
+        model.body_sameframe[torso] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self.masses = Masses(model.body_mass.copy(), model.body_inertia.copy(), model.body_ipos[torso].copy())
+        self._stand()
+        self._view()
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        # In a copy what were views are arrays that MuJoCo does not know.
+        self.__dict__.update(kept)
+        self._view()
+
+    def turn_to(self, masses: Masses) -> None:
+        """Be the robot with these masses."""
+        if masses is self.masses:
+            return
+        model, self.masses = self.model, masses
+        model.body_mass[:], model.body_inertia[:], model.body_ipos[self._torso] = masses
+        mujoco.mj_setConst(model, self.data)
+        self._stand()
+
+    def _stand(self) -> None:
+        self.data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self.data.qvel[:] = 0.0
+
+    def _view(self) -> None:
+        """Keep views of MuJoCo's own arrays: making one costs as much as the kinematics."""
+        data = self.data
+        self.qpos, self.qvel, self.spin = data.qpos[7:], data.qvel[6:], data.qvel[3:6]
+        self.com, self.momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
+        self.site_position = data.site_xpos
+        # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
+        self.site_axes = data.site_xmat.reshape(-1, 3, 3).swapaxes(1, 2)
 
 
 class NominalModel:
@@ -55,44 +99,29 @@ class NominalModel:
         torso: str = "torso",
     ) -> None:
         self._errors = errors
-        self._model = _strip(spec, sites).compile()
-        self._data = mujoco.MjData(self._model)
-        self.gravity = float(np.linalg.norm(self._model.opt.gravity))
-        self._torso = self._model.body(torso).id
-        # Older MuJoCo would leave out a centre of mass that is no longer where the torso's origin is.
-        self._model.body_sameframe[self._torso] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._mass = self._model.body_mass.copy()
-        self._inertia = self._model.body_inertia.copy()
-        self._torso_com = self._model.body_ipos[self._torso].copy()
-        joints = [self._model.joint(i) for i in range(self._model.njnt)]
+        model = _strip(spec, sites).compile()
+        self.gravity = float(np.linalg.norm(model.opt.gravity))
+        self._torso = model.body(torso).id
+        self._shared = _Shared(model, self._torso)
+        self._masses = self._drawn = self._shared.masses
+        joints = [model.joint(i) for i in range(model.njnt)]
         hinges = [joint for joint in joints if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE]
         self.joint_names = tuple(joint.name for joint in hinges)
-        if self._model.nq != len(hinges) + 7 or self._model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+        if model.nq != len(hinges) + 7 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
             raise ValueError(
                 "A nominal model needs a robot that floats on one free joint and has hinge joints otherwise, "
                 f"got the joints {[joint.name for joint in joints]}; a planar robot, for instance, has no "
                 "tilt that an IMU could measure."
             )
-        self._sites = np.array([self._model.site(name).id for name in sites])
+        self._sites = np.array([model.site(name).id for name in sites])
         self._soles = self._sites[1:]
-        self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         self.revision = 0
-        self._view()
 
-    def _view(self) -> None:
-        """Keep views of MuJoCo's own arrays: making one costs as much as the kinematics."""
-        data = self._data
-        self._qpos, self._qvel = data.qpos[7:], data.qvel[6:]
-        self._spin = data.qvel[3:6]
-        self._com, self._momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
-        self._site_position = data.site_xpos
-        # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
-        self._site_axes = data.site_xmat.reshape(-1, 3, 3).swapaxes(1, 2)
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        # In a copy what were views are arrays that MuJoCo does not know.
-        self.__dict__.update(kept)
-        self._view()
+    def another(self) -> "NominalModel":
+        """Return the model of another robot of this drawing, as drawn."""
+        other = copy(self)
+        other._masses, other.revision = self._drawn, 0
+        return other
 
     @classmethod
     def of_drawing(cls, drawing: "RobotDrawing", errors: BeliefErrors) -> "NominalModel":
@@ -112,34 +141,30 @@ class NominalModel:
     @property
     def mass(self) -> float:
         """The robot's mass as it believes it in kg."""
-        return float(self._model.body_mass.sum())
+        return float(self._masses.mass.sum())
 
     def draw(self, rng: np.random.Generator) -> None:
         """Draw fresh errors of the masses and of the centre of mass, from the drawing's own values."""
-        factor = 1.0 + self._errors.mass * rng.standard_normal(len(self._mass))
+        drawn = self._drawn
+        factor = 1.0 + self._errors.mass * rng.standard_normal(len(drawn.mass))
         total = 1.0 + self._errors.mass * rng.choice([-1.0, 1.0])
-        factor *= total * self._mass.sum() / (self._mass @ factor)
-        mass = self._mass * factor
+        factor *= total * drawn.mass.sum() / (drawn.mass @ factor)
+        mass = drawn.mass * factor
         direction = rng.standard_normal(3)
         direction *= self._errors.com / np.linalg.norm(direction)
         share = mass[self._torso] / mass.sum()
-        self.masses = Masses(mass, self._inertia * factor[:, None], self._torso_com + direction / share)
+        self.masses = Masses(mass, drawn.inertia * factor[:, None], drawn.com_torso + direction / share)
 
     @property
     def masses(self) -> Masses:
         """The masses that it believes, as a copy."""
-        model = self._model
-        torso = model.body_ipos[self._torso]
-        return Masses(model.body_mass.copy(), model.body_inertia.copy(), torso.copy())
+        return Masses(*(part.copy() for part in self._masses))
 
     @masses.setter
     def masses(self, believed: Masses) -> None:
         self.revision += 1
-        model = self._model
-        model.body_mass[:], model.body_inertia[:], model.body_ipos[self._torso] = believed
-        mujoco.mj_setConst(model, self._data)
-        self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        self._data.qvel[:] = 0.0
+        self._masses = Masses(*(np.array(part) for part in believed))
+        self._shared.turn_to(self._masses)
 
     def evaluate(
         self, position: NDArray[np.float64], velocity: NDArray[np.float64], spin: NDArray[np.float64]
@@ -156,22 +181,23 @@ class NominalModel:
             kg m^2/s, shape (3,); positions of the IMU and the soles in m, shape (1 + F, 3); and the x, y
             and z axes of each sole, shape (3 F, 3).
         """
-        model, data = self._model, self._data
-        self._qpos[:] = position
-        self._qvel[:] = velocity
-        self._spin[:] = spin
-        update_posture(model, data)
-        axes = self._site_axes[self._soles].reshape(-1, 3)
-        return self._com, self._momentum, self._site_position[self._sites], axes
+        shared = self._shared
+        shared.turn_to(self._masses)
+        shared.qpos[:] = position
+        shared.qvel[:] = velocity
+        shared.spin[:] = spin
+        update_posture(shared.model, shared.data)
+        axes = shared.site_axes[self._soles].reshape(-1, 3)
+        return shared.com, shared.momentum, shared.site_position[self._sites], axes
 
     def velocities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return velocities relative to the torso's origin in its axes, of the last evaluation.
+        """Return velocities relative to the torso's origin in its axes, right after :meth:`evaluate`.
 
         Returns:
             Velocity of the centre of mass in m/s, shape (3,); and angular velocities in rad/s and velocities
             in m/s of the IMU and the soles, (w, v), shape (1 + F, 6).
         """
-        model, data, twist = self._model, self._data, np.zeros((len(self._sites), 6))
+        model, data, twist = self._shared.model, self._shared.data, np.zeros((len(self._sites), 6))
         for site, row in zip(self._sites, twist, strict=True):
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, row, 0)
         return data.subtree_linvel[self._torso].copy(), twist
@@ -181,7 +207,8 @@ class NominalModel:
 
         ``None`` if hinges or sites are elsewhere.
         """
-        model, place = self._model, {self._torso: 0}
+        self._shared.turn_to(self._masses)
+        model, place = self._shared.model, {self._torso: 0}
         for body in range(self._torso + 1, model.nbody):
             if model.body_parentid[body] in place:
                 place[body] = len(place)

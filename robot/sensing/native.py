@@ -41,6 +41,10 @@ class NativeSensing:
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
+        address: Where the library finds its records.
+        raw_address: Where the last reading lies.
+        rows_address: Where rows of packets lie.
+        count: How many of these have arrived in the last step.
     """
 
     telemetry_state: Any
@@ -62,7 +66,7 @@ class NativeSensing:
         self.telemetry_state = None
         if telemetry is not None:
             self._telemetry, self.telemetry_state = telemetry
-        self._view, self._count = view, 0
+        self._view, self.count = view, 0
         numbers: dict[str, Any] = {"channels": instruments.channels, "dt": dt}
         numbers["first"], *more = instruments.first_steps(dt)
         numbers |= {"more": len(more), "rows": len(truth.time)}
@@ -84,10 +88,9 @@ class NativeSensing:
             )
         )
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        self._truth = np.zeros(truth.rows.shape)
+        self._shape = truth.rows.shape
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
-            "truth": self._truth,
             "newest": kept[0],
             "raw": now["raw"],
             "observed": observed,
@@ -99,7 +102,6 @@ class NativeSensing:
             "from": taken,
             "to": to,
         }
-        self._shape = self._truth.shape
         where = truth.sensor_columns()
         numbers |= {
             "columns": self._shape[-1],
@@ -133,7 +135,9 @@ class NativeSensing:
         )
         assert records is not None
         self._records, self._arrays = records, arrays
-        self._sense, self._at = library.functions.surefoot_sense, records.ctypes.data
+        self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
+        self.raw_address = self._raw.ctypes.data
+        self.rows_address = 0 if self._telemetry is None else self._telemetry.arrived_address
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
         """Let chance come from other streams, by the names of devices."""
@@ -190,22 +194,16 @@ class NativeSensing:
         """Return whether there is room for the next control step, of rows of truth of this shape."""
         return shape == self._shape and not (self._telemetry and self.telemetry_state.coming < 0)
 
-    def read_from(self, truth: NDArray[np.float64]) -> int:
-        """Take truth from a row of many robots', shape (S, columns); return the address of its records."""
-        truth[...] = self._truth
-        self._truth, self._records["truth"] = truth, truth.ctypes.data
-        return self._at
-
     def tell(self, told: int) -> None:
         """Take over the library's counts of a step: packets that have arrived, and packets on their way."""
         if self._telemetry is not None:
-            self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
+            self.telemetry_state.coming, self.count = (told >> 16) - 1, told & 0xFFFF
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
-        self._truth[...] = truth.rows
+        rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        self.tell(self._sense(self._at, time, begins))
+        self.tell(self._sense(self.address, rows.ctypes.data, time, begins))
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
@@ -213,11 +211,11 @@ class NativeSensing:
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
-        return None if self._telemetry is None else (self._telemetry.arrived_address, self._count)
+        return None if self._telemetry is None else (self._telemetry.arrived_address, self.count)
 
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
-        return () if self._telemetry is None else self._telemetry.packets(self._count)
+        return () if self._telemetry is None else self._telemetry.packets(self.count)
 
 
 class ManySensing:
@@ -234,9 +232,7 @@ class ManySensing:
         library = installed()
         assert library is not None
         self.robots, self._sense = tuple(robots), library.functions.surefoot_sense_many
-        self._truth = np.zeros((len(robots), *robots[0]._shape))
-        places = map(NativeSensing.read_from, robots, self._truth)
-        self._at = np.array(list(places), dtype=np.uintp)
+        self._at = np.array([robot.address for robot in robots], dtype=np.uintp)
 
     def __reduce__(self) -> Any:
         # Addresses are of no use elsewhere: a copy of the sensors makes its own.
@@ -253,9 +249,11 @@ class ManySensing:
             time: The hosts' clocks at its end in s, of those that are read.
             threads: As of :func:`~surefoot.native.call_for_many`.
         """
-        self._truth[...] = truth
+        if truth.dtype != np.float64 or not truth[0].flags.c_contiguous:
+            truth = np.ascontiguousarray(truth, dtype=np.float64)
         told = np.zeros(len(which), dtype=np.int32)
-        call_for_many(self._sense, (self._at[which], time, told), threads)
+        rows = (truth.ctypes.data + which * truth.strides[0]).astype(np.uintp)
+        call_for_many(self._sense, (self._at[which], rows, time, told), threads)
         for robot, packets in zip(which.tolist(), told.tolist(), strict=True):
             self.robots[robot].tell(packets)
 

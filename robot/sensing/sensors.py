@@ -156,6 +156,11 @@ class RobotSensors:
         sensing = self._sensing
         return sensing if sensing is not None and sensing.takes(shape) else None
 
+    @property
+    def sensing(self) -> NativeSensing | None:
+        """The library's reader, if it has read the last step."""
+        return self._sensing
+
     def follow(self, time: float) -> None:
         """Take over a control step that ends at a time of the host's, which :meth:`reader` has read."""
         self.time, self._packets = time, None

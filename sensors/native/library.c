@@ -54,7 +54,7 @@ typedef struct {
    Of `numbers` of the observation `shares` are measured, and the number from[i] of the newest packet is at to[i]. */
 typedef struct {
     sf_feet feet;
-    const sf_real *truth, *map, *preload;
+    const sf_real *map, *preload;
     sf_real *load, *wrench;
     const telemetry_arrays *telemetry;
     sf_telemetry *telemetry_state;
@@ -111,7 +111,7 @@ static const place places[] = {
 
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
 
-    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
+    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(room), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
     T_DOUBLE(substep), T_DOUBLE(period), T_DOUBLE(delay), T_DOUBLE(jitter), T_REAL(interval),
     T_REAL(smoothing), T_REAL(encoder_bias), T_REAL(encoder_noise), T_REAL(encoder_step), T_REAL(bias_std),
     T_REAL(spread), T_REAL(walk), T_REAL(noise), T_REAL(step), T_REAL(most),
@@ -124,7 +124,7 @@ static const place places[] = {
     FEET(force_torque_config, "word"), FEET(force_torque, "word"), FEET(force_torque_stream, "word"),
     FEET(faults_config, "word"), FEET(faults, "word"), FEET(faults_stream, "word"), FEET(order, "word"),
     FEET(dt, "double"), FEET(first, "double"), FEET(more, "int"),
-    R_AT(truth), R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
+    R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
     R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
     R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(columns),
     R_INT(at_joints), R_INT(at_inertial), R_INT(at_ankles), R_INT(at_cells), R_INT(stride), R_INT(readings),
@@ -230,11 +230,11 @@ static void find_wrench(const sf_real *foot, sf_real *wrench) {
     }
 }
 
-static void find_load(const sf_sense_records *at) {
+static void find_load(const sf_sense_records *at, const sf_real *truth) {
     int K = sf_loads(at->feet.cells_config);
     sf_real wrench[SF_AXES * SF_LOAD_CELLS];
     for (int row = 0; row < at->rows; row++) {
-        const sf_real *felt = at->truth + row * at->columns + at->at_cells;
+        const sf_real *felt = truth + row * at->columns + at->at_cells;
         sf_real *load = at->load + row * K;
         for (int foot = 0; foot < at->soles; foot++)
             find_wrench(felt + foot * at->stride, wrench + SF_AXES * foot);
@@ -247,33 +247,33 @@ static void find_load(const sf_sense_records *at) {
 }
 
 /* What the sensors in the ankles feel, on average or at the end: the opposite of what the simulator reads there. */
-static void find_wrenches(const sf_sense_records *at) {
+static void find_wrenches(const sf_sense_records *at, const sf_real *truth) {
     int first = at->averaged ? 0 : at->rows - 1;
     for (int foot = 0; foot < at->feet.force_torque_config->sensors; foot++)
         for (int i = 0; i < SF_AXES; i++) {
             sf_real sum = 0;
             for (int row = first; row < at->rows; row++)
-                sum += at->truth[row * at->columns + at->at_ankles + foot * at->stride + i];
+                sum += truth[row * at->columns + at->at_ankles + foot * at->stride + i];
             at->wrench[SF_AXES * foot + i] = -sum / (at->rows - first);
         }
 }
 
-static void find_motion(const sf_sense_records *at) {
+static void find_motion(const sf_sense_records *at, const sf_real *truth) {
     int joints = at->telemetry->config->joints;
     for (int row = 0; row < at->rows; row++) {
-        const sf_real *truth = at->truth + row * at->columns;
-        memcpy(at->telemetry->position + row * joints, truth + at->at_joints, (size_t)joints * sizeof *truth);
-        memcpy(at->telemetry->inertial + row * SF_AXES, truth + at->at_inertial, SF_AXES * sizeof *truth);
+        const sf_real *now = truth + row * at->columns;
+        memcpy(at->telemetry->position + row * joints, now + at->at_joints, (size_t)joints * sizeof *now);
+        memcpy(at->telemetry->inertial + row * SF_AXES, now + at->at_inertial, SF_AXES * sizeof *now);
     }
 }
 
 /* A control step of one robot, for whose packets there is room, or the start of an episode, for which 1 keeps the
    telemetry's sensors and 2 draws them, at rest as the first row of position and inertial says; and what is seen of it.
-   Returns what surefoot_telemetry_advance does. */
-EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins) {
+   truth is what the simulator reads in each substep. Returns what surefoot_telemetry_advance does. */
+EXPORTED int surefoot_sense(const sf_sense_records *at, const sf_real *truth, double time, int begins) {
     int told = 0;
-    if (at->feet.cells_config) find_load(at);
-    if (at->feet.force_torque_config) find_wrenches(at);
+    if (at->feet.cells_config) find_load(at, truth);
+    if (at->feet.force_torque_config) find_wrenches(at, truth);
     if (begins)
         sf_feet_begin(&at->feet, at->load, at->rows, at->wrench, at->raw);
     else
@@ -281,7 +281,7 @@ EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins)
     if (at->telemetry && begins)
         told = surefoot_telemetry_init(at->telemetry, at->telemetry_state, at->telemetry_stream, begins - 1);
     else if (at->telemetry) {
-        find_motion(at);
+        find_motion(at, truth);
         told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
     }
     int arrived = told & 0xFFFF;
@@ -293,7 +293,8 @@ EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins)
     return told;
 }
 
-/* A control step of many robots, at[i] at time[i]; told[i] is what surefoot_sense returns of it. */
-EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const double *time, int *told, int count) {
-    for (int i = 0; i < count; i++) told[i] = surefoot_sense(at[i], time[i], 0);
+/* A control step of many robots, each argument with a number of each; told[i] is what surefoot_sense returns of it. */
+EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const sf_real *const *truth, const double *time,
+                                  int *told, int count) {
+    for (int i = 0; i < count; i++) told[i] = surefoot_sense(at[i], truth[i], time[i], 0);
 }

@@ -42,7 +42,7 @@
 /* Constants of one robot: a Telemetry with its Imu, Encoders and Link. Six numbers are those of the
    accelerometer, then of the gyroscope. */
 typedef struct {
-    int joints, substeps, before_start;
+    int joints, substeps, before_start, room; /* room: packets under way at a time, at most */
     int averaged, skewed; /* whether a sample is a mean; whether the IMU's axes are a little off */
     double dt, substep, period, delay, jitter;
     sf_real interval, smoothing; /* the period, and the share that the velocity filter takes */
@@ -62,7 +62,7 @@ typedef struct {
     sf_real up[3], gyroscope_bias[3]; /* what the computer believes */
     sf_real position[SF_JOINTS], velocity[SF_JOINTS], inertial[6];
     double arrival[SF_LINK_ROOM];
-    sf_real ring[SF_LINK_ROOM * SF_PACKET];
+    sf_real ring[SF_LINK_ROOM * SF_PACKET]; /* as wide as the robot's packets: what follows need not be there */
 } sf_telemetry;
 
 SF_API int sf_packet_size(const sf_telemetry_config *c) { return 10 + 2 * c->joints; }
@@ -70,15 +70,16 @@ SF_API int sf_packet_size(const sf_telemetry_config *c) { return 10 + 2 * c->joi
 /* Return whether a robot fits into the arrays; call it once for a config that comes from elsewhere. */
 SF_API int sf_telemetry_fits(const sf_telemetry_config *c) {
     int most = c->period > 0 ? (int)fmin(c->dt / c->period, SF_LINK_ROOM) + 1 : SF_LINK_ROOM + 1;
+    if (c->room < 1 || c->room > SF_LINK_ROOM) return 0;
     return c->joints >= 0 && c->joints <= SF_JOINTS && c->substeps >= 1 && c->before_start >= 0 &&
-           c->before_start <= SF_LINK_ROOM - most && c->dt > 0 && c->substep > 0;
+           c->before_start <= c->room - most && c->dt > 0 && c->substep > 0;
 }
 
 /* Return how many packets the next step sends; -1 if there is no room for them. */
 SF_API int sf_telemetry_coming(const sf_telemetry_config *c, const sf_telemetry *s) {
     int count = 0;
     for (double due = s->due; due <= c->dt + 1e-9; due += c->period)
-        if (s->waiting + ++count > SF_LINK_ROOM) return -1;
+        if (s->waiting + ++count > c->room) return -1;
     return count;
 }
 
@@ -154,7 +155,7 @@ SF_API void sf_attitude(sf_telemetry *s, const sf_real *gyroscope, const sf_real
 /* ------------------------------------------------------------------------------------------------ packets */
 
 SF_API sf_real *sf_packet(const sf_telemetry_config *c, sf_telemetry *s, int64_t place) {
-    return s->ring + (s->first + place) % SF_LINK_ROOM * sf_packet_size(c);
+    return s->ring + (s->first + place) % c->room * sf_packet_size(c);
 }
 
 /* Read the sensors once and send a packet at a time of the host's clock. */
@@ -186,8 +187,8 @@ SF_API void sf_measure_and_send(const sf_telemetry_config *c, sf_telemetry *s, c
         delay = fmax(0.0, delay + c->jitter * (double)late);
     }
     double arrival = time + delay;
-    if (s->waiting > 0) arrival = fmax(arrival, s->arrival[(s->first + s->waiting - 1) % SF_LINK_ROOM]);
-    s->arrival[(s->first + s->waiting) % SF_LINK_ROOM] = arrival;
+    if (s->waiting > 0) arrival = fmax(arrival, s->arrival[(s->first + s->waiting - 1) % c->room]);
+    s->arrival[(s->first + s->waiting) % c->room] = arrival;
     row[0] = (sf_real)s->number;
     row[1] = (sf_real)arrival;
     s->number++;
@@ -199,7 +200,7 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
     int count = 0, size = sf_packet_size(c);
     for (; s->waiting > 0 && s->arrival[s->first] <= time + SF_LINK_ROUNDING; count++) {
         memcpy(arrived + count * size, sf_packet(c, s, 0), (size_t)size * sizeof(sf_real));
-        s->first = (s->first + 1) % SF_LINK_ROOM;
+        s->first = (s->first + 1) % c->room;
         s->waiting--;
     }
     return count;
@@ -208,12 +209,12 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
 /* Switch the robot on at rest, some packets before time 0.
 
    position (J) and inertial (6) are what is true then. With `fresh` an IMU and encoders are drawn; otherwise
-   `bias`, `matrix` and `error` of the state are those to keep. `arrived` holds SF_LINK_ROOM rows; the number of
+   `bias`, `matrix` and `error` of the state are those to keep. `arrived` holds `room` rows; the number of
    those that have arrived by time 0 is returned. */
 SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
                              const sf_real *inertial, int fresh, sf_random *stream, sf_real *arrived) {
     if (fresh) {
-        memset(s, 0, sizeof *s);
+        memset(s, 0, (size_t)((char *)s->ring - (char *)s));
         sf_random_fill(stream, 1, 6, s->bias);
         for (int i = 0; i < 6; i++) s->bias[i] *= c->bias_std[i];
         if (c->skewed) sf_random_fill(stream, 1, 18, s->matrix);
@@ -237,7 +238,7 @@ SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, cons
 /* Measure a control step.
 
    position (S, J) and inertial (S, 6) are what is true at the ends of its S substeps, time is the host's at its
-   end. `arrived` holds SF_LINK_ROOM rows; the number of packets that have arrived is returned, or -1 if more are
+   end. `arrived` holds `room` rows; the number of packets that have arrived is returned, or -1 if more are
    under way than there is room for: nothing has happened then. */
 SF_API int sf_telemetry_advance(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
                                 const sf_real *inertial, double time, sf_random *stream, sf_real *arrived) {

@@ -67,12 +67,16 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
+        # The jitter is bounded, so that no more are under way than there were at rest and a step sends.
+        room = self.before_start + int(min(dt / self.period, 2**30)) + 1
+        most = library.places["telemetry"]["arrival"][2] // 8
+        if room > most:
+            raise ValueError("More packets are under way than the library was compiled for.")
         config = library.record_of(
-            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps)
+            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps) | {"room": room}
         )
         assert config is not None
         self.config = config
-        room = library.places["telemetry"]["arrival"][2] // 8
         shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
         state = library.record("telemetry", shapes | {
             "bias": (6,), "matrix": (2, 3, 3), "error": (joints,), "up": (3,), "gyroscope_bias": (3,),
@@ -82,14 +86,20 @@ class NativeTelemetry(Telemetry):
         functions, at = library.functions, self.config.ctypes.data
         if state is None or not functions.surefoot_telemetry_fits(at):
             raise ValueError("The robot is larger than those that the library was compiled for.")
-        self._record, self._room = state, room
+        # Fields are views: what the robot's packets do not fill needs no memory.
+        fields = dict(state.fields or {})
+        ring, at = fields["ring"][:2]
+        self._record = np.dtype({
+            "names": list(fields), "formats": [field[0] for field in fields.values()],
+            "offsets": [field[1] for field in fields.values()], "itemsize": at + ring.itemsize,
+        })  # fmt: skip
+        self._room = room
         self._skewed = bool(self.config["skewed"])
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
-        # A view of memory hands out plain floats, and rows that are there already need no slicing.
-        self._heads, self._contents = self._arrived.data, [row[2:] for row in self._arrived]
+        self._heads = self._arrived.data  # which hands out plain floats
         self._shape = self._position.shape
         arrays = self.config, self._position, self._inertial, self._arrived
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
@@ -133,10 +143,8 @@ class NativeTelemetry(Telemetry):
 
     def packets(self, count: int) -> Packets:
         """Return the packets that the last step has delivered, so many."""
-        heads, contents = self._heads, self._contents
-        return tuple(
-            [Packet(int(heads[row, 0]), heads[row, 1], contents[row].copy()) for row in range(count)]
-        )
+        heads, contents = self._heads, self._arrived[:count, 2:].copy()
+        return tuple([Packet(int(heads[row, 0]), heads[row, 1], contents[row]) for row in range(count)])
 
     def hardware(self, state: Any) -> Hardware:
         """Return the present state of IMU and encoders."""

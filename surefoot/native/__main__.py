@@ -15,7 +15,9 @@ def main(arguments: Sequence[str] = ()) -> str | None:
     parser.add_argument("--cmakedir", action="store_true", help="print the folder of surefoot-config.cmake")
     wanted = parser.parse_args(arguments)
     if wanted.include:
-        print(" ".join(f"-I{folder}" for folder in (*(one.folder for one in _sources()), SHARED)))
+        print(
+            " ".join(f"-I{folder}" for folder in (*dict.fromkeys(one.folder for one in _sources()), SHARED))
+        )
     if wanted.cmakedir:
         print(SHARED)
     if wanted.include or wanted.cmakedir:

@@ -20,6 +20,11 @@ SHARED = Path(__file__).resolve().parent
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 """Contraction would round differently from machine to machine."""
 
+SMALLER = {
+    "calibration": ("-DSF_CHANNELS=8", "-DSF_FEET=2", "-DSF_COMPONENTS=3", "-DSF_TALKS=0", "-DSF_BLOCK=16")
+}
+"""Sizes of a package's second library, whose records are small: for two feet on up to four cells each."""
+
 
 PLATFORMS = {
     "manylinux_2_17_x86_64.manylinux2014_x86_64": "x86_64-linux-gnu.2.17",
@@ -69,14 +74,22 @@ class Sources(NamedTuple):
 
     Attributes:
         folder: The folder.
+        sizes: Options of the compiler for records of another size.
     """
 
     folder: Path
+    sizes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Name of the library, without an ending."""
-        return f"surefoot_{self.folder.parent.name}"
+        return f"surefoot_{self.folder.parent.name}" + ("_cells" if self.sizes else "")
+
+    @property
+    def smaller(self) -> "Sources | None":
+        """The same with less room in its records, if the package has it so."""
+        sizes = SMALLER.get(self.folder.parent.name)
+        return None if sizes is None or self.sizes else Sources(self.folder, sizes)
 
     @property
     def library(self) -> Path:
@@ -86,7 +99,7 @@ class Sources(NamedTuple):
     def fingerprint(self, flags: Sequence[str] = FLAGS) -> str:
         """Return the mark of a library that is compiled from the sources at hand with these flags."""
         found = (path for folder in (self.folder, SHARED) for path in sorted(folder.glob("*.[ch]")))
-        parts = (" ".join(flags).encode(), *(path.read_bytes() for path in found))
+        parts = (" ".join((*flags, *self.sizes)).encode(), *(path.read_bytes() for path in found))
         return sha256(b"".join(parts)).hexdigest()[:16]
 
     def compile(
@@ -113,6 +126,7 @@ class Sources(NamedTuple):
             *(() if ending(platform) == ".dll" else ("-fPIC",)),
             *(("-s",) if platform else ()),
             f'-DSF_SOURCE="{self.fingerprint(flags)}"',
+            *self.sizes,
             f"-I{SHARED}",
             "-o",
             str(fresh),
@@ -137,4 +151,7 @@ class Sources(NamedTuple):
 def sources_below(root: Path) -> Iterator[Sources]:
     """Yield the sources of each library in a folder of packages, in the order of their names."""
     for path in sorted(root.glob("*/native/library.c")):
-        yield Sources(path.parent)
+        sources = Sources(path.parent)
+        yield sources
+        if sources.smaller is not None:
+            yield sources.smaller

@@ -133,6 +133,7 @@ class Native:
     ) -> None:
         self.sources, self._signatures, self._many = sources, signatures, many
         self._found: tuple[Library | None] | None = None
+        self._smaller: tuple[Library, ...] | None = None
 
     def load(self, path: Path, source: str | None = None) -> Library:
         """Load a library.
@@ -170,17 +171,28 @@ class Native:
             self._found = (self.look(self.sources.library),)
         return self._found[0]
 
-    def look(self, path: Path) -> Library | None:
+    def rooms(self) -> tuple[Library, ...]:
+        """Return the libraries of this package, those with the least room in their records first."""
+        largest, sources = self.installed(), self.sources.smaller
+        if largest is None:
+            return ()
+        if self._smaller is None:
+            found = None if sources is None else self.look(sources.library, sources)
+            self._smaller = () if found is None else (found,)
+        return *self._smaller, largest
+
+    def look(self, path: Path, sources: Sources | None = None) -> Library | None:
         """Return the library of this package in a file, as :meth:`installed` does."""
         if os.environ.get(SWITCH) == "0":
             return None
+        effect = "runs in Python, slower" if sources is None else "needs more memory for many robots"
         problem = f"there is no {path.name}"
         if path.exists():
             try:
-                return self.load(path, self.sources.fingerprint())
+                return self.load(path, (sources or self.sources).fingerprint())
             except OSError as error:
                 problem = f"{path.name} cannot be used, {error}"
-        say_once(problem)
+        say_once(problem, effect)
         return None
 
 
@@ -196,8 +208,6 @@ def require(library: Library | None) -> Library:
 
 
 @cache
-def say_once(problem: str) -> None:
-    """Log in one line that Python runs in place of the library, and the way out."""
-    logging.getLogger("surefoot").warning(
-        "surefoot runs in Python, slower: %s; compile it with: %s", problem, _BY_HAND
-    )
+def say_once(problem: str, effect: str) -> None:
+    """Log in one line what becomes of it that there is no such library, and the way out."""
+    logging.getLogger("surefoot").warning("surefoot %s: %s; compile it with: %s", effect, problem, _BY_HAND)

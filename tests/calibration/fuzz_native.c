@@ -51,7 +51,7 @@ int main(int count, char **words) {
     long samples = atol(words[2]);
     int K = config.channels, broken = -1, kind = 0;
     for (long k = 0; k < samples; k++) {
-        sf_reference reference = {{0, 0, (sf_real)0.26}, {0, 0, 0}, {0, 0, 0}, {0}, {0}, {1, 1}, {0, 0}};
+        sf_reference reference = {{0, 0, (sf_real)0.26}, {0, 0, 0}, {0, 0, 0}, {0}, {0}, {1, 1}, {0, 0}, 0};
         sf_real raw[SF_CHANNELS], phase = (sf_real)sin((double)k * 0.05),
                                   share = (1 + phase * (sf_real)1.2) / 2;
         share = sf_clip(share, 0, 1);

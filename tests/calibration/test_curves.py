@@ -111,7 +111,7 @@ def test_a_calibrator_has_them_in_front(library: bool, monkeypatch: pytest.Monke
     if library and installed() is None:
         pytest.skip("the library is not built here")
     if not library:
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda: None)
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: ())
     log = walk(1, 0.04, 1.0, 0.5, Faults.bad())
     ends = log.raw[:, 3].min(), log.raw[:, 3].max()
     count = np.linspace(*ends, 5)

@@ -16,12 +16,13 @@ DT, SECONDS, MASS = 0.01, 16.0, 12.0
 WEIGHT, SAMPLES = MASS * GRAVITY, round(SECONDS / DT)
 PLACES = {
     1: [(0.0, 0.0)],
+    2: [(0.0, 0.05), (0.0, -0.05)],
     3: [(0.2, 0.0), (-0.2, 0.13), (-0.2, -0.13)],
     4: [(0.2, 0.13), (0.2, -0.13), (-0.2, 0.13), (-0.2, -0.13)],
     6: [(0.2, 0.13), (0.2, -0.13), (0.0, 0.16), (0.0, -0.16), (-0.2, 0.13), (-0.2, -0.13)],
 }
 PLACES |= {feet: [(0.1 * i - 0.4, 0.15 * (-1) ** i) for i in range(feet)] for feet in (8, 9)}
-TOGETHER = {3: [0, 1, 1], 4: [0, 1, 1, 0], 6: [0, 1, 1, 0, 0, 1]} | {
+TOGETHER = {2: [0, 1], 3: [0, 1, 1], 4: [0, 1, 1, 0], 6: [0, 1, 1, 0, 0, 1]} | {
     feet: [i % 2 for i in range(feet)] for feet in (8, 9)
 }
 """Which feet stand together while the others swing; one foot alone stays down."""

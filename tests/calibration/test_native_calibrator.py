@@ -47,9 +47,10 @@ def calibrators(library, monkeypatch):
     """The same calibrator by the library and by Python."""
     made = []
     for found in (library, None):
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
+        rooms = (found,) if found else ()
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda rooms=rooms: rooms)
         made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
-    monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda: library)
+    monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: (library,))
     return made
 
 

@@ -7,7 +7,7 @@ from test_many_feet import DT, MASS, WEIGHT, layout_of, move, read
 from test_native_filter import play
 
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
-from surefoot.calibration.native import NATIVE, ReferenceRecord, c_source, native_filter
+from surefoot.calibration.native import NATIVE, ReferenceRecord, c_source, native_filter, rooms
 from surefoot.calibration.online import online_method
 from surefoot.native import compiler
 
@@ -102,3 +102,34 @@ def test_more_feet_than_the_library_has_room_for_are_refused_and_left_to_python(
     assert calibrator.native() is None
     assert estimate.vgrf.shape == (9,)
     assert abs(estimate.vgrf.sum() - WEIGHT) < WEIGHT
+
+
+@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+@pytest.mark.parametrize("momentum", [True, False])
+def test_a_library_with_less_room_is_the_same_to_the_last_bit(momentum):
+    small, large = rooms()
+    sizes = [room.places["moment_state"][""][2] for room in (small, large)]
+    assert sizes[0] < 0.12 * sizes[1]
+    setup, log = setup_of(2, "cells"), Log(2, "cells", momentum)
+    both = [native_filter(room, "moment", setup, {}) for room in (small, large)]
+    states = [native.init() for native in both]
+    for k in range(SAMPLES):
+        found = [
+            native.update(state, log.force[k], log.row(k), float(log.times[k]))
+            for native, state in zip(both, states, strict=True)
+        ]
+        for one, other in zip(*found, strict=True):
+            assert np.array_equal(one, other, equal_nan=True) if one is not None else other is None
+    assert FootCalibrator(setup.layout, mass=MASS, initial=setup.initial, dt=DT).library is small
+    assert native_filter(small, "moment", setup_of(2, "six axes"), {}) is None
+
+
+@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+def test_a_reference_of_another_library_is_taken_by_its_values():
+    setup, log = setup_of(2, "cells"), Log(2, "cells", True)
+    one, other = (FootCalibrator(setup.layout, mass=MASS, initial=setup.initial, dt=DT) for _ in "ab")
+    record = ReferenceRecord(rooms()[1], type(log.row(0)), 2)
+    for k in range(60):
+        record.fill(log.row(k))
+        found, wanted = one.update(log.force[k], record), other.update(log.force[k], log.row(k))
+        assert np.array_equal(found.force, wanted.force, equal_nan=True)

@@ -202,7 +202,9 @@ def calibrators(library, monkeypatch):
     """The same calibrator by the library and by Python."""
     made = []
     for found in (None, library):
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
+        monkeypatch.setattr(
+            "surefoot.calibration.foot_calibrator.rooms", lambda found=found: (found,) if found else ()
+        )
         made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=0))
     return made
 

@@ -189,3 +189,26 @@ def test_nobody_steps_a_robot_whose_episode_is_over():
         env.step(np.zeros((2, 11)))
     env.reset(options={"reset_mask": np.array([False, True])})
     env.step(np.zeros((2, 11)))
+
+
+def test_robots_share_a_model_but_for_what_an_episode_changes():
+    robots = BatchVectorEnv(NaoStandEnv, ROBOTS, **TASKS["NaoStand"])
+    alone = [NaoStandEnv(**TASKS["NaoStand"]) for _ in range(ROBOTS)]
+    robots.reset(seed=4)
+    for i, env in enumerate(alone):
+        env.reset(seed=4 + i)
+    assert len({id(env.model) for env in robots.envs}) == len({id(env.data) for env in robots.envs}) == 1
+    drawn = robots.get_attr("model")[0].body_mass.copy()
+    for _ in range(40):  # a payload comes after 0.4 s
+        robots.step(np.zeros((ROBOTS, 11), np.float32))
+        for env in alone:
+            env.step(np.zeros(11, np.float32))
+    models, data = robots.get_attr("model"), robots.get_attr("data")
+    for model, now, env in zip(models, data, alone, strict=True):
+        for name in (*env.varied, "body_subtreemass", "dof_M0"):
+            assert np.array_equal(getattr(model, name), getattr(env.model, name)), name
+        assert np.array_equal(now.qpos, env.data.qpos)
+    assert models[0].body_mass.sum() == pytest.approx(drawn.sum() + 0.5)
+    assert len({model.pair_friction.tobytes() for model in models}) == ROBOTS
+    robots.reset(seed=4)
+    assert np.array_equal(robots.get_attr("model")[1].body_mass, drawn)

@@ -46,8 +46,9 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, metho
     """With the library and without, whole episodes are the same; a held reference is NaN."""
     said, estimates = [], []
     for found in (library, None):
-        for module in ("calibration.foot_calibrator", "robot.beliefs.native"):
-            monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
+        rooms = () if found is None else (found,)
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda rooms=rooms: rooms)
+        monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda found=found: found)
         env = SelfCalibration(FootSensors(make_bare()), method, show=show)
         env.reset(seed=4)
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)

@@ -11,9 +11,8 @@ import torch
 from _gpu import DEVICE
 
 from surefoot.sensors import Fault, ForceTorque, LoadCells, Wire, parse_fault
-from surefoot.sensors.devices.native_faults import FAULTS
 from surefoot.sensors.presets import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE
-from surefoot.wrappers import FootSensors
+from surefoot.wrappers import FootEquipment, FootSensors
 from surefoot.wrappers.gpu.batch import mask_of, views
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 
@@ -62,6 +61,8 @@ ALONE = {
     "late": {"config": replace(HX711_LOAD_CELLS, settling=4, wire=Wire(delay=0.03, jitter=0.004))},
     "shear": {"config": replace(HX711_LOAD_CELLS, shear_std=0.05)},
     "ankles": {"config": "icub-force-torque"},
+    "own severity": {"severity": (0.5, 2.0)},
+    "by chance": {"faults": {"dies": 0.1, "within 0.1 s drops 50 %": 0.3}, "severity": (0.0, 1.0)},
     "broken": {"faults": ["from t=0.05 s to t=0.1 s cell left/2 drops 50 %", "at t=0 s cell right/1 spikes"]},
 }
 
@@ -75,9 +76,8 @@ def test_a_robot_reads_what_it_reads_alone(case):
     ]
     for i, env in enumerate(alone):
         env.reset(seed=3 + i)
-    config = alone[0].robot.equipment.instruments.parts[0].config
-    dt, faults = alone[0].source.dt, options.get("faults", ())
-    feet = make(config, 2, dtype=torch.float64, seed=3, dt=dt, faults=faults)
+    dt = alone[0].source.dt
+    feet = make(FootEquipment(**options), 2, dtype=torch.float64, seed=3, dt=dt)
 
     def same():
         loads = [env.robot.equipment.instruments.parts[0].load(env.source.truth) for env in alone]
@@ -291,7 +291,7 @@ def test_faults_begin_when_they_should():
 def test_faults_begin_when_they_should_after_hours(dtype):
     late = [Fault("dead", 3, start=7201.0)]
     feet = make(robots=1, dtype=dtype, dt=0.005, faults=late, severity=0.0)
-    faults = feet._device(FAULTS, feet._broken)
+    (_, _), (faults, _) = feet._parts(feet._usual[0])
     views(feet._faults, faults.layout)["time"].fill_(7200.0)
     force = torch.full((1, 8), 10.0)
     read = [abs(float(feet.newtons(feet(force))[0, 3])) < 0.1 for _ in range(203)]
@@ -323,6 +323,10 @@ def test_bad_input_is_refused_with_the_reason():
         make(faults=[Fault("dead", 8)])
     with pytest.raises(ValueError, match="There is no kernel for such sensors"):
         make(replace(HX711_LOAD_CELLS, settling=4, rate=None))
+    with pytest.raises(ValueError, match="takes no 'ankles': it reads one kind of instrument"):
+        make(FootEquipment(ankles="icub-force-torque"))
+    with pytest.raises(ValueError, match="'severity' is given twice"):
+        make(FootEquipment(severity=0.5), severity=2.0)
     for options, message in (
         ({"num_envs": 0}, "'num_envs' must be a positive whole number"),
         ({"dt": 0.0}, "'dt' must be a positive time"),

@@ -49,7 +49,7 @@ STEP = """
         const sf_reference *now = &belief->reference;
         const sf_real *imu[] = {belief->accelerometer, belief->gyroscope}, *raw = in + robot * of->channels;
         sf_estimate *told = (sf_estimate *)found.data + robot;
-        if (rows == 4)
+        if (rows == 0)
             sf_moment_step(of, (const sf_moment_config *)(of + 1),
                              (sf_moment_state *)state.data + robot,
                              (sf_moment_work *)stream.data + robot, raw, now, dt, told);

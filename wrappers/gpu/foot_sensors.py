@@ -7,8 +7,8 @@
 A step is one kernel of ``sensors/native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -16,9 +16,11 @@ from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.names import page
+from surefoot.robot.sensing.condition import Condition, Conditions, Severity, faults_of, severity_range
 from surefoot.robot.sensing.device import FootDevice, first_steps, foot_device
-from surefoot.robot.streams import SENSOR_STREAM, device_streams
-from surefoot.sensors import Fault, LoadCells, parse_fault, scaled
+from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
+from surefoot.robot.streams import check_stream, device_streams
+from surefoot.sensors import LoadCells, scaled
 from surefoot.sensors.devices.load_cells import true_map
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_device import Kind, NativeDevice, NativeState, native_device
@@ -26,27 +28,38 @@ from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.faults.words import CELLS as CELL_NAMES
 from surefoot.sensors.faults.words import FEET
-from surefoot.sensors.presets import resolve
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds
 from surefoot.wrappers.gpu.kernels import Kernel, kernel
 
-_ADVANCE, _BROKEN = 1, 2
-"""What a thread is told: that this is a new step, and that channels have faults."""
+_ADVANCE = 1
+"""What a thread is told: that this is a new step."""
+
+_ELSEWHERE = {
+    "ankles": "it reads one kind of instrument; make another module for them",
+    "imu": "it reads feet alone",
+    "encoders": "it reads feet alone",
+    "link": "it reads feet alone",
+}
+"""Fields of :class:`FootEquipment` that are not this module's, and why."""
 
 _BODY = """
-    sf_random *streams = (sf_random *)own.data + 2 * robot;
+    sf_random *streams = (sf_random *)own.data + 3 * robot;
     unsigned char *starts = (unsigned char *)marks.data + robot;
-    const sf_{kind}_config *device = (const sf_{kind}_config *)config.data;
+    /* One set of constants for all robots, or each its own. */
+    const int mine = config.shape[0] > 1 ? robot : 0;
+    const sf_{kind}_config *device = (const sf_{kind}_config *)config.data + mine;
+    const sf_faults_config *broken = (const sf_faults_config *)more.data + mine;
     const int K = {channels};
     const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * {loads};
     sf_real *counts = (sf_real *)found.data + (size_t)robot * K;
     sf_feet feet;
     memset(&feet, 0, sizeof feet);
     feet.{kind}_config = device, feet.{kind} = (sf_{kind} *)state.data + robot, feet.{kind}_stream = streams;
-    if (what & 2) {{
-        feet.faults_config = (const sf_faults_config *)more.data;
+    if (broken->count > 0) {{
+        feet.faults_config = broken;
         feet.faults = (sf_faults *)other.data + robot, feet.faults_stream = streams + 1;
     }}
     feet.dt = dt, feet.first = span, feet.more = count;
@@ -56,10 +69,10 @@ _BODY = """
 """
 
 _DEVICES = {
-    True: (CELLS, "device->channels", "sf_loads(device)", "cells"),
-    False: (FORCE_TORQUE, "6 * device->sensors", "K", "ankles"),
+    True: (CELLS, "device->channels", "sf_loads(device)"),
+    False: (FORCE_TORQUE, "6 * device->sensors", "K"),
 }
-"""For load cells and for others: the library's kind, channels and loads there, who draws for them."""
+"""For load cells and for others: how the library has them, their channels and loads there."""
 
 
 class FootSensorsModule(BatchModule):
@@ -81,65 +94,83 @@ class FootSensorsModule(BatchModule):
     :class:`~surefoot.wrappers.FootSensors` with seed s + i, however many there are and on any device.
 
     Args:
-        config: The name of a preset, a mapping or a configuration.
+        config: The name of a preset, a mapping or a configuration; or a
+            :class:`~surefoot.wrappers.FootEquipment` of feet alone.
         num_envs: Number N of robots.
         device: Where forces are and readings are wanted.
         dtype: Of readings, ``float32`` or ``float64``. ``float32`` holds every code of a 24-bit converter.
         seed: Of the first robot; it counts up.
         dt: Time between steps in s.
-        severity: Factor of all errors: 0 for none, 1 for the configuration's; see
-            :func:`surefoot.sensors.scaled`.
-        faults: Faults of single channels, the same for all robots, by the time since a robot's sensors
-            were drawn: words (:func:`~surefoot.sensors.parse_fault`; feet are left and right, more than two
-            have numbers; axes of six-axis sensors are "cell left/fz"), :class:`~surefoot.sensors.Fault` or
-            mappings of its fields.
         counter: Returns the number of the simulation step.
+        options: ``severity``, ``faults``, ``fresh`` and ``stream`` of
+            :class:`~surefoot.wrappers.FootEquipment`. In words of faults feet are left and right, more than
+            two have numbers; axes of six-axis sensors are "cell left/fz".
 
     Attributes:
-        config: The instrument with its severity.
-        severity: Factor of all errors.
+        config: The instrument with its severity, the usual one where robots draw theirs.
+        severity: Factor of all errors, or the lowest and the highest.
         channels: Number K of readings.
         nominal: The map that a robot may know, by the data sheet, shape (K,) each: where a calibrator starts.
 
     Raises:
-        ValueError: If a preset is unknown, a value is refused, a fault cannot happen, there is no kernel for
-            such sensors, or more readings are under way than the wire holds
+        ValueError: If a preset is unknown, a value is refused, equipment is of more than feet, a fault cannot
+            happen, there is no kernel for such sensors, or more readings are under way than the wire holds
             (:func:`~surefoot.sensors.transport.wire.check_wire`).
     """
 
+    _sensors: Tensor
+    _faults: Tensor
+    _streams: Tensor
+    _config: Tensor
+    _faults_config: Tensor
+    _severity: Tensor
+
     def __init__(
         self,
-        config: str | Mapping[str, Any] | FootDevice,
+        config: str | Mapping[str, Any] | FootDevice | FootEquipment | None,
         num_envs: int,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
         *,
         seed: int = 0,
         dt: float = 1.0 / 50.0,
-        severity: float = 1.0,
-        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         counter: Counter | None = None,
+        **options: Unpack[FootOptions],
     ) -> None:
         super().__init__(num_envs, device, dtype, dt, counter)
-        self.config: FootDevice = scaled(foot_device(config), severity)
-        self.severity, self.seed = float(severity), seed
+        equipment = equip(config, **options)
+        for name, why in _ELSEWHERE.items():
+            if getattr(equipment, name) is not None:
+                raise ValueError(f"FootSensorsModule takes no {name!r}: {why}.")
+        check_stream("FootSensorsModule", equipment.stream)
+        self._drawn = foot_device(HX711_LOAD_CELLS if equipment.config is None else equipment.config)
+        self._conditions = conditions_of(equipment, self._drawn)
+        self.severity: Severity = equipment.severity
+        self.seed, self.fresh = seed, equipment.fresh
+        usual = self._conditions.usual
+        self.config: FootDevice = scaled(self._drawn, usual.severity)
         self.channels = self.config.channels
         self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
         self._blocks = isinstance(self.config, LoadCells)
-        self._broken = Broken(tuple(_fault(fault, self.config) for fault in faults), self.config)
-        FAULTS.build(self._broken)  # refuses faults that cannot happen
-        check_wire(self.config, self.dt)
+        for severity in {self._conditions.lowest, self._conditions.highest}:
+            check_wire(scaled(self._drawn, severity), self.dt)
         first, *more = first_steps((self.config,), self.dt)
         self._first = len(more), first
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
         self._kernel = self._build()
-        kind, *_, self._part = _DEVICES[self._blocks]
-        parts = self._device(kind, self.config), self._device(FAULTS, self._broken)
-        self._config, self._faults_config = (self._record(part.constants) for part in parts)
-        streams = [device_streams(SENSOR_STREAM, seed + robot) for robot in range(num_envs)]
-        drawn = self._draw((own[self._part], own["faults"]) for own in streams)
-        names = "sensors", "faults", "streams"
-        self._sensors, self._faults, self._streams = map(self._register, names, drawn)
+        self._usual = usual, self._parts(usual)
+        streams = [device_streams(equipment.stream, seed + robot) for robot in range(num_envs)]
+        own = "cells" if self._blocks else "ankles", "faults", "condition"
+        keys = [tuple(each[name] for name in own) for each in streams]
+        found = self._draw([usual.severity] * num_envs, keys, True)
+        names = "sensors", "faults", "streams", "config", "faults_config", "severity"
+        records = dict(zip(names, found, strict=True))
+        if not self._conditions.by_chance:
+            # The constants of all robots are the same, and no part of a state.
+            self._config, self._faults_config = (records.pop(name)[:1].to(self.device) for name in names[3:5])
+            records.pop("severity")
+        for name, record in records.items():
+            setattr(self, f"_{name}", self._register(name, record))
         self._reading = self._register(
             "reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype, device=self.device)
         )
@@ -170,30 +201,35 @@ class FootSensorsModule(BatchModule):
                 *(self._config, self._sensors, self._streams, force, self._faults_config, self._reading),
                 *(self._starting, self._faults),
             )
-            what = _ADVANCE * advances + _BROKEN * bool(self._broken.faults)
             rows = force.shape[1] if force.ndim == 3 else 1
-            self._kernel.launch(self.num_envs, given, what, rows, count, self.dt, first)
+            self._kernel.launch(self.num_envs, given, _ADVANCE * advances, rows, count, self.dt, first)
             self._asked = False
         return self._reading.clone()
 
-    def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
+    def reset(self, env_ids: RobotIds = None, fresh: bool | None = None) -> None:
         """Start new episodes.
 
         Args:
             env_ids: Robots that begin one; all by default.
-            fresh: Whether they get fresh sensors: scales, offsets, clocks, and the time of faults. They are
-                drawn on the host, which waits for a GPU.
+            fresh: Whether they get fresh sensors: scales, offsets, clocks, severity, and the time of faults;
+                by default as the equipment says. They are drawn on the host, which waits for a GPU, and so
+                are faults by chance at each reset.
 
         Raises:
             ValueError: If there is no such robot.
         """
-        mask = self._note_starting(env_ids)
-        if fresh:
+        mask, fresh = self._note_starting(env_ids), self.fresh if fresh is None else fresh
+        if fresh or self._conditions.chances:
             those = mask.nonzero()[:, 0]
-            keys = self._streams[those].cpu().numpy().view(np.uint64).reshape(-1, 2, 2)
-            drawn = self._draw(tuple(map(_stream, pair)) for pair in keys)
-            for kept, new in zip((self._sensors, self._faults, self._streams), drawn, strict=True):
-                kept[those] = new.to(self.device)
+            keys = self._streams[those].cpu().numpy().view(np.uint64).reshape(-1, 3, 2)
+            chance = self._conditions.by_chance
+            before = self._severity[those].tolist() if chance else [self._usual[0].severity] * len(those)
+            drawn = self._draw(before, [tuple(map(_stream, own)) for own in keys], fresh)
+            kept = [self._sensors, self._faults, self._streams]
+            if chance:
+                kept += [self._config, self._faults_config, self._severity]
+            for record, new in zip(kept[not fresh :], drawn[not fresh :], strict=False):
+                record[those] = new.to(self.device)
 
     def newtons(self, counts: Tensor) -> Tensor:
         """Return counts in N (and N m) by the data sheet, as a robot without a calibrator believes them."""
@@ -212,7 +248,10 @@ class FootSensorsModule(BatchModule):
         cells = self._device(CELLS, self.config)
         records = np.split(self._sensors.cpu().numpy().view(cells.layout), self.num_envs)
         states = (cells.unpack(NativeState(one.reshape(()), cells)) for one in records)
-        maps = [true_map(self.config, state) for state in states]
+        severity = self._severity.tolist() if self._conditions.by_chance else [self._usual[0].severity]
+        configs: list[Any] = [scaled(self._drawn, one) for one in severity]
+        configs *= self.num_envs // len(configs)
+        maps = [true_map(*of) for of in zip(configs, states, strict=True)]
         parts = (np.stack(part) for part in zip(*maps, strict=True))
         return Parameters(*(torch.as_tensor(p, dtype=self.dtype, device=self.device) for p in parts))
 
@@ -231,7 +270,7 @@ class FootSensorsModule(BatchModule):
     def _identity(self) -> dict[str, Any]:
         return {
             "configuration": repr(self.config),
-            "faults": repr(self._broken.faults),
+            "faults": repr((*self._conditions.faults, *self._conditions.chances)),
             "num_envs": self.num_envs,
             "dt": self.dt,
             "dtype": str(self.dtype),
@@ -239,7 +278,7 @@ class FootSensorsModule(BatchModule):
 
     def _build(self) -> Kernel:
         """Return the kernel, with room for these sensors."""
-        kind, channels, loads, _ = _DEVICES[self._blocks]
+        kind, channels, loads = _DEVICES[self._blocks]
         config = self.config
         cells = isinstance(config, LoadCells)
         sizes = {
@@ -248,7 +287,7 @@ class FootSensorsModule(BatchModule):
             "LOAD_CELLS": max(16, self.channels if cells else 0),
             "SETTLING": max(8, config.settling if isinstance(config, LoadCells) else 0),
             "SIX_AXIS": max(2, 0 if cells else self.channels // 6),
-            "FAULTS": max(16, len(self._broken.faults)),
+            "FAULTS": max(16, len(self._conditions.faults), self.channels * bool(self._conditions.chances)),
         }
         fits = tuple(f"surefoot_{name}_fits" for name in (kind.name, FAULTS.name))
         body = _BODY.format(kind=kind.name, channels=channels, loads=loads)
@@ -263,32 +302,62 @@ class FootSensorsModule(BatchModule):
             )
         return device
 
-    def _draw(self, streams: Iterable[tuple[Stream, ...]]) -> tuple[Tensor, Tensor, Tensor]:
-        """Draw sensors of some robots, each from its own two streams; return records and streams in bytes."""
-        kind, *_ = _DEVICES[self._blocks]
-        makers = [
-            (self._device(*of), of[0].build(of[1])) for of in ((kind, self.config), (FAULTS, self._broken))
-        ]
-        drawn: list[list[Any]] = [[], [], []]
-        for own in streams:
-            for (device, python), stream, records in zip(makers, own, drawn, strict=False):
-                records.append(device.pack(python.init((self.channels,), stream)).record)
-            drawn[2].append(np.stack([stream.record for stream in own]))
-        return tuple(_in_bytes(records) for records in drawn)  # type: ignore[return-value]
+    def _parts(self, condition: Condition) -> tuple[tuple[NativeDevice, Any], ...]:
+        """Return the instrument and the faults of robots in a condition, as records and as the Python."""
+        config = scaled(self._drawn, condition.severity)
+        each = (_DEVICES[self._blocks][0], config), (FAULTS, Broken(condition.faults, config))
+        python = [kind.build(of) for kind, of in each]  # which refuse faults that cannot happen
+        return tuple((self._device(*of), made) for of, made in zip(each, python, strict=True))
+
+    def _draw(
+        self, before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
+    ) -> tuple[Tensor, ...]:
+        """Draw conditions and sensors of some robots, each from its own three streams.
+
+        Args:
+            before: Their severities until now.
+            streams: Those of the instrument, of faults and of the condition.
+            fresh: Whether sensors are fresh.
+
+        Returns:
+            Sensors, which are drawn if they are to be fresh, faults, streams, the constants of both and
+            severities.
+        """
+        found: list[list[Any]] = [[] for _ in range(6)]
+        usual, same = self._usual
+        for severity, (own, of_faults, of_condition) in zip(before, streams, strict=True):
+            condition = Condition(severity, usual.faults)
+            if self._conditions.by_chance:
+                condition = self._conditions.draw(condition, fresh, self.channels, of_condition)
+            parts = same if condition == usual else self._parts(condition)
+            (device, sensors), (broken, faults) = parts
+            if fresh:
+                found[0].append(device.pack(sensors.init((self.channels,), own)).record)
+            found[1].append(broken.pack(faults.init((self.channels,), of_faults)).record)
+            found[2].append(np.stack([stream.record for stream in (own, of_faults, of_condition)]))
+            found[3].append(device.constants)
+            found[4].append(broken.constants)
+            found[5].append(condition.severity)
+        *records, severities = found
+        parts_of = [_in_bytes(record) if record else torch.zeros(0) for record in records]
+        return *parts_of, torch.tensor(severities, dtype=torch.float64)
 
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Channels of a six-axis sensor as faults name them."""
 
 
-def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
-    """Make a fault of a user's words."""
-    if not isinstance(given, str):
-        return resolve(given, Fault)
+def conditions_of(equipment: FootEquipment, config: FootDevice) -> Conditions:
+    """Return how bad the feet of robots may be.
+
+    Raises:
+        TypeError: If severity or faults are of another type.
+        ValueError: If one is refused.
+    """
     cells = CELL_NAMES if isinstance(config, LoadCells) else AXES
     feet = config.channels // len(cells)
     names = FEET[:feet] if feet <= len(FEET) else [str(number) for number in range(1, feet + 1)]
-    return parse_fault(given, names, cells)
+    return Conditions(*severity_range(equipment.severity), *faults_of(equipment.faults, names, cells))
 
 
 def _stream(record: Any) -> Stream:

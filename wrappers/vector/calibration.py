@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
-from surefoot.robot.native import feed_many
+from surefoot.robot.native import Samples, feed_many
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
@@ -110,20 +110,30 @@ class BatchCalibration:
 
     def _sample(self, which: list[int]) -> None:
         """Take in one sample of some robots."""
-        planned, count = self._sensors.planned, len(self.robots)
+        sensors, count = self._sensors, len(self.robots)
+        readers = [robot.sensing for robot in sensors.robots]
         natives = [own for robot in self.robots if (own := robot.by_library())]
         # What was shown of a robot that has other records since then stands in `shown` alone.
         known = len(which) == count or all(native.sampled for native in natives)
-        if len(natives) == count and known:
-            those = [natives[i] for i in which]
-            samples = [self.robots[i].put(natives[i], planned[i]) for i in which]
+        if len(natives) == count and known and None not in readers:
+            read, robots = [one for i in which if (one := readers[i])], [self.robots[i] for i in which]
+            now = np.array([sensors.robots[i].time for i in which])
+            samples = Samples(
+                [one.rows_address for one in read],
+                [one.count for one in read],
+                [one.raw_address for one in read],
+                None if sensors.plans is None else sensors.plans[which],
+                self.robots[0].reference_time_at(now),
+                now,
+                [robot.next_sample() for robot in robots],
+            )
             if which:
-                feed_many(those, samples, self._sensors.threads)
-            for i in which:
-                self.robots[i].note()
+                feed_many([natives[i] for i in which], samples, sensors.threads)
+            for robot in robots:
+                robot.note()
             self.shown, self.told = natives[0].outputs_of(natives)
         else:
-            shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)
+            shown, told = zip(*(self.robots[i].sample(sensors.plan_of(i)) for i in which), strict=True)
             self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)
         self.told["lag"] = np.full(count, self.robots[0].late)
 

@@ -71,7 +71,7 @@ class BatchSensors:
         equipment: The equipment of each.
         robots: The sensors of each.
         view: Their view.
-        planned: The plan of each robot; ``None`` for one that plans nothing.
+        plans: Feet planned to stand, then to swing, shape (N, 2 F); ``None`` where nobody plans.
         listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
 
@@ -99,7 +99,7 @@ class BatchSensors:
         readings, packet = self.equipment.instruments.space, TelemetryLayout(len(joints))
         self.view = RawView(space, readings, state if state and measure_state else None, packet)
         self.robots = [RobotSensors(self.equipment, self.view.measures) for _ in range(count)]
-        self.planned: list[Planned | None] = [None] * count
+        self.plans: NDArray[np.bool_] | None = None
         self.listeners: list[Listener] = []
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
@@ -299,11 +299,14 @@ class BatchSensors:
         """Keep each robot's plan, and return the simulator's readings in each substep."""
         self._rows, feet = rows, self._meaning.feet
         plans = rows[:, -2 * feet :]
-        if (plans[:, 0] == NO_PLAN).all():
-            self.planned = [None] * len(rows)
-        else:
-            self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
+        self.plans = None if (plans[:, 0] == NO_PLAN).all() else plans > 0.0
         return self._substeps(rows)
+
+    def plan_of(self, robot: int) -> Planned | None:
+        """Return the plan of a robot; ``None`` where nobody plans."""
+        if self.plans is None:
+            return None
+        return Planned(*np.split(self.plans[robot], 2))
 
     def _substeps(self, rows: Floats) -> Floats:
         """Return the simulator's readings in each substep, shape (N, S, columns)."""

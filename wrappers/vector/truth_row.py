@@ -171,7 +171,15 @@ class VectorTruthRow(AnyVectorWrapper):
         self._batch = batch
         self._row = TruthRow(batch.envs[0])
         self.single_observation_space = self._row.observation_space
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    @property
+    def observation_space(self) -> spaces.Space[Any]:
+        """That of all rows, made when asked for: bounds of thousands are as large as records."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @observation_space.setter
+    def observation_space(self, space: spaces.Space[Any]) -> None:
+        raise AttributeError("The space of VectorTruthRow follows from that of one robot, and is not set.")
 
     @property
     def mean_truth(self) -> dict[str, NDArray[Any]]:
