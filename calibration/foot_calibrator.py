@@ -89,7 +89,7 @@ class FootCalibrator:
         **options: Any,
     ) -> None:
         self.method, options = resolve_method(method, options)
-        if initial is not None and not isinstance(initial, Parameters):
+        if isinstance(initial, str | PathLike | Mapping):
             initial, own = read_map(initial, layout.channel_names)
             curves = own if curves is None else curves
         self.setup, options = setup_from_options(

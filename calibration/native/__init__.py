@@ -4,7 +4,7 @@ The Python in :mod:`surefoot.calibration.moment` is the specification, and runs 
 library also makes the references, for :mod:`surefoot.robot`.
 """
 
-from surefoot.calibration.native.config import c_source
+from surefoot.calibration.native.config import c_source, constants_of
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
 from surefoot.calibration.native.library import NATIVE, installed, rooms
 from surefoot.calibration.native.reference import ReferenceRecord
@@ -17,6 +17,7 @@ __all__ = [
     "NativeState",
     "ReferenceRecord",
     "c_source",
+    "constants_of",
     "installed",
     "native_filter",
     "rooms",

@@ -28,6 +28,7 @@ def shear(std: float) -> Corruption[Array]:
     Raises:
         ValueError: If ``std`` is negative.
 
+    >>> import numpy as np
     >>> cell, rng = shear(0.0), np.random.default_rng(0)
     >>> cell.apply(np.array([5.0, 6.0, 1.0, 1.0, 2.0, 2.0]), cell.init((2,), rng), rng, 0.0125)[0]
     array([5., 6.])

@@ -104,7 +104,8 @@ def test_weights_as_json(tmp_path: Path) -> None:
     said = as_json(["calibrate", "weights", str(tmp_path / "scales.csv")])
     (row,) = said["tables"]["weighings"]["rows"]
     assert row["scale (1e-6 N/count), ± one sigma"]["value"] == pytest.approx(-9.81 / 0.4, rel=1e-12)
-    assert said["files"] == {"map": str(tmp_path / "scales.map.json")}
+    files = {"map": "scales.map.json", "report": "scales.map.html"}
+    assert said["files"] == {name: str(tmp_path / file) for name, file in files.items()}
     found = json.loads((tmp_path / "scales.map.json").read_text())
     assert found["channels"] == ["left_front_left"]
     assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)

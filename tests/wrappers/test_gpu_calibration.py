@@ -387,6 +387,7 @@ def test_threads_take_turns_at_robots(workers, log):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.filterwarnings("ignore:CUDA Toolkit:UserWarning")  # of optimization level 0
 def test_kernels_compile_for_a_gpu(method, tmp_path):
     modules = [make(method, 1)] + [FootSensorsModule("hx711-load-cells", 1)] * (method == "none")
     for module in modules:

@@ -27,7 +27,7 @@ from surefoot.calibration import (
 )
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
-from surefoot.calibration.native import native_filter
+from surefoot.calibration.native import NativeFilter, constants_of
 from surefoot.calibration.online import MethodOptions, resolve_method
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import check_leaves
@@ -193,14 +193,14 @@ class SelfCalibrationModule(BatchModule):
         body, fits = _BODY.format(**steps._asdict()), ("surefoot_fits",)
         self._kernel = kernel("calibration", _HEADERS, body, fits, tuple(sizes.items()), False)
         library = self._kernel.library
-        native = native_filter(library, self.method, self.setup, options)
-        fresh = None if native is None else native.pack(native.constants.like)
-        if native is None or fresh is None:
+        constants = constants_of(library, self.method, self.setup, options)
+        native = None if constants is None else NativeFilter(library, constants)
+        fresh = None if constants is None or native is None else native.pack(constants.like)
+        if constants is None or native is None or fresh is None:
             raise ValueError(
                 f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
                 f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
-        constants = native.constants
         self._config, self._fresh = self._record(constants.config), self._record(fresh.record)
         self._own = self._config if constants.own is None else self._record(constants.own)
         # Nothing is remembered in what they work in: robots that wait for a thread share it.
