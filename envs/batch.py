@@ -200,13 +200,15 @@ class BatchVectorEnv(SyncVectorEnv):
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""
         results = []
-        for i, env in enumerate(self.envs):
-            self._bring(i)
-            found = env.get_wrapper_attr(name)
-            result = found(*args, **kwargs) if callable(found) else found
-            shared = result is env.model or result is env.data or isinstance(result, np.ndarray)
-            results.append(copy.copy(result) if shared else result)
-        self._restore()
+        try:
+            for i, env in enumerate(self.envs):
+                self._bring(i)
+                found = env.get_wrapper_attr(name)
+                result = found(*args, **kwargs) if callable(found) else found
+                shared = result is env.model or result is env.data or isinstance(result, np.ndarray)
+                results.append(copy.copy(result) if shared else result)
+        finally:
+            self._restore()
         return tuple(results)
 
     def render(self) -> tuple[Any, ...]:

@@ -43,13 +43,16 @@ def read_map(
         told = parse_json(read_text(given, refusal), f"{file}: the map", refusal)
     try:
         found = [slug(str(name)) for name in told["channels"]]
+        twice = [name for name in found if found.count(name) > 1]
+        if twice:
+            raise ValueError(f"the channel {twice[0]!r} stands in it more than once")
         values = [[float(x) for x in told[key]] for key in KEYS[1:]]
         maps = dict(zip(found, zip(*values, strict=True), strict=True))
         curves = Curves.from_plain(told.get("curves", [None] * len(found)), len(found))
         bent = dict(zip(found, curves.knots, strict=True))
         if not np.isfinite(values).all() or 0.0 in values[0]:
             raise ValueError("scales must be finite and not zero, offsets finite")
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise refusal(
             f"{file}: is no map ({type(error).__name__} {error}); it needs channels, scale_N_per_count "
             "and offset_N, one of each a channel, as `surefoot calibrate weights` writes them."

@@ -171,9 +171,9 @@ def _write_mcap(path: Path, log: Path, feed: str) -> None:
     from surefoot.experiments.walks.replay import starting_map
 
     with _refuse(), working("writing the samples"):
-        method = _choose(feed).get("method", "none")
+        files, method = _mcap(), _choose(feed).get("method", "none")
         read = read_log(log, feet_alone=method in ("none", "tare"))
-        typer.echo(f"MCAP: {_mcap().write_mcap(path, read, method, starting_map(read))}")
+        typer.echo(f"MCAP: {files.write_mcap(path, read, method, starting_map(read))}")
 
 
 def _mcap() -> Any:

@@ -212,3 +212,16 @@ def test_robots_share_a_model_but_for_what_an_episode_changes():
     assert len({model.pair_friction.tobytes() for model in models}) == ROBOTS
     robots.reset(seed=4)
     assert np.array_equal(robots.get_attr("model")[1].body_mass, drawn)
+
+
+def test_a_call_that_fails_leaves_no_payload_in_the_model_of_all_robots():
+    robots = BatchVectorEnv(NaoStandEnv, 2, payload=(0.5, 0.0))
+    robots.reset(seed=0)
+    shared = robots.envs[0].model
+    drawn = shared.body_mass.copy()
+    for _ in range(2):
+        robots.step(np.zeros((2, 11)))
+    assert (robots.get_attr("model")[0].body_mass != drawn).any()
+    with pytest.raises(AttributeError, match="no_such_name"):
+        robots.call("no_such_name")
+    assert np.array_equal(shared.body_mass, drawn)

@@ -49,6 +49,11 @@ def test_the_version_is_said_alike_and_what_other_machines_run_exists() -> None:
         assert re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE), target
 
 
+def test_each_extra_is_tried_before_a_release(load_script) -> None:
+    release = load_script("tests/packaging/release.py")
+    assert set(release.SERVES) == {"", *release.EXTRAS} - {"dev", "test"}
+
+
 @pytest.mark.parametrize("name", SUBPACKAGES)
 def test_every_public_name_exists(name: str) -> None:
     module = getattr(surefoot, name)

@@ -12,6 +12,7 @@ import pytest
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.calibration.weights.known_map import read_map
 from surefoot.experiments.logs.contacts import refer_to_contacts
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -74,6 +75,18 @@ def test_a_calibrator_takes_the_file_with_its_curves(feet: FootSensors, file: Ma
         calibrator = FootCalibrator(layout, "none", mass=5.0, initial=initial, lag=0)
         force = calibrator.update(raw, reference).force
         np.testing.assert_allclose(force, SCALE * np.r_[8.4e6, raw[1:]] + OFFSET)
+
+
+@pytest.mark.parametrize(
+    ("channels", "scale", "said"),
+    [
+        (["left/front", "left_front"], [1.0, 2.0], "the channel 'left_front' stands in it more than once"),
+        (["left/front", "left/rear"], [10**400, 1.0], "is no map (OverflowError"),
+    ],
+)
+def test_contents_that_are_no_map_are_refused(channels: list[str], scale: list[float], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read_map({"channels": channels, "scale_N_per_count": scale, "offset_N": [0.0, 0.0]}, ["left/front"])
 
 
 def test_what_cannot_be_taken_is_refused(feet: FootSensors, file: Make) -> None:
