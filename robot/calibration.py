@@ -244,12 +244,12 @@ class RobotCalibration:
             return own
         native = calibrator.native()
         self._native = None
-        if (
-            native is not None
-            and isinstance(beliefs, NativeBeliefs)
-            and beliefs.library is calibrator.library
-        ):
-            self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
+        if native is not None and isinstance(beliefs, NativeBeliefs):
+            if beliefs.library is not calibrator.library:
+                # Copies begin in the library with room for all robots.
+                self.beliefs = beliefs = native_beliefs(beliefs.unpack(), calibrator.library)
+            if isinstance(beliefs, NativeBeliefs):
+                self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
         return self._native
 
     def put(self, native: NativeSample, command: Any) -> Sample:

@@ -78,6 +78,8 @@ def weights(
     _check_reason(accept)
     with one_line_errors():
         path = weighings.with_suffix(".map.json") if out is None else out
+        if path.suffix == ".html":
+            fail(f"--out is the map, a JSON, and its page is '{path}': end the map's name in .json.")
         result = fit_weighings(weighings, path, accept or "")
         with working("drawing the report"):
             page_path = write_weights_page(path.with_suffix(".html"), result)

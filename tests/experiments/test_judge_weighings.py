@@ -84,6 +84,14 @@ def test_a_reading_at_the_rail_does_not_turn_the_line(spoilt: ModuleType, tmp_pa
     assert said["notices"][0].endswith("(line 9 of the file, such as 8388607). They are left out.")
 
 
+def test_a_page_does_not_replace_its_map(spoilt: ModuleType, tmp_path: Path) -> None:
+    path = write(spoilt.weigh("one cell", 3), tmp_path / "scales.csv")
+    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--out", str(tmp_path / "map.html")])
+    assert result.exit_code == 2
+    assert "end the map's name in .json" in result.stderr
+    assert not (tmp_path / "map.html").exists()
+
+
 def test_exchanged_labels_end_the_command(spoilt: ModuleType, tmp_path: Path) -> None:
     table = spoilt.weigh("one cell", 3)
     load = table.load / GRAVITY

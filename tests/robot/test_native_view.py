@@ -16,7 +16,7 @@ from _native_robots import (
 
 from surefoot.calibration import FeetLayout, nao_shoe_layout
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import NATIVE, Library
+from surefoot.calibration.native import NATIVE, Library, rooms
 from surefoot.native import Record, compiler
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.native import NativeBeliefs
@@ -78,6 +78,18 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, metho
         assert list(one[4]["surefoot"]) == list(two[4]["surefoot"])
     assert said[0][-1][0]["cop_valid"].any()
     assert said[0][-1][0]["cop"] is not said[0][-2][0]["cop"]
+
+
+@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+def test_a_copy_goes_on_in_the_library_of_its_calibrator(make_bare):
+    one = SelfCalibration(FootSensors(make_bare()))
+    one.reset(seed=4)
+    two = copy.deepcopy(one)
+    for _ in range(20):
+        seen = [env.step(np.zeros(env.action_space.shape, np.float32))[0] for env in (one, two)]
+        np.testing.assert_equal(*seen)
+    assert two.beliefs.library is two.calibrator.library is rooms()[0]
+    assert two.robot._native is not None
 
 
 class Estimates:
