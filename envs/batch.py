@@ -98,6 +98,7 @@ class BatchVectorEnv(SyncVectorEnv):
         self.ended: dict[int, SimpleNamespace] = {}
         self._task, model = made[0], made[0].model
         self._drawn = {name: getattr(model, name).copy() for name in self._task.varied}
+        self._fixed = _bytes_of(model)
         self._rows = np.empty((num_envs, self._task.substeps, model.nsensordata))
         self._qvel = np.empty((num_envs, self._task.substeps, model.nv))
         self._threads = threads or cores()
@@ -225,6 +226,7 @@ class BatchVectorEnv(SyncVectorEnv):
         """Take over the robots whose own environments have just been reset."""
         states = [env.state for env in self.envs]
         if self.state is None:
+            self._check_fixed()
             command = Command._make(np.array([part] * self.num_envs) for part in states[0].command)
             parts = (np.array([part] * self.num_envs) for part in states[0][3:])
             self.state = State(None, np.zeros(self.num_envs, dtype=np.int64), command, *parts)
@@ -289,6 +291,18 @@ class BatchVectorEnv(SyncVectorEnv):
         if not self._derives.isdisjoint(changed):
             mujoco.mj_setConst(model, mujoco.MjData(model))
 
+    def _check_fixed(self) -> None:
+        """Raise ValueError if the first reset has changed a field of which all robots have one."""
+        before, now = self._fixed, _bytes_of(self._task.model)
+        changed = [name for name, field in now.items() if field != before[name]]
+        if changed:
+            task = type(self._task).__name__
+            raise ValueError(
+                f"{task} changes {changed} of the model at a reset, of which its robots have one for all; "
+                f"name them in '{task}.varied', beside {self._task.varied}."
+            )
+        self._fixed = {}
+
     def _bring(self, robot: int) -> None:
         """Bring the model, the data and a robot's own environment to where the robot is now."""
         if self.state is None:
@@ -311,6 +325,14 @@ class BatchVectorEnv(SyncVectorEnv):
 
     def _truth_of(self, robot: int) -> Any:
         return self.envs[robot].read(self._rows[robot].copy())
+
+
+def _bytes_of(model: mujoco.MjModel) -> dict[str, bytes]:
+    """Return the fields of a model, with what MuJoCo derives of them."""
+    own = copy.copy(model)
+    mujoco.mj_setConst(own, mujoco.MjData(own))
+    names = (name for name in dir(own) if not name.startswith("_"))
+    return {name: field.tobytes() for name in names if isinstance(field := getattr(own, name), np.ndarray)}
 
 
 def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:

@@ -225,3 +225,23 @@ def test_a_call_that_fails_leaves_no_payload_in_the_model_of_all_robots():
     with pytest.raises(AttributeError, match="no_such_name"):
         robots.call("no_such_name")
     assert np.array_equal(shared.body_mass, drawn)
+
+
+class DampedEnv(NaoStandEnv):
+    """Draws a damping for each episode, and does not name it."""
+
+    def place(self, command, target):
+        super().place(command, target)
+        self.model.dof_damping[6:] = self.np_random.uniform(0.1, 5.0)
+
+
+def test_a_task_names_what_its_episodes_change_in_the_model(monkeypatch):
+    with pytest.raises(
+        ValueError, match=r"DampedEnv changes \['dof_damping'\] of the model at a reset.*varied'"
+    ):
+        BatchVectorEnv(DampedEnv, 2).reset(seed=0)
+    monkeypatch.setattr(DampedEnv, "varied", (*NaoStandEnv.varied, "dof_damping"))
+    robots = BatchVectorEnv(DampedEnv, 2)
+    robots.reset(seed=0)
+    one, other = (model.dof_damping[6] for model in robots.get_attr("model"))
+    assert one != other
