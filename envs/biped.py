@@ -142,9 +142,11 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
     def another(self) -> Self:
         """Return an environment of the same options in the same model and data.
 
-        One of both is in an episode at a time; who uses them keeps what an episode changes.
+        One of both is in an episode at a time; who uses them keeps what an episode changes. An attribute that
+        is a view of MuJoCo's memory is one of the same memory.
         """
         parts = [getattr(self, name) for name in self.shared]
+        parts += [part for part in vars(self).values() if _is_of_mujoco(part)]
         return deepcopy(self, {id(part): part for part in parts})
 
     def draw(self, options: dict[str, Any]) -> Any:
@@ -289,6 +291,17 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         correction = self.correct(self.truth, state.command)
         self.state = state._replace(correction=correction, cop_held=look.cop_held)
         return look
+
+
+def _is_of_mujoco(part: Any) -> bool:
+    """Return whether an attribute is a view of memory that is no array's own."""
+    while isinstance(part, np.ndarray):
+        if part.base is None:
+            return False
+        if not isinstance(part.base, np.ndarray):
+            return True
+        part = part.base
+    return False
 
 
 def effort(residual: NDArray[np.float64]) -> Any:

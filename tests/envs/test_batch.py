@@ -245,3 +245,23 @@ def test_a_task_names_what_its_episodes_change_in_the_model(monkeypatch):
     robots.reset(seed=0)
     one, other = (model.dof_damping[6] for model in robots.get_attr("model"))
     assert one != other
+
+
+class ViewingEnv(NaoStandEnv):
+    """Keeps a view of the state, as fast tasks do."""
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.height = self.data.qpos[2:3]
+
+    def place(self, command, target):
+        super().place(command, target)
+        self.height += 0.05
+
+
+def test_each_robot_of_a_task_that_keeps_views_is_placed_by_them():
+    robots = BatchVectorEnv(ViewingEnv, 3)
+    robots.reset(seed=0)
+    heights = robots._batch.qpos[:, 2]
+    assert np.ptp(heights) < 0.01
+    assert (heights > 0.36).all()
