@@ -68,6 +68,9 @@ METHODS = ("none", "tare", "window", "moment", "integrated")
 LOADED = 0.05
 """Share of the weight from which on a foot's centre of pressure counts."""
 
+UNLOADED = 0.01
+"""Share of the weight below which a foot bears nothing: readings have as much noise."""
+
 HELD = 12.0, 20.0
 """From when to when something lifts the robot, in s."""
 
@@ -347,6 +350,10 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
         kept["cell"].append(float(np.mean((error / weight) ** 2)))
         kept["vgrf"].append(float(((guess - truth)[:, 2].sum() / weight) ** 2))
         kept["held"].append(float(bool((estimate.flags & int(Flag.HELD)).any())))
+        if estimate.contact_probability is not None:
+            share, thought = truth[:, 2] / weight, estimate.contact_probability > 0.5
+            clear = (share > LOADED) | (share < UNLOADED)
+            kept["contact"] += (100.0 * (thought != (share > LOADED)))[clear].tolist()
         for foot in range(len(truth)):
             if truth[foot, 2] < LOADED * weight:
                 continue
@@ -376,11 +383,12 @@ COVERED = 0.5, 0.9, 0.95
 
 COLUMNS = {
     "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
-    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0,
+    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0, "contact": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
 percent of the weight. Means (0): NEES a parameter and of a foot's CoP, how often that lies in the ellipses
-claimed in percent, NIS a row, share of time held."""
+claimed in percent, NIS a row, share of time held, how often (percent) a foot that bears more than
+:data:`LOADED` or less than :data:`UNLOADED` is thought not to, or to, bear load."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:
