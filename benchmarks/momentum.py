@@ -3,7 +3,10 @@
     python benchmarks/momentum.py --out FOLDER --scenes nao/walk "g1/walk, bench" g1/held-20 --seeds 4
     python benchmarks/momentum.py --out FOLDER --seeds 8 --results out/results/momentum
 
-The second makes the whole table of the pages. What is finished stays in the folder: an interrupted run goes
+    python benchmarks/momentum.py --out FOLDER --parts --seeds 4 --results out/results/momentum
+
+The second makes the whole table of the pages, the third that of the worth of each part of ``moment``: each
+left out in turn, on twelve scenes. What is finished stays in the folder: an interrupted run goes
 on, recordings serve until a robot, its sensors or its beliefs change, scores until any code of theirs does.
 
 Elsewhere the total is scored; policies are shown single feet. Each scene is recorded once and played by every
@@ -18,14 +21,12 @@ as fast, in ``"..., triple"`` they are three times as bad, untold.
 """
 
 import argparse
-import json
 import os
 import pickle
 import re
-import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,15 +41,21 @@ from scipy.stats import chi2
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
+from surefoot.calibration.moment.columns import Columns
+from surefoot.calibration.moment.filter import MomentFilter
+from surefoot.calibration.moment.modes import (
+    FIRST_CHANCE,
+    MODES,
+    RATES,
+)
 from surefoot.experiments.arrays import stack_rows, take_rows
-from surefoot.experiments.study.page import MADE, save_tables
+from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.store import Case, Store
-from surefoot.experiments.study.tables import Cell, Frame, decimal, table_of
+from surefoot.experiments.study.tables import Cell, Frame, Table, decimal, table_of
 from surefoot.experiments.walks.record import lift
 from surefoot.experiments.walks.walkers import G1_FEET, make_g1
-from surefoot.files import write_text
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -60,6 +67,9 @@ METHODS = ("none", "tare", "window", "moment", "integrated")
 
 LOADED = 0.05
 """Share of the weight from which on a foot's centre of pressure counts."""
+
+UNLOADED = 0.01
+"""Share of the weight below which a foot bears nothing: readings have as much noise."""
 
 HELD = 12.0, 20.0
 """From when to when something lifts the robot, in s."""
@@ -129,6 +139,65 @@ PAGE = (
     *(f"{robot}/walk, {start}" for start in ("triple", "bench") for robot in ("g1", "nao")),
 )
 """Scenes of the table of the pages, some with other cells to start with."""
+
+PARTS_PAGE = (
+    "g1/walk", "g1/stop-and-go", "g1/held-20", "g1/stand", "g1-fastsac/walk", "nao/walk", "nao/walk, triple",
+    "nao/walk, bench", "nao/held-walk", "nao/balance", "exercise/op3", "exercise/t1",
+)  # fmt: skip
+"""Scenes on which parts of ``moment`` are left out."""
+
+
+def _begin_sure_of(part: str) -> Callable[[MomentFilter, Floats], dict[str, Any]]:
+    """Return a change of the first variances that takes some unknowns for known."""
+
+    def change(core: MomentFilter, first_variance: Floats) -> dict[str, Any]:
+        variance = first_variance.copy()
+        variance[getattr(Columns.of(core.setup.layout), part)] = 0.0
+        return {"first_variance": variance}
+
+    return change
+
+
+def _without(mode: int) -> dict[str, Any]:
+    """Return constants of the modes by which one is never believed."""
+    rates, chance = RATES.copy(), FIRST_CHANCE.copy()
+    rates[:, mode], chance[mode] = 0.0, 1e-12
+    return {"rates": rates, "first_chance": chance / chance.sum(), "least_chance": 1e-12}
+
+
+_, HOLD, LOAD = range(len(MODES))
+
+PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter, Floats], dict[str, Any]]] = {
+    "somebody may hold it": _without(HOLD),
+    "loads": _without(LOAD),
+    "severity by evidence": {"severities": np.ones(4)},
+    "noise of rows by evidence": {"noise_share": 0.0},
+    "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12},
+    "ripple within a sample": {"ripple": 0.0},
+    "memory of a zero's drift": {"product_time": 0.0},
+    "error of the centre of mass": _begin_sure_of("com"),
+    "error of the mass": _begin_sure_of("mass"),
+    "delay": _begin_sure_of("delay"),
+    "tare in swing": {"tare_share": 2.0},
+    "gate": {"gate": 1e6},
+    "suspects": {"sure": 1e12, "contrast": 1e12},
+}
+"""Constants, by their names in C, by which a part of ``moment`` brings nothing."""
+
+
+def _change_constants(part: str) -> Any:
+    """Return a patch that leaves a part out of every filter that is made; none without a name."""
+    usual, change = MomentFilter.constants.fget, PARTS.get(part, {})  # type: ignore[attr-defined]
+
+    def constants(core: MomentFilter) -> tuple[Any, ...]:
+        records = usual(core)
+        values = change
+        if callable(change):
+            values = change(core, next(r.first_variance for r in records if hasattr(r, "first_variance")))
+        return tuple(r._replace(**{k: v for k, v in values.items() if k in r._fields}) for r in records)
+
+    return patch.object(MomentFilter, "constants", property(constants))
+
 
 EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}
 """Robots of ``surefoot/Exercise-v0``."""
@@ -200,7 +269,7 @@ def record(name: str, seed: int, start: str = "", seconds: float = DURATION) -> 
     assert isinstance(usual, LoadCells)
     sensors = FootSensors(base, cells_of(start, usual), feet=feet)
     # In Python both kinds of beliefs are made.
-    with patch("surefoot.robot.beliefs.native.installed", lambda: None):
+    with patch("surefoot.robot.calibration.native_beliefs", lambda beliefs, library: beliefs):
         env = SelfCalibration(sensors, "moment")
         env.reset(seed=seed)
     robot, source, core = env.robot, sensors.source, sensors.robot
@@ -247,19 +316,15 @@ def stream(folder: Path, name: str, seed: int) -> Stream:
 
 
 def play(one: Stream, method: str, **options: Any) -> Iterator[Any]:
-    """Yield a method's estimates of a stream."""
+    """Yield the estimates of a stream by a method, or by ``"moment without PART"``."""
+    method, _, part = method.partition(" without ")
     beliefs: Any = one.momenta if method == "moment" else one.accelerations
     name = "moment" if method == "integrated" else method
-    calibrator = FootCalibrator(
-        one.layout,
-        name,
-        mass=one.mass,
-        initial=one.initial,
-        dt=one.dt,
-        lag=one.lag,
-        age=one.age,
-        **options,
-    )
+    with _change_constants(part):
+        calibrator = FootCalibrator(
+            one.layout, name, mass=one.mass, initial=one.initial, dt=one.dt, lag=one.lag,
+            age=one.age, **options,
+        )  # fmt: skip
     for k, raw in enumerate(one.raw):
         yield calibrator.update(raw, take_rows(beliefs, k))
 
@@ -285,6 +350,10 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
         kept["cell"].append(float(np.mean((error / weight) ** 2)))
         kept["vgrf"].append(float(((guess - truth)[:, 2].sum() / weight) ** 2))
         kept["held"].append(float(bool((estimate.flags & int(Flag.HELD)).any())))
+        if estimate.contact_probability is not None:
+            share, thought = truth[:, 2] / weight, estimate.contact_probability > 0.5
+            clear = (share > LOADED) | (share < UNLOADED)
+            kept["contact"] += (100.0 * (thought != (share > LOADED)))[clear].tolist()
         for foot in range(len(truth)):
             if truth[foot, 2] < LOADED * weight:
                 continue
@@ -314,11 +383,12 @@ COVERED = 0.5, 0.9, 0.95
 
 COLUMNS = {
     "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
-    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0,
+    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0, "contact": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
 percent of the weight. Means (0): NEES a parameter and of a foot's CoP, how often that lies in the ellipses
-claimed in percent, NIS a row, share of time held."""
+claimed in percent, NIS a row, share of time held, how often (percent) a foot that bears more than
+:data:`LOADED` or less than :data:`UNLOADED` is thought not to, or to, bear load."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:
@@ -342,8 +412,23 @@ SHOWN = {"foot": "foot (mm)", "cell": "cell (%)", "nees": "NEES"}
 """Columns of the pages, of each method; NEES of those that claim a covariance."""
 
 
-def save_results(folder: Path, scores: Frame, seeds: int) -> None:
-    """Save the table of the pages, a line a scene, and the command that made it."""
+def table_of_parts(scores: Frame) -> Table:
+    """Return a table of a foot's error (mm) and NEES, a line a part that is left out, a column a scene."""
+    columns: dict[str, Cell] = {
+        "left out": lambda runs: str(runs["method"].iloc[0]).partition(" without ")[2] or "nothing",
+        **{
+            scene: lambda runs, scene=scene: "{foot:.2f} ({nees:.1f})".format(
+                **runs.loc[runs["scene"] == scene, ["foot", "nees"]].mean()
+            )
+            for scene in scores["scene"].unique()
+        },
+    }
+    parts = [part for _, part in scores.groupby("method", sort=False)]
+    return table_of("parts", "Parts of moment, each left out in turn", columns, parts)
+
+
+def table_of_feet(scores: Frame, seeds: int) -> Table:
+    """Return the table of the pages, a line a scene."""
     columns: dict[str, Cell] = {
         "scene": lambda runs: str(runs["scene"].iloc[0]),
         "seeds": lambda runs: str(seeds),
@@ -357,23 +442,23 @@ def save_results(folder: Path, scores: Frame, seeds: int) -> None:
         },
     }
     parts = [part for _, part in scores.groupby("scene", sort=False)]
-    title = "Feet by policy, walking, standing and held"
-    save_tables(folder, [table_of("feet", title, columns, parts)])
-    made = json.loads((folder / MADE).read_text(encoding="utf-8"))
-    made["command"] = shlex.join(["python", "benchmarks/momentum.py", *sys.argv[1:]])
-    write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
+    return table_of("feet", "Feet by policy, walking, standing and held", columns, parts)
 
 
 def main() -> None:
     """Record and score what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of recorded scenes and scores")
-    parser.add_argument("--scenes", nargs="+", default=PAGE)
-    parser.add_argument("--methods", nargs="+", default=METHODS)
+    parser.add_argument("--parts", action="store_true", help="leave each part of moment out in turn")
+    parser.add_argument("--scenes", nargs="+")
+    parser.add_argument("--methods", nargs="+")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=HELD_OUT, help="first seed")
     parser.add_argument("--results", type=Path, help="folder for the table of the pages")
     given = parser.parse_args()
+    parts = ("moment", *(f"moment without {part}" for part in PARTS))
+    given.scenes = given.scenes or (PARTS_PAGE if given.parts else PAGE)
+    given.methods = given.methods or (parts if given.parts else METHODS)
     given.out.mkdir(parents=True, exist_ok=True)
     strange = "SUREFOOT_STRANGERS" in os.environ
     names = [name for name in given.scenes if strange or not name.startswith("g1")]
@@ -401,7 +486,8 @@ def main() -> None:
         worse = int((runs["foot"].to_numpy() > 1.02 * raw.to_numpy()).sum())
         print(f"| {name} | {method} | {means} | {worse} of {len(runs)} |", flush=True)
     if given.results:
-        save_results(given.results / "tables", scores, given.seeds)
+        table = table_of_parts(scores) if given.parts else table_of_feet(scores, given.seeds)
+        save_tables(given.results / "tables", [table])
 
 
 if __name__ == "__main__":
