@@ -1,8 +1,13 @@
 """The filter in C against the Python for other numbers of feet than two: balls, cells and six axes."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
-from _native import library_of
+from _native import SANITIZED, library_of
 from test_many_feet import DT, MASS, WEIGHT, layout_of, move, read
 from test_native_filter import play
 
@@ -10,6 +15,7 @@ from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineS
 from surefoot.calibration.native import NATIVE, ReferenceRecord, c_source, native_filter, rooms
 from surefoot.calibration.online import online_method
 from surefoot.native import compiler
+from surefoot.native.build import FLAGS
 
 SAMPLES, AT = 400, 160
 CORNERS = np.array([(0.02, 0.015, 0.0), (0.02, -0.015, 0.0), (-0.02, 0.015, 0.0), (-0.02, -0.015, 0.0)])
@@ -133,3 +139,44 @@ def test_a_reference_of_another_library_is_taken_by_its_values():
         record.fill(log.row(k))
         found, wanted = one.update(log.force[k], record), other.update(log.force[k], log.row(k))
         assert np.array_equal(found.force, wanted.force, equal_nan=True)
+
+
+def feed_garbage(path):
+    """Feed wrong readings to the moment filter of a library, for two feet on cells."""
+    library, rng = NATIVE.load(Path(path)), np.random.default_rng(1)
+    poison = [np.nan, np.inf, -np.inf, 1e30, 5e3, 0.0, -50.0]
+    for trial in range(4):
+        log = Log(2, "cells", trial % 2 == 0)
+        native = native_filter(library, "moment", setup_of(2, "cells"), {})
+        state = native.init()
+        for k in range(3 * SAMPLES):
+            raw, row = log.force[k % SAMPLES].copy(), log.row(k % SAMPLES)
+            if rng.random() < 0.1:
+                raw[rng.integers(8)] = rng.choice(poison)
+            if trial > 1 and k > SAMPLES:
+                raw[[1, 2, 5]] = raw[2], raw[1], -raw[5]
+            native.update(state, raw, row, DT * float(rng.choice([1.0, 1.0, 1.0, 0.01, 0.3, 1e-4, 3.0])))
+            if rng.random() < 0.005:
+                native.retract(state)
+        assert np.isfinite(native.unpack(state).covariance).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sources", [NATIVE.sources, NATIVE.sources.smaller], ids=["large", "small"])
+def test_garbage_stays_in_its_memory(tmp_path, sources):
+    """With sanitizers that look for misuse of memory, in the sizes of both libraries."""
+    asan = subprocess.run(["cc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
+    assert sources.compile(tmp_path / "watched.so", (*FLAGS[:1], *SANITIZED)) is None
+    program = f"from test_native_feet import feed_garbage; feed_garbage({str(tmp_path / 'watched.so')!r})"
+    watch = {"LD_PRELOAD": asan.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
+    here = {
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1]), *sys.path])
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | watch | here,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
