@@ -27,6 +27,32 @@ Seen = tuple[NDArray[np.float64], dict[str, Any] | None]
 the reading, and nothing is put together."""
 
 
+def _sizes(instruments: Instruments, truth: Any, dt: float) -> dict[str, Any]:
+    """Return how many readings there are and where they are taken, by the names in ``sf_sense_records``."""
+    first, *more = instruments.first_steps(dt)
+    where = truth.sensor_columns()
+    return {
+        "channels": instruments.channels,
+        "dt": dt,
+        "first": first,
+        "more": len(more),
+        "rows": len(truth.time),
+        "columns": truth.rows.shape[-1],
+        "at_joints": where.joints,
+        "at_inertial": where.inertial,
+        "at_ankles": where.ankles,
+        "at_cells": where.cells,
+        "stride": where.stride,
+        "soles": where.soles,
+    }
+
+
+def _seen_dtype(channels: int, observed: int) -> np.dtype[Any]:
+    """Return the record of a reading and of what is seen of it."""
+    numbers = ("raw", np.float64, channels), ("counts", np.float32, channels), ("state", np.float32, observed)
+    return np.dtype([(name, kind, (count,)) for name, kind, count in numbers])
+
+
 class NativeSensing:
     """The library for one robot, which holds the state of all that is under its feet.
 
@@ -67,9 +93,7 @@ class NativeSensing:
         if telemetry is not None:
             self._telemetry, self.telemetry_state = telemetry
         self._view, self.count = view, 0
-        numbers: dict[str, Any] = {"channels": instruments.channels, "dt": dt}
-        numbers["first"], *more = instruments.first_steps(dt)
-        numbers |= {"more": len(more), "rows": len(truth.time)}
+        numbers = _sizes(instruments, truth, dt)
         if len(instruments.parts) > 1:
             self._order = instruments.order.astype(np.int32)
             numbers["order"] = self._order.ctypes.data
@@ -78,15 +102,7 @@ class NativeSensing:
             numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
         observed, to, taken = _NOTHING if view is None else view.state_places()
         self._observed = observed if len(observed) else None
-        self._seen = Record(
-            np.dtype(
-                [
-                    ("raw", np.float64, (instruments.channels,)),
-                    ("counts", np.float32, (instruments.channels,)),
-                    ("state", np.float32, (len(observed),)),
-                ]
-            )
-        )
+        self._seen = Record(_seen_dtype(instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
         self._shape = truth.rows.shape
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
@@ -101,16 +117,6 @@ class NativeSensing:
             "counts": now["counts"],
             "from": taken,
             "to": to,
-        }
-        where = truth.sensor_columns()
-        numbers |= {
-            "columns": self._shape[-1],
-            "at_joints": where.joints,
-            "at_inertial": where.inertial,
-            "at_ankles": where.ankles,
-            "at_cells": where.cells,
-            "stride": where.stride,
-            "soles": where.soles,
         }
         first = instruments.parts[0]
         self._cells = first if isinstance(first, CellsUnderFeet) else None
