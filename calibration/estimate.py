@@ -17,7 +17,7 @@ class Flag(IntFlag):
     """No reading arrived (NaN): the last one is held."""
 
     OUT_OF_RANGE = 2
-    """The reading is infinite or stands for a force that no foot can see: the last one is held."""
+    """The reading is infinite, is a force that no foot can see, or has leapt away: the last one is held."""
 
     REFERENCE = 4
     """The reference is not finite or not physical: the last one is held and nothing is learnt from it."""
@@ -38,7 +38,7 @@ class Flag(IntFlag):
     """What the data ask for is impossible for a sensor: parameters unchanged."""
 
     SPIKE = 256
-    """The reading leapt away from its neighbours: the last one is held."""
+    """The reading was out of range for up to three samples, and has come back to where it was."""
 
     STUCK = 512
     """The reading has not changed at all while the load did: the channel is out."""

@@ -27,6 +27,10 @@ LONGEST_LEAP = 3
 _LEAP_SCALES = 0.3, 3.0
 """Scales that leaps are counted with at least and at most: an estimate that is wrong must not blind it."""
 
+_BACK = 0.25
+"""Share of the least leap within which a reading that comes back is where it was: what loads change by in two
+or three samples. One that stays away was a load's."""
+
 _ALONE = 4.0
 """How many times further than any other cell of its foot a reading must leap to be an error."""
 
@@ -197,9 +201,11 @@ class ChannelFaults:
         most = np.where(stands | (state.landed < _ONCE), self._leap_alone, self._leap)
         state = state._replace(leapt=_BUMP_MEMORY * state.leapt, landed=self._landing_kept * state.landed)
         leaping = step > most
+        was_away = (state.leaps > 0) & (state.leaps <= LONGEST_LEAP)
+        kind = state.kind | int(Flag.SPIKE) * (was_away & read & (step < _BACK * most))
         if not leaping.any():
             leaps = np.where(read, 0, LONGEST_LEAP + 1)
-            return state._replace(last=force, leaps=leaps), force, read, state.kind
+            return state._replace(last=force, leaps=leaps), force, read, kind
         # A foot that lands moves several of its cells.
         others = (step * self._same_foot).max(axis=1)
         leaping = leaping & read & (step > _ALONE * others)
@@ -209,7 +215,7 @@ class ChannelFaults:
         leaping = leaping & (state.leapt.sum() - state.leapt < _BUMPY)
         leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, LONGEST_LEAP + 1))
         used = np.where(leaping, state.last, force)
-        flags = state.kind | int(Flag.SPIKE) * leaping
+        flags = kind | int(Flag.OUT_OF_RANGE) * leaping
         landed = state.landed + float((stayed & ~stands).sum())
         state = state._replace(last=used, leaps=leaps, leapt=leapt, landed=landed)
         return state, used, read & ~leaping, flags

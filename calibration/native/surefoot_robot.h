@@ -87,6 +87,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LEAST_LEAP_SCALE ((sf_real)0.3)
 #define SF_LARGEST_LEAP_SCALE ((sf_real)3.0)
 #define SF_ALONE ((sf_real)4.0)
+#define SF_BACK ((sf_real)0.25)
 #define SF_SPIKE_LOAD ((sf_real)0.02)
 #define SF_BUMPY ((sf_real)1.5)
 #define SF_BUMP_MEMORY ((sf_real)0.993)
@@ -623,9 +624,11 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         step[i] = sf_fabs(force[i] - s->last[i]) *
                   sf_clip(sf_fabs(scale[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
-        leaping[i] = step[i] > (corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone[i]);
+        sf_real most = corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone[i];
+        leaping[i] = step[i] > most;
         any = any || leaping[i];
         kinds[i] = s->kind[i];
+        if (s->leaps[i] > 0 && s->leaps[i] <= SF_LONGEST_LEAP && read[i] && step[i] < SF_BACK * most) kinds[i] |= SF_SPIKE;
     }
     s->landed *= c->landing_kept;
     if (!any) {
@@ -651,7 +654,7 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         if (leaping[i]) {
             force[i] = s->last[i];
             read[i] = 0;
-            kinds[i] |= SF_SPIKE;
+            kinds[i] |= SF_OUT_OF_RANGE;
         }
         s->last[i] = force[i];
     }

@@ -213,8 +213,11 @@ def test_spikes_are_held_and_flagged_and_nothing_is_lost(broken):
     kind = "spikes"
     flags = broken.flags[kind][:, WHO, CHANNEL]
     hit = broken.raw[kind][AT:, WHO, CHANNEL] != broken.healthy[AT:, WHO, CHANNEL]
-    assert ((flags[hit] & int(Flag.SPIKE)) > 0).mean() > 0.9
-    assert ((flags[~hit] & int(Flag.SPIKE)) > 0).mean() < 0.02
+    held, back = ((flags & int(flag)) > 0 for flag in (Flag.OUT_OF_RANGE, Flag.SPIKE))
+    after = np.roll(hit, 1, axis=0) & ~hit
+    assert held[hit].mean() > 0.9
+    assert back[after].mean() > 0.9
+    assert max(held[~hit].mean(), back[~after].mean()) < 0.02
     assert not (flags & int(Flag.LOST)).any()
     assert not broken.blamed(kind, CHANNEL).any()
     assert broken.wrong_cop(kind).max() < PUT_RIGHT
@@ -266,7 +269,7 @@ def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
     force[3] += leap * weight
     scales[3] = scale
     _, used, sure, flags = faults.sample(state, force, read, scales, air)
-    assert bool(flags[3] & int(Flag.SPIKE)) == held
+    assert bool(flags[3] & int(Flag.OUT_OF_RANGE)) == held
     assert sure[3] != held
     assert used[3] == (5.0 if held else force[3])
     assert not np.delete(flags, 3).any()
@@ -288,9 +291,14 @@ def test_a_cell_alone_leaps_but_in_the_air_of_a_robot_that_lands_on_corners(chan
         for foot in (0, 1):
             force = resting.copy()
             force[np.array(channels) + 4 * foot] += leap * SETUP.weight
-            *_, flags = faults.sample(state, force, read, np.ones(8), stance)
+            away, *_, flags = faults.sample(state, force, read, np.ones(8), stance)
             expected = held and (foot == 0 or state is rested)
+            assert ((flags & int(Flag.OUT_OF_RANGE)) > 0).any() == expected
+            # One that comes back was a spike, and one that stays away a load.
+            *_, flags = faults.sample(away, resting, read, np.ones(8), stance)
             assert ((flags & int(Flag.SPIKE)) > 0).any() == expected
+            *_, flags = faults.sample(away, 0.5 * (force + resting), read, np.ones(8), stance)
+            assert not (flags & int(Flag.SPIKE)).any()
 
 
 @pytest.mark.parametrize(
@@ -348,8 +356,9 @@ def test_a_single_spike_changes_nothing_but_its_own_sample(broken):
     raw, at = broken.healthy[: AT + 77].copy(), 37
     raw[AT + at, WHO, CHANNEL] += 80.0
     clean, spoilt = broken.goes_on(broken.healthy[: AT + 77]), broken.goes_on(raw)
-    flagged = np.argwhere(spoilt.flags & int(Flag.SPIKE))
-    np.testing.assert_array_equal(flagged, np.stack([np.full(ROBOTS, at), WHO, CHANNEL], axis=1))
+    for flag, when in ((Flag.OUT_OF_RANGE, at), (Flag.SPIKE, at + 1)):
+        flagged = np.argwhere(spoilt.flags & int(flag))
+        np.testing.assert_array_equal(flagged, np.stack([np.full(ROBOTS, when), WHO, CHANNEL], axis=1))
     # The sample before is held in its place, on its own channel alone.
     moved = np.abs(spoilt.force[at] - clean.force[at])
     expected = np.abs(clean.force[at, WHO, CHANNEL] - clean.force[at - 1, WHO, CHANNEL])
@@ -363,8 +372,8 @@ def test_a_reading_that_stays_away_is_believed_after_three_samples(broken):
     raw = broken.healthy[: AT + 8].copy()
     raw[AT:, WHO, CHANNEL] += 80.0
     flags = broken.goes_on(raw).flags[:, WHO, CHANNEL]
-    assert (flags[:3] & int(Flag.SPIKE)).all()
-    assert not (flags[3:] & int(Flag.SPIKE)).any()
+    assert (flags[:3] == int(Flag.OUT_OF_RANGE)).all()
+    assert not flags[3:].any()
 
 
 def test_blows_to_a_robot_that_bounces_are_no_spikes(broken):
@@ -374,7 +383,7 @@ def test_blows_to_a_robot_that_bounces_are_no_spikes(broken):
     for i, at in enumerate(blows):
         raw[AT + at, :, (3 * i) % 8] += leap
     flags = broken.goes_on(raw).flags
-    held = [(flags[at, :, (3 * i) % 8] & int(Flag.SPIKE)) > 0 for i, at in enumerate(blows)]
+    held = [(flags[at, :, (3 * i) % 8] & int(Flag.OUT_OF_RANGE)) > 0 for i, at in enumerate(blows)]
     assert np.all(held[0])
     assert np.mean(held[2:]) < 0.05
 
@@ -383,4 +392,4 @@ def test_a_foot_that_lands_on_all_its_cells_does_not_spike(broken):
     raw, leap = broken.healthy[: AT + 8].copy(), 0.4 * believed_mass(BAD) * GRAVITY
     raw[AT:, :, :4] += leap * np.array([1.0, 0.9, 0.6, 0.8])
     assert np.abs(np.diff(raw[AT - 1 : AT + 1, :, :4], axis=0)).min() > 0.2 * leap
-    assert not (broken.goes_on(raw).flags & int(Flag.SPIKE)).any()
+    assert not broken.goes_on(raw).flags.any()
