@@ -151,6 +151,21 @@ def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
     np.testing.assert_allclose(np.diag(fit.covariance), np.diag(plain.covariance), rtol=0.01)
 
 
+def test_hysteresis_that_no_order_shows_is_allowed_for():
+    sets, rng = lagging_sets(in_loops, noise=0.1), np.random.default_rng(18)
+    orders = [rng.permutation(len(one.raw)) for one in sets]
+    mixed = [
+        replace(one, raw=one.raw[order], gravity=one.gravity[order], time=None)
+        for one, order in zip(sets, orders, strict=True)
+    ]
+    fit, sure = calibrate_in_situ(mixed), calibrate_in_situ(mixed, options=InSituOptions(hysteresis=False))
+    off = abs(fit.limb.mass - SENSORS["leg"][1])
+    assert off > 3.0 * sure.limb_mass_std
+    assert off < 2.0 * fit.limb_mass_std < 0.1 * fit.limb.mass
+    assert fit.hysteresis is None
+    assert any("noise or hysteresis" in words for words in fit.warnings)
+
+
 def test_few_samples_show_no_hysteresis():
     rng = np.random.default_rng(21)
     for _ in range(2):
