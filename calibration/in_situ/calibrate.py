@@ -184,7 +184,7 @@ def _fit(
     plain = members[0].solution
     chosen = add_gains(plain) if warms and determined else plain
     fits = [chosen]
-    if task.options.hysteresis:
+    if task.options.hysteresis and task.timed:
         chosen, fits = fit_hysteresis(sets, chosen)
     if chosen is not plain:
         members, said = _lean(task, replace(chosen.problem, maker=problem.maker), [chosen.outer])

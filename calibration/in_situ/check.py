@@ -225,23 +225,27 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     return found
 
 
+def measure_residual(parts: Sequence[CompressedSet]) -> float:
+    """Return the largest share of a set's spread that gravity does not explain, noise and all."""
+    return max(_share_of_spread(float(np.sum(part.residual**2)), part) for part in parts)
+
+
 def check_bending(
-    sets: Sequence[InSituSet], parts: Sequence[CompressedSet], loops: bool
+    sets: Sequence[InSituSet], parts: Sequence[CompressedSet], hidden: float
 ) -> tuple[float, list[Finding]]:
     """Measure how much a limb bends; return the share and the findings.
 
-    With ``loops`` hysteresis, which looks like it for a while, may still be in the readings, and no
-    deviation has its part.
+    A share of hysteresis that may be hidden in the readings looks like it for a while.
     """
-    limit = limits.BENDING_BESIDE if loops else limits.BENDING
+    limit = limits.BENDING_BESIDE if hidden else limits.BENDING
     most, found = 0.0, []
-    left = max(_residual_share(data, part) for data, part in zip(sets, parts, strict=True))
-    if loops and left > limits.HIDDEN:
+    if hidden > limits.HIDDEN:
         reason = (
-            f"{left:.1%} of the readings' spread is noise or hysteresis, and only samples with times, enough "
-            "of them, tell which. With hysteresis the answer is several times less sure than it says."
+            f"{measure_residual(parts):.1%} of the readings' spread is noise or hysteresis, and only samples "
+            f"with times, enough of them, tell which: the answer is as sure as {hidden:.1%} of hysteresis "
+            "lets it be."
         )
-        found.append(Finding("hidden hysteresis", reason, value=left, limit=limits.HIDDEN, refuses=False))
+        found.append(Finding("hidden hysteresis", reason, value=hidden, limit=limits.HIDDEN, refuses=False))
     for data, part in zip(sets, parts, strict=True):
         share = measure_bending(part)
         if share > limit and share > limits.BENDS_PARTLY * _residual_share(data, part):

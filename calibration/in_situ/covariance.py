@@ -122,15 +122,35 @@ def share_deviations(solution: Solution) -> Vector:
     return np.asarray(np.linalg.norm(of_shares, axis=1))
 
 
-def slope_doubts(solution: Solution) -> tuple[Matrix, Matrix]:
+def hidden_loops(solution: Solution, share: float) -> OpenErrors:
+    """Return the error by loops of a share that nothing shows: larger swings are felt by so much more.
+
+    All axes are of one metal: it is one error. What loops leave beside it is in the residual.
+    """
+    problem, A = solution.problem, solution.A
+    loads = [part.source.signals @ T.T for part, T in zip(problem.sets, solution.loads, strict=True)]
+    swing = np.array([np.ptp(one, axis=0) for one in loads])
+    largest = np.max(swing, axis=0) + np.finfo(float).tiny
+    changes = share * np.log2(np.maximum(swing / largest, 0.5**_MOST_DOUBLINGS))
+    felt = np.einsum("ca,ja,jas->jcs", A, changes, solution.loads)
+    inputs = felt.shape[2]
+    rows = problem.signals[..., :inputs] @ felt.swapaxes(1, 2) @ problem.whitening.T
+    offset = felt[-1] @ problem.sets[-1].end.signals[:inputs]
+    return OpenErrors(rows.reshape(-1, 1), offset[:, None])
+
+
+def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     """Return columns of C, (6 k, a), and of o, (k, 2 a), for want of one slope of a sensor with hysteresis.
 
-    An axis, or a channel, gives by its share of loops more for twice the swing, by that of creep in twice
-    the time. Without load it still reads anywhere within its loop, by what it bore before. All of its axes
-    are of one metal and one glue: one whose load hardly changed has at least the share of the others.
+    An axis, or a channel, gives by its share of loops, fitted or hidden, more for twice the swing, by that of
+    creep in twice the time. Without load it still reads anywhere within its loop, by what it bore before. All
+    of its axes are of one metal and one glue: one whose load hardly changed has at least the share of the
+    others.
     """
     A, sets = solution.A, solution.problem.sets
-    shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
+    shares = np.full(AXES, hidden)
+    if solution.problem.lags:
+        shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     load = solution.loads[-1] @ sets[-1].end.signals
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]

@@ -141,7 +141,8 @@ class InSituOptions:
     """Whether samples that disagree with all others are left out."""
 
     hysteresis: bool = True
-    """Whether the sensor's hysteresis is part of the fit where sets have times and show it beyond chance."""
+    """Whether the sensor may have hysteresis: it is part of the fit where sets have times and show it beyond
+    chance, and of the covariance where they cannot show it."""
 
     factory_std: tuple[float, ...] | None = None
     """How far each axis of the sensor may be from the factory matrix, as a share of its full scale, (6,).

@@ -133,17 +133,6 @@ class ExcitationPlan:
     after: Matrix
     total: float
 
-    @property
-    def ranked_masses(self) -> NDArray[np.intp]:
-        """Indices of the masses, that of the best block first, shape (M,)."""
-        return np.argsort(-self.mass_information, kind="stable")
-
-    @property
-    def ranked_poses(self) -> NDArray[np.intp]:
-        """Pairs (orientation, mass), the best single reading first, shape (N M, 2)."""
-        order = np.argsort(-self.pose_information, axis=None, kind="stable")
-        return np.stack(np.unravel_index(order, self.pose_information.shape), axis=1)
-
 
 def plan_excitation(
     prior: InSituFit | ExcitationPrior,

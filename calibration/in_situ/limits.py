@@ -57,9 +57,8 @@ BENDING = Limit(0.003, "share of a set's spread", "sound 0.0015; a knee that giv
 BENDING_BESIDE = Limit(0.0105, "share of a set's spread", "hysteresis of sets too short to show it")
 BENDS_MOSTLY = Limit(0.7, "share of the residual", "sound 0.67; the knee 0.83 and more")
 BENDS_PARTLY = Limit(0.2, "share of the residual", "beside hysteresis that was fitted; chosen")
-HIDDEN = Limit(
-    0.003, "share of a set's spread", "1 % of hysteresis leaves 0.006 to 0.015 where it is not seen"
-)
+HYSTERESIS = Limit(0.01, "share of the swing", "a deviation: the sheet of OnRobot's HEX states below 2 %")
+HIDDEN = Limit(0.003, "share of the swing", "chosen: a third of that")
 WARMING = Limit(0.3, "K", "three times the 0.1 K to which thermistors read")
 NOT_GRAVITY = Limit(0.1, "share of a temperature's spread", "its coefficient is ten times less sure there")
 COEFFICIENTS = Limit(3.0, "deviations", "0.3 % of sensors whose coefficient is one")

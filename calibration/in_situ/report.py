@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import of_unit_length
-from surefoot.calibration.in_situ.check import check_bending
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.check import check_bending, measure_residual
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
@@ -16,6 +18,7 @@ from surefoot.calibration.in_situ.covariance import (
     answer_of,
     answer_root,
     data_share,
+    hidden_loops,
     slope_doubts,
     slow_turn,
     unknowns_root,
@@ -68,9 +71,22 @@ class Solved:
     members: list[Leaning]
     reference: float | None
 
-    def errors_of_imu(self, solution: Solution) -> OpenErrors:
-        """Errors of a solution by those of the IMU."""
-        return errors_of_imu(self.sets, solution, self.sphere, self.delay_std)
+    @cached_property
+    def hidden(self) -> float:
+        """Share of hysteresis that the readings may hide.
+
+        Loops leave about their own share of the spread: where less is left, they are no larger.
+        """
+        problem, options = self.members[0].solution.problem, self.task.options
+        if not options.hysteresis or problem.lags or (self.task.timed and shows_loops(problem)):
+            return 0.0
+        return min(float(limits.HYSTERESIS), measure_residual(problem.sets))
+
+    def open_errors(self, solution: Solution) -> OpenErrors:
+        """Errors of a solution by those of the IMU and by hidden hysteresis."""
+        of_imu = errors_of_imu(self.sets, solution, self.sphere, self.delay_std)
+        pairs = zip(of_imu, hidden_loops(solution, self.hidden), strict=True)
+        return OpenErrors(*(np.concatenate(pair, axis=1) for pair in pairs))
 
 
 def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
@@ -78,8 +94,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     task, solution = solved.task, mean_of(solved.members)
     problem = solution.problem
     columns = FitColumns.of(len(problem.noise))
-    hidden = not (task.options.hysteresis and task.timed and shows_loops(problem))
-    bends, findings = check_bending(solved.sets, problem.sets, loops=hidden)
+    bends, findings = check_bending(solved.sets, problem.sets, solved.hidden)
     findings += _find_drift(solved, problem)
     doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved, solution))
     # A limb that is not as it was given draws all masses with it.
@@ -87,14 +102,10 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     known = data_share(solution)
     if problem.maker is not None or len(problem.limb_root):
         findings += known.findings(columns)
-    answer, doubts = answer_of(solution), None
-    roots = [_members_root(solved, solution)]
-    if problem.lags:
-        doubts = slope_doubts(solution)
-        roots += [
-            _columns_of(answer, columns.matrix, doubts[0]),
-            _columns_of(answer, columns.offset, doubts[1]),
-        ]
+    answer, doubts = answer_of(solution), slope_doubts(solution, solved.hidden)
+    places = (columns.matrix, columns.offset)
+    roots = [_columns_of(answer, *pair) for pair in zip(places, doubts, strict=True)]
+    roots.append(_members_root(solved, solution))
     if problem.maker is not None and task.options.factory_std is None:
         of_data = float(known.share[columns.limb][MASS])
         roots.append(_common_scale(answer, columns, COMMON * (1.0 - of_data), task.limb is not None))
@@ -106,7 +117,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     fit = replace(
         fit,
         bending=bends,
-        offset_doubt=None if doubts is None else doubts[1] @ doubts[1].T,
+        offset_doubt=doubts[1] @ doubts[1].T if problem.lags or solved.hidden else None,
         scope=scope,
         maker_known=maker_known,
         maker_share=maker_share,
@@ -250,7 +261,7 @@ def _find_drift(solved: Solved, problem: Problem) -> list[Finding]:
 
 
 def _members_root(solved: Solved, solution: Solution) -> Matrix:
-    """Return a root of the answer's covariance: of each member, between members, and of the IMU."""
+    """Return a root of the answer's covariance: of each member, between members, and of open errors."""
     whitening, roots = solution.problem.whitening, []
 
     def unknowns(one: Solution) -> Vector:
@@ -262,7 +273,7 @@ def _members_root(solved: Solved, solution: Solution) -> Matrix:
         roots += [np.sqrt(member.weight) * root for root in (unknowns_root(member.solution), apart)]
     if solved.task.mode == "keep":
         roots.append(_doubt_maker(solved.task, solution))
-    return answer_root(solution, solved.errors_of_imu(solution), np.concatenate(roots, axis=1))
+    return answer_root(solution, solved.open_errors(solution), np.concatenate(roots, axis=1))
 
 
 def _doubt_maker(task: Task, solution: Solution) -> Matrix:
@@ -322,7 +333,7 @@ def _limb_alone(
 
     def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
-        root = answer_root(alone, solved.errors_of_imu(alone), unknowns_root(alone))
+        root = answer_root(alone, solved.open_errors(alone), unknowns_root(alone))
         mass = FitColumns.of(len(alone.A)).limb.start + MASS
         return float(alone.limb[MASS]), float(np.linalg.norm(root[mass]))
 

@@ -226,47 +226,5 @@ def _check_spin(samples: Samples) -> None:
         raise LogError(f"{at} say {1 / slope:.2g} times the rate at which gravity turns; {cure}.")
 
 
-def check_against_factory(
-    sets: list[tuple[Samples, NDArray[np.float64]]], matrix: NDArray[np.float64] | None, notices: list[str]
-) -> None:
-    """Refuse gravity, (n, 3) a set in the sensor's frame, against the force by a matrix, (6, k)."""
-    first = sets[0][0]
-    if matrix is None:
-        notices.append(
-            f"{first.file}: there is no factory matrix to check the accelerometer's sign with, and a wrong "
-            "one would turn the calibrated wrench round; see that a limb that hangs pulls along gravity."
-        )
-        return
-    channels = len(first.channels)
-    if matrix.shape[1] != channels:
-        raise LogError(
-            f"{first.file}: has {channels} channels and the factory matrix {matrix.shape[1]} columns; name "
-            "the channels under columns.raw in the matrix's order."
-        )
-    forces, pulls = [], []
-    for samples, gravity in sets:
-        whole = np.isfinite(samples.raw).all(axis=1)
-        force = samples.raw[whole] @ matrix[:3].T
-        forces.append(force - force.mean(axis=0))
-        pulls.append(gravity[whole] - gravity[whole].mean(axis=0))
-    force, pull = np.concatenate(forces).ravel(), np.concatenate(pulls).ravel()
-    alike = float(force @ pull / max(np.linalg.norm(force) * np.linalg.norm(pull), 1e-300))
-    columns = _name(first.acceleration_names)
-    if alike < -CLEAR:
-        other = "gravity" if first.columns.gravity is None else "specific_force"
-        raise LogError(
-            f"{first.file}: by the factory matrix the limb pulls against gravity (correlation {alike:.2f}): "
-            f"{columns} have the other sign. Name them under columns.{other} (at rest specific force points "
-            "up and gravity down); if the matrix gives the wrench of the robot on the limb, turn its signs "
-            "instead."
-        )
-    if alike < CLEAR:
-        notices.append(
-            f"{first.file}: by the factory matrix the limb's pull and gravity hardly agree (correlation "
-            f"{alike:.2f}); {columns} may be in other axes than the sensor's (accelerometer."
-            "R_sensor_accelerometer), channels may be in another order, or the matrix may be another's."
-        )
-
-
 def _name(columns: tuple[str, ...]) -> str:
     return f"columns '{columns[0]}' to '{columns[-1]}'"

@@ -12,7 +12,7 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.force_torque.checks import FEWEST, check_against_factory, check_samples, contiguous
+from surefoot.experiments.force_torque.checks import FEWEST, check_samples, contiguous
 from surefoot.experiments.force_torque.config import (
     Accelerometer,
     AddedMass,
@@ -77,14 +77,24 @@ def read_in_situ_log(
     sound = [check_samples(samples, config.sensor.range_count, notices) for samples in parts]
     if config.accelerometer.calibrate is not None:
         sound = _calibrate(sound, config.accelerometer.calibrate, notices)
-    found = [
+    sets = tuple(
         _to_set(samples, config.accelerometer, mass, notices)
         for samples, mass in zip(sound, added, strict=True)
-    ]
-    check_against_factory([(used, one.gravity) for one, used in found], config.factory.matrix, notices)
+    )
+    file, channels, matrix = parts[0].file, parts[0].channels, config.factory.matrix
+    if matrix is None:
+        notices.append(
+            f"{file}: there is no factory matrix to check the accelerometer's sign with, and a wrong one "
+            "would turn the calibrated wrench round; see that a limb that hangs pulls along gravity."
+        )
+    elif matrix.shape[1] != len(channels):
+        raise LogError(
+            f"{file}: has {len(channels)} channels and the factory matrix {matrix.shape[1]} columns; name "
+            "the channels under columns.raw in the matrix's order."
+        )
     return InSituLog(
-        sets=tuple(one for one, _ in found),
-        channels=parts[0].channels,
+        sets=sets,
+        channels=channels,
         config=config,
         files=tuple(path.name for path in paths),
         notices=tuple(notices),
@@ -186,8 +196,8 @@ def _calibrate(parts: list[Samples], model: AccelerometerModel, notices: list[st
 
 def _to_set(
     samples: Samples, accelerometer: Accelerometer, added: AddedMass, notices: list[str]
-) -> tuple[InSituSet, Samples]:
-    """Return a set with gravity in the sensor's frame and at its origin, and the samples behind it."""
+) -> InSituSet:
+    """Return a set with gravity in the sensor's frame and at its origin."""
     R = accelerometer.R_sensor_accelerometer
     up = samples.acceleration if samples.columns.gravity is None else -samples.acceleration
     spin = rate = None
@@ -228,7 +238,7 @@ def _to_set(
                 "acceleration; the fit does without them."
             )
             samples, gravity, spin, rate = samples.take(known), gravity[known], spin[known], rate[known]
-    found = InSituSet(
+    return InSituSet(
         raw=samples.raw,
         gravity=gravity,
         added_mass=added.added_mass_kg,
@@ -239,4 +249,3 @@ def _to_set(
         time=samples.time,
         name=samples.name,
     )
-    return found, samples

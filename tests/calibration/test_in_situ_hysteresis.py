@@ -151,6 +151,25 @@ def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
     np.testing.assert_allclose(np.diag(fit.covariance), np.diag(plain.covariance), rtol=0.01)
 
 
+def test_hysteresis_that_no_order_shows_is_allowed_for():
+    sets, rng = lagging_sets(in_loops, noise=0.1), np.random.default_rng(18)
+    orders = [rng.permutation(len(one.raw)) for one in sets]
+    mixed = [
+        replace(one, raw=one.raw[order], gravity=one.gravity[order], time=None)
+        for one, order in zip(sets, orders, strict=True)
+    ]
+    fit, sure = calibrate_in_situ(mixed), calibrate_in_situ(mixed, options=InSituOptions(hysteresis=False))
+    worst, too_sure = (
+        np.max(np.abs(errors(one, "leg", one.offset)[-4:]) / np.sqrt(np.diag(one.covariance)[-4:]))
+        for one in (fit, sure)
+    )
+    assert worst < 2.0
+    assert too_sure > 4.0
+    assert fit.limb_mass_std < 0.05 * fit.limb.mass
+    assert fit.hysteresis is None
+    assert any("noise or hysteresis" in words for words in fit.warnings)
+
+
 def test_few_samples_show_no_hysteresis():
     rng = np.random.default_rng(21)
     for _ in range(2):

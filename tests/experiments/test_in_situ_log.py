@@ -157,12 +157,6 @@ def test_a_log_whose_sign_nothing_can_check_says_so(tmp_path: Path) -> None:
     assert any("no factory matrix to check the accelerometer's sign with" in said for said in log.notices)
 
 
-def test_a_matrix_in_other_axes_is_a_notice(tmp_path: Path) -> None:
-    wrong = np.linalg.inv(RESPONSE)[[1, 2, 0, 3, 4, 5]]
-    log = read_in_situ_log(write(tmp_path, table(), toml(f"[factory]\nmatrix = {wrong.tolist()}")))
-    assert any("hardly agree" in notice for notice in log.notices)
-
-
 def test_an_accelerometer_is_calibrated_on_request(tmp_path: Path) -> None:
     frame = table()
     truth = frame[FORCE].to_numpy()
