@@ -5,7 +5,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ, limits
+from surefoot.calibration.in_situ.check import measure_bending
+from surefoot.calibration.in_situ.compress import compress
+from surefoot.calibration.in_situ.imu import fit_sphere, level
 from surefoot.calibration.in_situ.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import cases, instruments, methods
@@ -14,6 +17,7 @@ from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of
 from surefoot.experiments.in_situ.instruments import (
     XSENS_MTX,
     accelerometer_bias,
+    moving_sets,
     read_imu,
     read_sensor,
     sensor_config,
@@ -348,3 +352,13 @@ def test_sets_that_were_not_fitted_get_offsets_of_their_own(recordings):
     # Of offsets of hundreds of newtons; gravity tells least of them along the leg.
     assert np.abs(off[FITTED:, :2]).max() < 0.3
     assert np.abs(off[FITTED:, 2]).max() < 3.0
+
+
+def test_noise_of_an_accelerometer_bends_no_limb():
+    run = record_rig((1, 2), duration=60.0, rate=10.0, speed_deg=12.0, seed=24)
+    counts, _ = read_sensor(sensor_config("foot", exact=True), "foot", run, 24)
+    felt = np.array([np.hstack([one.specific_force, one.angular_velocity]) for one in run])
+    felt[..., :3] += 0.1 * np.random.default_rng(93).standard_normal(felt[..., :3].shape)
+    sets = moving_sets("foot", run, counts, felt, np.zeros(3))
+    parts = compress(level(sets, fit_sphere(sets)), InSituOptions(), moving=True, temperature=False)
+    assert max(map(measure_bending, parts)) < limits.BENDING
