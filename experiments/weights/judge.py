@@ -314,6 +314,8 @@ def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | 
     """Find hysteresis and drift of readings of one cell, which its curve makes straight, if it has one."""
     straight = code if curve is None else Curves([curve.knots]).straighten(code[:, None])[:, 0]
     degree = min(DEGREE, len(np.unique(load)) - 1) if curve is None else 1
+    if degree < 1:
+        return None
     slope = np.polynomial.Polynomial.fit(load, straight, degree).deriv()(load)
     if not (slope > 0.0).all() and not (slope < 0.0).all():
         return None
