@@ -166,10 +166,8 @@ def readme_table(data: Path) -> str:
         lines.append([row, *(f"{total} ({foot})" for total, foot in cells)])
     table = "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---")
     (_, robot) = read_table(data, "momentum/feet", "moment: foot (mm) | none: foot (mm)", README_ROBOT).lines
-    return (
-        f"{table}\n\nOn a Unitree G1 that walks by a policy a foot has {robot[0]} mm, "
-        f"raw readings {robot[1]} mm.\n"
-    )
+    foot, raw = (f"{float(cell):.1f}" for cell in robot)
+    return f"{table}\n\nOn a Unitree G1 that walks by a policy a foot has {foot} mm, raw readings {raw} mm.\n"
 
 
 def _bold(cells: Sequence[str]) -> list[str]:
