@@ -47,7 +47,7 @@ def _sizes(instruments: Instruments, truth: Any, dt: float) -> dict[str, Any]:
     }
 
 
-def _seen_dtype(channels: int, observed: int) -> np.dtype[Any]:
+def _reading_dtype(channels: int, observed: int) -> np.dtype[Any]:
     """Return the record of a reading and of what is seen of it."""
     numbers = ("raw", np.float64, channels), ("counts", np.float32, channels), ("state", np.float32, observed)
     return np.dtype([(name, kind, (count,)) for name, kind, count in numbers])
@@ -102,7 +102,7 @@ class NativeSensing:
             numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
         observed, to, taken = _NOTHING if view is None else view.state_places()
         self._observed = observed if len(observed) else None
-        self._seen = Record(_seen_dtype(instruments.channels, len(observed)))
+        self._seen = Record(_reading_dtype(instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
         self._shape = truth.rows.shape
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
