@@ -238,6 +238,9 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
     drift = next((one for one in findings if one.name in _DRIFTS), None)
     refused = any(one.refuses for one in findings)
+    repeated = [replace(one, refuses=True) for one in findings if one.name == "repeated" and refused]
+    if repeated:
+        return [*repeated, *(one for one in findings if one.name != "repeated")]
     if refused and solved.task.timed:
         lag, left = find_lag(solved.task.sets)
         if left < limits.READ_BETTER:

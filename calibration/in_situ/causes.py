@@ -316,7 +316,7 @@ def find_lag(sets: Sequence[InSituSet]) -> tuple[float, float]:
 
 
 def _lagging_residual(sets: Sequence[InSituSet], lag: float) -> float:
-    """Return the logarithm of the share of the readings that gravity leaves at a lag, mean over channels."""
+    """Return the logarithm of the share of the readings that gravity leaves at a lag, rms over all."""
     found = []
     for data in sets:
         late = shift(data, lag)
@@ -330,8 +330,8 @@ def _lagging_residual(sets: Sequence[InSituSet], lag: float) -> float:
         square = np.mean((raw - basis @ (basis.T @ raw)) ** 2, axis=0) / np.maximum(
             np.mean(raw**2, axis=0), _TINY
         )
-        found.append(0.5 * np.mean(np.log(np.maximum(square, _TINY))))
-    return float(np.mean(found))
+        found.append(np.mean(square))
+    return float(0.5 * np.log(np.maximum(np.mean(found), _TINY)))
 
 
 def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
@@ -345,7 +345,7 @@ def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
     for j in range(count):
         name = evidence.sets[j].name
         other = [*zeros[:j], of_gravity[j], *zeros[j + 1 :]]
-        words = f"another sensor, or channels in another order, in '{name}'"
+        words = f"another sensor, gain or order of channels in '{name}'"
         yield evidence.beside(words, cure, other, 3 * channels, count)
         for channel in range(channels) if j else ():
             read = [(load @ A[channel])[:, None] * (i >= j) for i, load in enumerate(loads)]

@@ -233,6 +233,10 @@ def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:
 _WORST = 2.0
 """Rows that leave more than this multiple of the median are named."""
 
+_SINGLY = "They stand alone: single readings leap, by a loose cable, electric noise or lost bits."
+
+_TOUCHED = "something may have touched the limb"
+
 _CHANCE = 1e-4
 """Probability at which noise alone may seem to bend a limb."""
 
@@ -253,6 +257,8 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     for data, part in zip(sets, parts, strict=True):
         rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
         share = float(np.mean(rejected))
+        beside = np.concatenate([[False], rejected, [False]])
+        singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
         if share > limit:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
@@ -261,18 +267,16 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
                 "again with the foot in the air."
             )
-            beside = np.concatenate([[False], rejected, [False]])
-            alone = rejected & ~beside[:-2] & ~beside[2:]
-            if singly := 2 * np.sum(alone) > np.sum(rejected):
-                reason += (
-                    " They stand alone: single readings leap, by a loose cable, electric noise or lost bits."
+            if singly:
+                reason, cure = (
+                    f"{reason} {_SINGLY}",
+                    "Check the cable and its shield, and leave readings out that leap.",
                 )
-                cure = "Check the cable and its shield, and leave readings out that leap."
             found.append(Finding("outliers", reason, cure, share, limit, contradicts=not singly))
         elif share > limits.STRAY:
             reason = (
                 f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
-                f"{_span(data, rejected)}: something may have touched the limb."
+                f"{_span(data, rejected)}: {'they stand alone' if singly else _TOUCHED}."
             )
             found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
         left = _residual_share(data, part)
