@@ -273,7 +273,7 @@ def column(raw: Floats, channel: int, values: Floats | float) -> Floats:
     return spoilt
 
 
-def held(values: Floats, rows: int) -> Floats:
+def hold(values: Floats, rows: int) -> Floats:
     return values[np.arange(len(values)) // rows * rows]
 
 
@@ -297,7 +297,7 @@ def relabel(log: Log) -> Log:
     return replace(log, sets=tuple(sets))
 
 
-def turned(angle: float) -> Floats:
+def rotate_wrench(angle: float) -> Floats:
     """Return the rotation of a wrench about z by degrees, shape (6, 6)."""
     return np.kron(np.eye(2), Rotation.from_euler("z", angle, degrees=True).as_matrix())
 
@@ -309,7 +309,7 @@ def spin(change: Callable[[Floats], Floats]) -> Change:
     )
 
 
-def mixed(log: Log) -> Floats:
+def mix_channels(log: Log) -> Floats:
     """Return how another sensor of that kind would read, shape (6, 6)."""
     other = record(SEED + 1, False).truth.response
     return np.asarray(other @ np.linalg.inv(log.truth.response))
@@ -425,7 +425,7 @@ SPOILTS: dict[str, Spoilt] = {
     ),
     "factory turned": Spoilt(
         r"turned",
-        {f"{a} deg": factory(lambda F, a=a: turned(a) @ F) for a in (90, 180)},  # type: ignore[misc]
+        {f"{a} deg": factory(lambda F, a=a: rotate_wrench(a) @ F) for a in (90, 180)},  # type: ignore[misc]
         (True,),
     ),
     "factory about a point 10 cm off": Spoilt(r"point", {"": factory(lambda F: SHIFTED @ F)}, (True,)),
@@ -442,7 +442,7 @@ SPOILTS: dict[str, Spoilt] = {
     ),
     "readings held": Spoilt(
         r"repeat",
-        {f"{n / RATE} s": readings(lambda raw, *_, n=n: held(raw, n)) for n in (2, 20)},
+        {f"{n / RATE} s": readings(lambda raw, *_, n=n: hold(raw, n)) for n in (2, 20)},
     ),
     "spikes": Spoilt(
         r"stand alone",
@@ -455,7 +455,7 @@ SPOILTS: dict[str, Spoilt] = {
         LATE, {"1 s": vectors(lambda g: low_pass(g, 1.0))}, gyroscope=(False,)
     ),
     "accelerometer held": Spoilt(
-        LATE + "|repeat", {"1 s": vectors(lambda g: held(g, 10))}, gyroscope=(False,)
+        LATE + "|repeat", {"1 s": vectors(lambda g: hold(g, 10))}, gyroscope=(False,)
     ),
     "zero that follows": Spoilt(r"drift|zero", {"20 s": readings(lambda raw, *_: raw - low_pass(raw, 20.0))}),
     "limb's weight taken off": Spoilt(
@@ -476,7 +476,9 @@ SPOILTS: dict[str, Spoilt] = {
         r"channel",
         {"+8 %": readings(lambda raw, *_: column(raw, 3, 1.08 * raw[:, 3]), 2)},
     ),
-    "another sensor": Spoilt(r"sensor", {"set 4": readings(lambda raw, _, log, __: raw @ mixed(log).T, 3)}),
+    "another sensor": Spoilt(
+        r"sensor", {"set 4": readings(lambda raw, _, log, __: raw @ mix_channels(log).T, 3)}
+    ),
     "scale grows": Spoilt(
         r"sets disagree|readings of|added mass of",
         {"6 %": readings(lambda raw, _, __, j: (1.0 + 0.02 * j) * raw)},
@@ -498,7 +500,7 @@ SPOILTS: dict[str, Spoilt] = {
         CLIP + "|accelerometer", {"8 m/s^2": vectors(lambda g: np.clip(g, -8.0, 8.0))}
     ),
     "accelerometer stands still": Spoilt(
-        r"still|repeat", {"set 3": each(lambda one: replace(one, gravity=held(one.gravity, 400)), (2,))}
+        r"still|repeat", {"set 3": each(lambda one: replace(one, gravity=hold(one.gravity, 400)), (2,))}
     ),
     "IMU of the torso": Spoilt(
         r"turn", {"": vectors(lambda g: [0.0, 0.0, 9.81] + 1e-3 * (g - np.mean(g, axis=0)))}
