@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.imu import gravity_from_imu
@@ -212,6 +213,108 @@ def invert(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.inv(matrix))
 
 
+def readings(change: Callable[[Floats, InSituSet, Log, int], Floats], first: int = 0) -> Change:
+    """Change the readings of all sets from one on, by (raw, set, log, index)."""
+    return lambda log: replace(
+        log,
+        sets=tuple(
+            replace(one, raw=change(one.raw, one, log, j)) if j >= first else one
+            for j, one in enumerate(log.sets)
+        ),
+    )
+
+
+def weigh(mass: float, place: list[float], first: int, last: int = FITTED) -> Change:
+    """Let a mass in kg more hang at a place in some sets, which nobody noted."""
+
+    def change(raw: Floats, one: InSituSet, log: Log, j: int) -> Floats:
+        load = np.concatenate([mass * one.gravity, np.cross(place, mass * one.gravity)], axis=1)
+        return raw + load @ log.truth.response.T * (first <= j < last)
+
+    return readings(change)
+
+
+def late_readings(delay: float) -> Change:
+    def change(raw: Floats, one: InSituSet, _: Log, __: int) -> Floats:
+        assert one.time is not None
+        return np.stack([np.interp(np.abs(one.time - delay), one.time, column) for column in raw.T], axis=1)
+
+    return readings(change)
+
+
+def low_pass(values: Floats, seconds: float) -> Floats:
+    share = 1.0 / (1.0 + RATE * seconds)
+    return np.asarray(lfilter([share], [1.0, share - 1.0], values, axis=0, zi=(1.0 - share) * values[:1])[0])
+
+
+def spikes(raw: Floats, rows: int, size: float) -> Floats:
+    """Let one channel of so many samples leap."""
+    rng, spoilt = np.random.default_rng(SEED), raw.copy()
+    spoilt[rng.integers(0, len(raw), rows), rng.integers(0, raw.shape[1], rows)] += size
+    return spoilt
+
+
+def pull(size: float, friction: bool) -> Change:
+    """Let a cable pull with the angle of the limb, or drag against its turning, by so many N."""
+    along = np.array([[1.0, 0.0, 0.5, 0.0, 0.1, 0.0], [0.0, 0.7, -0.3, 0.1, 0.0, 0.0]])
+
+    def change(raw: Floats, one: InSituSet, log: Log, _: int) -> Floats:
+        angle = np.arcsin(np.clip(one.gravity[:, :2] / 9.81, -1.0, 1.0))
+        if friction:
+            angle = np.sign(np.gradient(low_pass(angle, 0.5), axis=0))
+        return np.asarray(raw + size * angle @ along @ log.truth.response.T)
+
+    return readings(change)
+
+
+def column(raw: Floats, channel: int, values: Floats | float) -> Floats:
+    spoilt = raw.copy()
+    spoilt[:, channel] = values
+    return spoilt
+
+
+def hold(values: Floats, rows: int) -> Floats:
+    return values[np.arange(len(values)) // rows * rows]
+
+
+def cut(raw: Floats, one: InSituSet, log: Log, j: int) -> Floats:
+    """Take the added mass off after two thirds of the last set."""
+    load = np.concatenate([one.gravity, np.cross(one.added_com, one.gravity)], axis=1) * one.added_mass
+    after = np.arange(len(raw)) > len(raw) * 2 / 3
+    return raw - (load @ log.truth.response.T) * (after & (j == FITTED - 1))[:, None]
+
+
+def relabel(log: Log) -> Log:
+    """Let the first 6 s of each set be the last of the one before."""
+    rows, sets = round(6.0 * RATE), list(log.sets)
+    for before, one in enumerate(log.sets[1:]):
+        names = [name for name in ("raw", "gravity", *MOTION) if getattr(one, name) is not None]
+        ends = {name: getattr(log.sets[before], name)[-rows:] for name in names}
+        sets[before + 1] = replace(
+            one,
+            **{name: np.concatenate([ends[name], getattr(one, name)[:-rows]]) for name in names},  # type: ignore[arg-type]
+        )
+    return replace(log, sets=tuple(sets))
+
+
+def rotate_wrench(angle: float) -> Floats:
+    """Return the rotation of a wrench about z by degrees, shape (6, 6)."""
+    return np.kron(np.eye(2), Rotation.from_euler("z", angle, degrees=True).as_matrix())
+
+
+def spin(change: Callable[[Floats], Floats]) -> Change:
+    """Change a gyroscope's readings."""
+    return each(
+        lambda one: replace(one, **{name: change(getattr(one, name)) for name in MOTION if one.moves})  # type: ignore[arg-type]
+    )
+
+
+def mix_channels(log: Log) -> Floats:
+    """Return how another sensor of that kind would read, shape (6, 6)."""
+    other = record(SEED + 1, False).truth.response
+    return np.asarray(other @ np.linalg.inv(log.truth.response))
+
+
 SAME: Change = replace
 PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
 """8 N and 1.1 N m."""
@@ -231,6 +334,10 @@ SPEED = r"too fast|fast"
 SOFT = r"bend|not rigid|gives"
 PLACES = r"place|negat|lever"
 SIGN = r"sign"
+LATE = r"came about .* after"
+SHIFTED = np.eye(6)
+SHIFTED[3:, :3] = [[0.0, -0.1, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]
+ORTHOGONAL = np.linalg.qr(np.random.default_rng(SEED).normal(size=(6, 6)))[0]
 
 SPOILTS: dict[str, Spoilt] = {
     "step of a zero": Spoilt(
@@ -310,6 +417,101 @@ SPOILTS: dict[str, Spoilt] = {
         rig={name: {"knee_slack": float(name)} for name in ("0.005", "0.02", "0.06")},
     ),
     "foot on the floor": Spoilt(TOUCH, {"": SAME}, rig={"": {"floor": True}}),
+    "channels exchanged": Spoilt(
+        r"channels? .* (are )?exchanged", {"": factory(lambda F: F[:, [3, 1, 2, 0, 4, 5]])}, (True,)
+    ),
+    "left-handed frame": Spoilt(
+        r"left-handed", {"": factory(lambda F: F * np.array([[-1.0], [1], [1], [-1], [1], [1]]))}, (True,)
+    ),
+    "factory turned": Spoilt(
+        r"turned",
+        {f"{a} deg": factory(lambda F, a=a: rotate_wrench(a) @ F) for a in (90, 180)},  # type: ignore[misc]
+        (True,),
+    ),
+    "factory about a point 10 cm off": Spoilt(r"point", {"": factory(lambda F: SHIFTED @ F)}, (True,)),
+    "factory of another sensor": Spoilt(
+        r"this sensor's", {"": factory(lambda F: np.abs(F).max(axis=1)[:, None] * ORTHOGONAL)}, (True,)
+    ),
+    "copied channel": Spoilt(r"copy", {"": readings(lambda raw, *_: column(raw, 4, raw[:, 1]))}),
+    "gauge off": Spoilt(
+        r"follow gravity|connected",
+        {"": readings(lambda raw, *_: column(raw, 4, spikes(0.0 * raw, 2 * len(raw), 6.0)[:, 4]))},
+    ),
+    "copied set": Spoilt(
+        r"copy", {"": lambda log: each(lambda _: replace(log.sets[1], name="set 3"), (2,))(log)}
+    ),
+    "readings held": Spoilt(
+        r"repeat",
+        {f"{n / RATE} s": readings(lambda raw, *_, n=n: hold(raw, n)) for n in (2, 20)},
+    ),
+    "spikes": Spoilt(
+        r"stand alone",
+        {f"{n}": readings(lambda raw, *_, n=n: spikes(raw, n, 5e3)) for n in (6, 30)},
+    ),
+    "readings late": Spoilt(LATE, {f"{delay} s": late_readings(delay) for delay in (0.3, 3.0)}),
+    "IMU late": Spoilt(LATE, {"1.5 s": lambda log: late(1.5)(log, 0)}),
+    "readings low-passed": Spoilt(LATE, {"1 s": readings(lambda raw, *_: low_pass(raw, 1.0))}),
+    "accelerometer low-passed": Spoilt(
+        LATE, {"1 s": vectors(lambda g: low_pass(g, 1.0))}, gyroscope=(False,)
+    ),
+    "accelerometer held": Spoilt(
+        LATE + "|repeat", {"1 s": vectors(lambda g: hold(g, 10))}, gyroscope=(False,)
+    ),
+    "zero that follows": Spoilt(r"drift|zero", {"20 s": readings(lambda raw, *_: raw - low_pass(raw, 20.0))}),
+    "limb's weight taken off": Spoilt(
+        r"driver", {"": lambda log: weigh(-log.truth.limb.mass, list(log.truth.limb.com), 0)(log)}
+    ),
+    "payload from set 3 on": Spoilt(r"from 'set 3' on", {"": weigh(-1.0, [0.0, 0.0, 0.1], 2)}),
+    "shoe from set 3 on": Spoilt(r"from 'set 3' on", {"": weigh(0.3, [0.02, 0.0, 0.4], 2)}),
+    "rope in set 4": Spoilt(r"from 'set 4' on|added mass of 'set 4'", {"": weigh(-1.4, [0.0, 0.0, 0.3], 3)}),
+    "cable pulls": Spoilt(r"cable", {f"{size} N/rad": pull(size, False) for size in (6.0, 20.0)}),
+    "cable drags": Spoilt(r"cable", {"2 N": pull(2.0, True)}),
+    "mass falls off": Spoilt(r"leaps at|added mass of 'set 4'", {"": readings(cut)}),
+    "labels late": Spoilt(r"leaps at|touched", {"6 s": relabel}),
+    "gain of a set": Spoilt(
+        r"readings of 'set 3'|gain .*in 'set 3'",
+        {f"{s}": each(lambda d, s=s: replace(d, raw=s * d.raw), (2,)) for s in (1.1, 0.5)},  # type: ignore[misc]
+    ),
+    "gain of a channel": Spoilt(
+        r"channel",
+        {"+8 %": readings(lambda raw, *_: column(raw, 3, 1.08 * raw[:, 3]), 2)},
+    ),
+    "another sensor": Spoilt(
+        r"sensor", {"set 4": readings(lambda raw, _, log, __: raw @ mix_channels(log).T, 3)}
+    ),
+    "scale grows": Spoilt(
+        r"sets disagree|readings of|added mass of",
+        {"6 %": readings(lambda raw, _, __, j: (1.0 + 0.02 * j) * raw)},
+    ),
+    "axis of all places": Spoilt(
+        r"places",
+        {
+            "sign of y": each(lambda one: replace(one, added_com=one.added_com * [1, -1, 1])),
+            "x, y swapped": each(lambda one: replace(one, added_com=one.added_com[[1, 0, 2]])),
+        },
+    ),
+    "axis of the accelerometer": Spoilt(
+        r"IMU",
+        {"sign of y": vectors(lambda g: g * [1, -1, 1]), "x, y swapped": vectors(lambda g: g[:, [1, 0, 2]])},
+        gyroscope=(False,),
+    ),
+    "scale of an accelerometer's axis": Spoilt(SCALE, {"4 %": vectors(lambda g: g * [1, 1.04, 1])}),
+    "accelerometer clipped": Spoilt(
+        CLIP + "|accelerometer", {"8 m/s^2": vectors(lambda g: np.clip(g, -8.0, 8.0))}
+    ),
+    "accelerometer stands still": Spoilt(
+        r"still|repeat", {"set 3": each(lambda one: replace(one, gravity=hold(one.gravity, 400)), (2,))}
+    ),
+    "IMU of the torso": Spoilt(
+        r"turn", {"": vectors(lambda g: [0.0, 0.0, 9.81] + 1e-3 * (g - np.mean(g, axis=0)))}
+    ),
+    "gyroscope's axes": Spoilt(r"gyro|rate", {"swapped": spin(lambda w: w[:, [1, 0, 2]])}, gyroscope=(True,)),
+    "clamps of 0.15 kg": Spoilt(r"mass", {"": weigh(0.15, [0.1, 0.07, 0.3], 1)}, unknowable=True),
+    "masses on strings of 10 cm": Spoilt(
+        PLACES,
+        {"": each(lambda one: replace(one, added_com=np.add(one.added_com, [0.0, 0.0, 0.1])))},
+        unknowable=True,
+    ),
     "places times 1.2": Spoilt(PLACES, {"": scale_masses(1.0, 1.2)}, unknowable=True),
     "gravity negated, no factory": Spoilt(SIGN, {"": vectors(np.negative)}, (False,), unknowable=True),
     "places negated, no factory": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (False,), unknowable=True),

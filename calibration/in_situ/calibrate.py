@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Evidence, name_cause
+from surefoot.calibration.in_situ.causes import Evidence, find_lag, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
@@ -237,7 +237,21 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
 def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
     drift = next((one for one in findings if one.name in _DRIFTS), None)
-    worst = next((one for one in findings if one.refuses and (one.contradicts or drift)), None)
+    refused = any(one.refuses for one in findings)
+    repeated = [replace(one, refuses=True) for one in findings if one.name == "repeated" and refused]
+    if repeated:
+        return [*repeated, *(one for one in findings if one.name != "repeated")]
+    if refused and solved.task.timed:
+        lag, left = find_lag(solved.task.sets)
+        if left < limits.READ_BETTER:
+            late, first = ("IMU", "readings") if lag > 0.0 else ("readings", "IMU")
+            reason = (
+                f"The {late} came about {abs(lag):.2g} s after the {first}: shifted by that, {left:.0%} "
+                "of what gravity does not explain is left."
+            )
+            cure = "Stamp both by one clock, and log the sensor without a filter of the driver."
+            return [Finding("clock", reason, cure, abs(lag), limits.LATE), *findings]
+    worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
     if worst is None:
         return findings
     try:

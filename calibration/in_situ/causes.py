@@ -9,7 +9,7 @@ n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
+from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, bending_signals
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, shift
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.judge import turns_of
 from surefoot.calibration.in_situ.model import (
@@ -26,6 +27,7 @@ from surefoot.calibration.in_situ.model import (
     INERTIA,
     MASS,
     MOMENT,
+    STATIC,
     inertia_matrix,
     limb_parameters,
     signals,
@@ -58,14 +60,25 @@ _SHORTEST = 3
 _STEPS = 8
 """Steps at most by which a turn of the IMU is found ..."""
 
+_SCALED = 3
+"""Fits by which the gain of a set is found: it acts on the limb, which is fitted with it."""
+
 _SETTLED = 1e-4
 """... and the last of them in rad."""
 
 _TURNS = 4
 """Turns by right angles from which an IMU's is searched, beside none."""
 
+_LIKELY = 2
+"""Changes of axes that are fitted to the end."""
+
 _GLANCE = 8
 """Evaluations by which these are chosen."""
+
+_LAG = (0.03, 6.0, 40)
+"""Least and largest lag in s between the IMU and the readings that is looked for, and their number."""
+
+_TINY = float(np.finfo(float).tiny)
 
 _AS_GOOD = 0.1
 """Share by which two costs may differ that are alike."""
@@ -159,7 +172,16 @@ def _format_percent(share: float) -> str:
 def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
     tried = [Cause("", "", evidence.solution, 0, 1)]
-    for look in (_try_steps, _try_bending, _try_turn, _try_exchange, _try_masses):
+    for look in (
+        _try_steps,
+        _try_bending,
+        _try_pull,
+        _try_frame,
+        _try_exchange,
+        _try_masses,
+        _try_limb,
+        _try_sensor,
+    ):
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
@@ -270,6 +292,67 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         yield evidence.beside(words, BENT_CURE, columns, free, 1)
 
 
+def _try_pull(evidence: Evidence) -> Iterator[Cause]:
+    """Yield a load of all sets that goes with gravity as no rigid limb's does, such as a cable's pull."""
+    columns = [part.source.signals[:, DIRECT] for part in evidence.problem.sets]
+    free = columns[0].shape[1] * len(evidence.problem.whitening) - STATIC
+    words = "something pulls at the limb as it turns, such as a cable"
+    yield evidence.beside(
+        words, "Let cables hang loose, or fix them on one side of the sensor.", columns, free, 1
+    )
+
+
+def find_lag(sets: Sequence[InSituSet]) -> tuple[float, float]:
+    """Return by how many s gravity comes after the readings, and the share of residual that this leaves.
+
+    Hysteresis looks like a short lag: what it may leave needs none.
+    """
+    steps = np.geomspace(_LAG[0], _LAG[1], _LAG[2])
+    left = {lag: _lagging_residual(sets, lag) for lag in (0.0, *steps, *-steps)}
+    lag = min(left, key=left.__getitem__)
+    return (
+        (float(lag), float(np.exp(left[lag] - left[0.0]))) if left[0.0] > np.log(limits.LOOPS) else (0.0, 1.0)
+    )
+
+
+def _lagging_residual(sets: Sequence[InSituSet], lag: float) -> float:
+    """Return the logarithm of the share of the readings that gravity leaves at a lag, rms over all."""
+    found = []
+    for data in sets:
+        late = shift(data, lag)
+        u = np.column_stack([np.ones(len(late.raw)), signals(late, late.moves)])
+        rows = np.flatnonzero(np.isfinite(np.column_stack([u, late.raw])).all(axis=1))
+        rows = rows[:: max(len(rows) // _THINNED, 1)]
+        if len(rows) <= 2 * u.shape[1]:
+            return np.inf
+        basis, _ = orthonormal(u[rows], 1e-9)
+        raw = late.raw[rows] - np.mean(late.raw[rows], axis=0)
+        square = np.mean((raw - basis @ (basis.T @ raw)) ** 2, axis=0) / np.maximum(
+            np.mean(raw**2, axis=0), _TINY
+        )
+        found.append(np.mean(square))
+    return float(0.5 * np.log(np.maximum(np.mean(found), _TINY)))
+
+
+def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
+    """Yield a channel whose gain changes at a set, and a set that another sensor has read."""
+    parts, A = evidence.problem.sets, evidence.solution.A
+    channels, count = len(evidence.problem.whitening), len(parts)
+    cure = "Check its cable and the amplifier's gain, and record all sets with one sensor."
+    zeros = [np.zeros((part.rows, 3)) for part in parts]
+    of_gravity = [part.source.signals[:, DIRECT] for part in parts]
+    loads = [g @ T[:, :3].T for g, T in zip(of_gravity, evidence.solution.loads, strict=True)]
+    for j in range(count):
+        name = evidence.sets[j].name
+        other = [*zeros[:j], of_gravity[j], *zeros[j + 1 :]]
+        words = f"another sensor, gain or order of channels in '{name}'"
+        yield evidence.beside(words, cure, other, 3 * channels, count)
+        for channel in range(channels) if j else ():
+            read = [(load @ A[channel])[:, None] * (i >= j) for i, load in enumerate(loads)]
+            words = f"channel {channel} has another gain from '{name}' on"
+            yield evidence.beside(words, cure, read, channels, channels * (count - 1))
+
+
 # Added masses: other masses, places and turns.
 
 
@@ -295,11 +378,42 @@ def _try_masses(evidence: Evidence) -> Iterator[Cause]:
         fit = evidence.change(of_mass)
         mass = given * (1.0 + float(fit.changes[0]))
         words = f"the added mass of '{name}' is {mass:.3f} kg, and {given:.3f} kg was given"
-        yield Cause(words, _WEIGH, fit, 1, count)
+        if 0.0 < mass < limits.HEAVIEST:
+            yield Cause(words, _WEIGH, fit, 1, count)
         fit = evidence.change(given * of_body[1:])
         there = f"{_place(place + fit.changes)} m, and {_place(place)} was given"
         words = f"the added mass of '{name}' hangs at {there}"
-        yield Cause(words, _WEIGH, fit, 3, count)
+        if float(np.linalg.norm(place + fit.changes)) < limits.LONGEST_ARM:
+            yield Cause(words, _WEIGH, fit, 3, count)
+
+
+def _try_limb(evidence: Evidence) -> Iterator[Cause]:
+    """Yield a limb that is another from a set on, and a set whose readings have another gain."""
+    count, added = len(evidence.sets), evidence.problem.added
+    for j in range(count):
+        name = evidence.sets[j].name
+        of_body = np.zeros((4, *added.shape))
+        of_body[range(4), j:, range(4)] = 1.0
+        if j:
+            fit = evidence.change(of_body)
+            mass = float(fit.changes[0])
+            place = fit.changes[1:] / (mass or 1.0)
+            side = "more" if mass > 0.0 else "less"
+            more = f"{abs(mass):.3f} kg {side} than was given hangs at {_place(place)} m"
+            words = f"from '{name}' on {more}: the limb is another, or a driver takes a payload off"
+            if abs(mass) < limits.HEAVIEST and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
+                yield Cause(
+                    words, "Leave the limb and the driver's payload as they are in all sets.", fit, 4, count
+                )
+        of_all = np.zeros((1, *added.shape))
+        gain, outer = 1.0, evidence.solution.limb
+        for _ in range(_SCALED):
+            of_all[0, j, : len(outer)] = added[j, : len(outer)] + outer
+            fit = evidence.change(of_all)
+            gain, outer = 1.0 + float(fit.changes[0]), fit.limb
+        words = f"the readings of '{name}' are {gain:.3f} times as large as in the others: another gain"
+        if 0.0 < gain < limits.HEAVIEST:
+            yield Cause(words, "Set the amplifier as in the other sets, or leave the set out.", fit, 1, count)
 
 
 def _place(place: Vector) -> str:
@@ -330,8 +444,8 @@ def _try_turn(evidence: Evidence) -> Iterator[Cause]:
         return
     found = []
     for turn in Rotation.create_group("O"):
-        outer = _rotate(evidence.solution.outer[None], turn)[0]
-        cost = solve(replace(plain, added=_rotate(plain.added, turn)), [outer], _GLANCE).cost
+        outer = _rotate(evidence.solution.outer[None], turn.as_matrix())[0]
+        cost = solve(replace(plain, added=_rotate(plain.added, turn.as_matrix())), [outer], _GLANCE).cost
         found.append((turn.magnitude() > 0.0, cost, turn, outer))
     # From none, and from the right angles that come next to it.
     tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]
@@ -348,15 +462,61 @@ def _try_turn(evidence: Evidence) -> Iterator[Cause]:
     yield Cause(words, cure, fit, 3, 1)
 
 
+def _try_frame(evidence: Evidence) -> Iterator[Cause]:
+    """Yield other axes of the places, and a turned IMU where it explains more: exact axes are likelier."""
+    axes, turns = list(_try_axes(evidence)), list(_try_turn(evidence))
+    best = min((cause.solution.cost for cause in axes), default=np.inf)
+    yield from axes
+    yield from (cause for cause in turns if best > (1.0 + _AS_GOOD) * cause.solution.cost)
+
+
+def _try_axes(evidence: Evidence) -> Iterator[Cause]:
+    """Yield axes of all places, or of the IMU, that have other signs or another order.
+
+    Without a maker's matrix the opposite of all axes fits as well: its torques are opposite then.
+    """
+    plain = evidence.problem
+    if not np.any(plain.added[:, MASS] > 0.0) or plain.rotation:
+        return
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=2)):
+        axes = np.eye(3)[list(order)] * np.array([1.0, *signs])[:, None]
+        if np.array_equal(axes, np.eye(3)):
+            continue
+        outer = _rotate(evidence.solution.outer[None], axes)[0]
+        problem = replace(plain, added=_rotate(plain.added, axes))
+        found.append((solve(problem, [outer], _GLANCE).cost, axes, problem, outer))
+    for _, axes, problem, outer in sorted(found, key=lambda one: one[0])[:_LIKELY]:
+        best = minima(problem, [outer, *starts(problem, None, None)])[0]
+        cure = "Measure places in the sensor's frame, and give the IMU's rotation (R_sensor_accelerometer)."
+        yield Cause(_axes_in_words(axes), cure, best, 0, len(found))
+
+
+def _axes_in_words(axes: Matrix) -> str:
+    """Return a change of axes, or the opposite of it, in words."""
+    if np.all(np.diag(axes)):
+        signs = np.diag(axes)
+        a = "xyz"[int(np.flatnonzero(signs == (1.0 if np.sum(signs) < 0.0 else -1.0))[0])]
+        turn = f"the IMU is turned by 180 degrees about {a}"
+        return f"{a} of all places or of the IMU has the other sign, or {turn}"
+    if np.all(axes >= 0.0) or np.all(axes <= 0.0):
+        order = ", ".join("xyz"[i] for i in np.argmax(np.abs(axes), axis=1))
+        return f"axes of all places or of the IMU are swapped: x, y, z as given are {order}"
+    turn = Rotation.from_matrix(axes * np.linalg.det(axes))
+    about = turn.as_rotvec() / turn.magnitude()
+    degrees = np.degrees(turn.magnitude())
+    return f"the IMU is turned by {degrees:.0f} degrees about {_place(about)} against the sensor's frame"
+
+
 def _fit_turn(plain: Problem, turn: Rotation, outer: Vector) -> tuple[Rotation, Solution]:
     """Find the turn of the added masses next to one, by small steps, and the fit with it."""
-    best = solve(replace(plain, added=_rotate(plain.added, turn)), [outer])
+    best = solve(replace(plain, added=_rotate(plain.added, turn.as_matrix())), [outer])
     for _ in range(_STEPS):
         added = best.problem.added
         step = solve(replace(best.problem, changes=turns_of(added)), [np.pad(best.outer, (0, 3))]).changes
         for share in (1.0, 0.3, 0.1):
             further = Rotation.from_rotvec(share * step)
-            tried = solve(replace(plain, added=_rotate(added, further)), [best.outer])
+            tried = solve(replace(plain, added=_rotate(added, further.as_matrix())), [best.outer])
             if tried.cost < best.cost:
                 break
         else:
@@ -367,9 +527,8 @@ def _fit_turn(plain: Problem, turn: Rotation, outer: Vector) -> tuple[Rotation, 
     return turn, best
 
 
-def _rotate(parameters: Matrix, turn: Rotation) -> Matrix:
-    """Return inertial parameters, shape (n, p), of bodies that are turned."""
-    R = turn.as_matrix()
+def _rotate(parameters: Matrix, R: Matrix) -> Matrix:
+    """Return inertial parameters, shape (n, p), of bodies that are turned or mirrored."""
     turned = parameters.copy()
     turned[:, MOMENT] = parameters[:, MOMENT] @ R.T
     if parameters.shape[1] >= INERTIA.stop:

@@ -1,6 +1,7 @@
 """Checks of single sets: before the fit, of unusable data; after it, of limbs that are not rigid."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
     Raises:
         CalibrationRefused: If a set has no samples to speak of.
     """
-    found, factors, samples, sizes = [], [], 0, []
+    found, factors, samples, sizes = _check_copies(sets), [], 0, []
     for data in sets:
         whole = np.asarray(np.isfinite(data.raw).all(axis=1))
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
@@ -63,6 +64,8 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
         factors.append(np.linalg.qr(gravity - gravity.mean(axis=0), mode="r"))
         samples += len(gravity)
     spread = gravity_spread(np.concatenate(factors), float(np.mean(sizes) * np.sqrt(samples)))
+    if spread[1] >= limits.TILT:
+        found += _check_idle(sets)
     if spread[2] >= limits.TILT:
         return found
     seen = "along one line" if spread[1] < limits.TILT else "in one plane"
@@ -71,9 +74,57 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
         f"{spread[1]:.3f} and {spread[2]:.4f} along its three axes, and {limits.TILT} is needed along each."
     )
     cure = "Tilt the limb about a second axis as well, such as front-back and sideways."
+    leaning &= spread[0] >= limits.TILT
     if leaning:
         reason, cure = f"{reason} What it does not show leans on the factory matrix.", ""
     return [*found, Finding("gravity's turning", reason, cure, spread[2], limits.TILT, refuses=not leaning)]
+
+
+def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
+    """Return which sets and channels hold the readings of another, and samples that repeat the one before."""
+    found = []
+    for one, other in combinations(sets, 2):
+        rows = min(len(one.raw), len(other.raw))
+        if one is not other and rows and np.array_equal(one.raw[:rows], other.raw[:rows], equal_nan=True):
+            reason = f"'{one.name}' and '{other.name}' hold the same readings: one is a copy."
+            found.append(Finding("copied set", reason, "Take the set's own file, or leave it out."))
+    raw = np.concatenate([data.raw for data in sets if data.channels == sets[0].channels])
+    for a, b in combinations(range(raw.shape[1]), 2):
+        if np.array_equal(raw[:, a], raw[:, b], equal_nan=True):
+            reason = f"Channels {a} and {b} hold the same readings: one is a copy of the other."
+            found.append(Finding("copied channel", reason, "Check the names of the columns and the wiring."))
+    for data in sets:
+        share = float(np.mean(np.all(np.diff(data.raw, axis=0) == 0.0, axis=1))) if len(data.raw) > 1 else 0.0
+        if share > limits.REPEATED:
+            reason = (
+                f"'{data.name}': {share:.0%} of the samples repeat the one before in all channels: the "
+                "driver is slower than the log, or hangs."
+            )
+            cure = "Log each sample of the sensor once, at the time at which it was read."
+            found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
+    return found
+
+
+def _check_idle(sets: Sequence[InSituSet]) -> list[Finding]:
+    """Return which channels read noise alone, by the n R^2 of gravity in all sets."""
+    found, limit = [], float(chdtri(3 * len(sets), _CHANCE))
+    for channel in range(sets[0].channels):
+        follows = sum(_follows_gravity(data, channel) for data in sets)
+        if follows < limit < sum(len(data.raw) for data in sets) / 2:
+            reason = f"Channel {channel} does not follow gravity in any set: it reads noise alone."
+            found.append(Finding("idle channel", reason, "Check its gauge and its cable.", follows, limit))
+    return found
+
+
+def _follows_gravity(data: InSituSet, channel: int) -> float:
+    """Return n R^2 of a channel's readings on gravity; three by chance."""
+    columns = np.column_stack([np.ones(len(data.raw)), data.gravity, data.raw[:, channel]])
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    columns = columns - columns.mean(axis=0)
+    gravity, counts = orthonormal(columns[:, 1:4], 1e-9)[0], columns[:, 4]
+    return float(
+        len(counts) * np.sum((gravity.T @ counts) ** 2) / max(float(counts @ counts), np.finfo(float).tiny)
+    )
 
 
 def _check_added(data: InSituSet) -> list[Finding]:
@@ -89,7 +140,7 @@ def _check_added(data: InSituSet) -> list[Finding]:
     if reach > limits.FARTHEST:
         reason = (
             f"'{data.name}': the added mass hangs {reach:.3g} m away from the sensor: its place is likely in "
-            "mm or cm."
+            "mm, cm or inches."
         )
         cure = "Give places in m, in the sensor's frame."
         found.append(Finding("place", reason, cure, reach, limits.FARTHEST))
@@ -100,7 +151,8 @@ def _check_length(data: InSituSet, length: float, spread: float) -> list[Finding
     """Return a finding if a set's gravity is of a length that gravity does not have."""
     reason = f"'{data.name}': gravity is {length:.4g} m/s^2 long, where 9.81 is expected."
     looks = [text for value, text in _UNITS.items() if abs(length / value - 1.0) < limits.SAME_UNIT]
-    if not looks and limits.SHORTEST_GRAVITY < length < limits.LONGEST_GRAVITY:
+    swings = data.moves and spread > limits.SPEEDING * length
+    if not looks and (swings or limits.SHORTEST_GRAVITY < length < limits.LONGEST_GRAVITY):
         return []
     cure = "Calibrate the accelerometer first."
     if looks:
@@ -181,6 +233,10 @@ def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:
 _WORST = 2.0
 """Rows that leave more than this multiple of the median are named."""
 
+_SINGLY = "They stand alone: single readings leap, by a loose cable, electric noise or lost bits."
+
+_TOUCHED = "something may have touched the limb"
+
 _CHANCE = 1e-4
 """Probability at which noise alone may seem to bend a limb."""
 
@@ -201,6 +257,8 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     for data, part in zip(sets, parts, strict=True):
         rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
         share = float(np.mean(rejected))
+        beside = np.concatenate([[False], rejected, [False]])
+        singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
         if share > limit:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
@@ -209,11 +267,16 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
                 "again with the foot in the air."
             )
-            found.append(Finding("outliers", reason, cure, share, limit, contradicts=True))
+            if singly:
+                reason, cure = (
+                    f"{reason} {_SINGLY}",
+                    "Check the cable and its shield, and leave readings out that leap.",
+                )
+            found.append(Finding("outliers", reason, cure, share, limit, contradicts=not singly))
         elif share > limits.STRAY:
             reason = (
                 f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
-                f"{_span(data, rejected)}: something may have touched the limb."
+                f"{_span(data, rejected)}: {'they stand alone' if singly else _TOUCHED}."
             )
             found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
         left = _residual_share(data, part)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
@@ -56,6 +57,9 @@ _NO_LOAD = 1e-300
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
 
+
+_CHANCE = 1e-4
+"""Probability at which noise alone may strain a fit."""
 
 _REACH = 0.1
 """Lever in m by which moments of masses that all hang at one place are judged."""
@@ -138,10 +142,11 @@ def check_rotation(found: Sequence[Solution]) -> list[Finding]:
     return []
 
 
-def check_scale(fit: InSituFit, *, leaning: bool) -> list[Finding]:
+def check_scale(fit: InSituFit, heaviest: float, *, leaning: bool) -> list[Finding]:
     """Return a finding if the limb's mass, and with it the scale of all forces, is unknown.
 
-    With ``leaning`` a factory matrix has a scale, as unsure as it may be.
+    ``heaviest`` is the largest added mass in kg. With ``leaning`` a factory matrix has a
+    scale, as unsure as it may be.
     """
     mass, deviation = fit.limb.mass, fit.limb_mass_std
     if mass > 0.0 and deviation <= limits.SCALE * mass:
@@ -155,6 +160,12 @@ def check_scale(fit: InSituFit, *, leaning: bool) -> list[Finding]:
         "the scale of all forces is as unsure."
     )
     cure = "Add larger masses or at places further apart, record for longer, or give the limb's mass."
+    if abs(mass) + deviation < limits.SCALE * heaviest:
+        reason += (
+            " Likeliest: the driver takes the limb's weight off already (a payload, gravity compensation)."
+        )
+        cure = "Log the sensor's own readings, with no payload set in the driver."
+        return [Finding("scale", reason, cure, share, limits.SCALE)]
     return [Finding("scale", reason, cure, share, limits.SCALE, contradicts=True)]
 
 
@@ -207,22 +218,37 @@ def check_masses(solution: Solution) -> list[Finding]:
     used = solution.basis[0][: solution.residual.size]
     freedom = solution.residual.size - float(np.sum(used**2))
     left = float(np.sum(solution.residual**2))
-    if not (freedom > 0.5 and left >= limits.STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
+    if freedom <= 0.5 or left <= float(chdtri(freedom, _CHANCE)) or not np.any(problem.added[:, MASS] > 0.0):
         return []
     off = float(np.max(_disagreement(problem, _measure_masses(solution))))
     reason = "The added masses contradict each other or the readings."
+    if left < limits.STRAINED * freedom or off <= limits.MASS:
+        reason = (
+            f"The sets disagree {left / freedom:.1f} times as much as noise explains, and added masses "
+            f"or places by up to {off:.1%} of the largest."
+        )
     cure = "Weigh what was added and measure where it hung, or leave the set out."
-    contradiction = Finding("added masses", reason, cure, off, limits.MASS, contradicts=True)
-    if off > limits.MASS:
+    refuses = left >= limits.STRAINED * freedom and off > limits.MASS
+    contradiction = Finding(
+        "added masses",
+        reason,
+        cure,
+        off,
+        limits.MASS if refuses else limits.MASS_SEEN,
+        refuses,
+        contradicts=True,
+    )
+    if refuses:
         return [contradiction]
-    if problem.rotation:
-        return []
+    slight = [contradiction] if off > limits.MASS_SEEN or left >= limits.STRAINED * freedom else []
+    if problem.rotation or left < limits.STRAINED * freedom:
+        return slight
     turned = solve(replace(problem, changes=turns_of(problem.added)), [np.pad(solution.outer, (0, 3))])
     angle, explained = float(np.linalg.norm(turned.changes)), 2.0 * (solution.cost - turned.cost)
     if angle < limits.TURNED or explained < limits.TURNED_SIGMAS**2 * left / freedom:
-        return []
+        return slight
     if angle > limits.MASS:
-        return [contradiction]
+        return [replace(contradiction, refuses=True)]
     reason = (
         f"The IMU seems to be turned by {np.degrees(angle):.1f} degrees against the sensor's frame, and the "
         "wrench with it: give its rotation (R_sensor_accelerometer), or let the fit find it "

@@ -29,6 +29,7 @@ class Limit(float):
 
 # At the door: channels, masses, gravity.
 SAMPLES = Limit(4, "samples", "a mean and three slopes of gravity")
+REPEATED = Limit(0.03, "share of samples", "chosen: six channels with noise seldom read the same twice")
 SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs end in 0.03 and more")
 TIES = Limit(5, "samples", "equal readings at an end; chosen")
 TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
@@ -59,6 +60,7 @@ BENDS_MOSTLY = Limit(0.7, "share of the residual", "sound 0.67; the knee 0.83 an
 BENDS_PARTLY = Limit(0.2, "share of the residual", "beside hysteresis that was fitted; chosen")
 HYSTERESIS = Limit(0.01, "share of the swing", "chosen, as a deviation: cheap gauges have 2 %")
 HIDDEN = Limit(0.003, "share of the swing", "chosen: a third of that")
+LOOPS = Limit(0.015, "share of a channel's spread", "the most that 1 % of hysteresis leaves")
 WARMING = Limit(0.3, "K", "three times the 0.1 K to which thermistors read")
 NOT_GRAVITY = Limit(0.1, "share of a temperature's spread", "its coefficient is ten times less sure there")
 COEFFICIENTS = Limit(3.0, "deviations", "0.3 % of sensors whose coefficient is one")
@@ -68,6 +70,7 @@ STRAINED = Limit(
     3.0, "over the squares that noise explains", "sound 2.5; a mass off by 10 % 15, an IMU by 5 deg 4.6"
 )
 MASS = Limit(0.05, "share of the largest added mass, or its lever", "sound 0.0095; a mass off by 10 % 0.078")
+MASS_SEEN = Limit(0.012, "the same", "a word: sound 0.0095; a cable's pull of 8 % of the limb's weight 0.019")
 TURNED = Limit(0.025, "rad", "1.4 degrees; chosen")
 TURNED_SIGMAS = Limit(4.0, "deviations", "1 in 16,000 by chance")
 SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")

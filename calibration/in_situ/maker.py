@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ import limits
@@ -225,10 +226,11 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     for cost, ways in (
         (0.0, _other_readings(factory)),
         (_OCCAM, [] if expected is None else _other_entries(factory, measured, expected)),
+        (_OCCAM, [] if expected is None else _other_point(factory, measured, expected)),
     ):
         scored = sorted(((miss(one), words, one) for words, one in ways), key=lambda way: way[0])
         for left, words, one in scored[:_TRIED]:
-            if left < limits.READ_BETTER * now:
+            if left < min(limits.READ_BETTER * now, 1.0):
                 tried.append((_evidence_of(one, problem, solution.rotation, start) - cost, left, words))
     found = []
     base = _evidence_of(factory, problem, solution.rotation, start)
@@ -331,6 +333,18 @@ _OF_ROWS = {
 """Possible errors of a matrix or of units, by the factors of its forces and of its torques."""
 
 
+def _other_point(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield the point that torques of a matrix are about, if it is not the sensor's origin."""
+    shown = factory @ measured
+    # p x f is linear in p: its columns are the unit vectors' products.
+    arms = np.cross(np.eye(3)[None], shown[:3].T[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+    point = np.linalg.lstsq(arms, (expected[3:] - shown[3:]).T.ravel(), rcond=None)[0]
+    moved = np.eye(AXES)
+    moved[3:, :3] = np.cross(point[None], np.eye(3)).T
+    where = ", ".join(f"{value:.3f}" for value in -point)
+    yield f"the factory's torques are about the point ({where}) m, not the sensor's origin", moved @ factory
+
+
 def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
     """Yield possible errors of a whole matrix or of units, and the matrix as it then is."""
     for words, factors in _OF_ROWS.items():
@@ -341,6 +355,14 @@ def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
             f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame",
             mirror * factory,
         )
+    for turn in Rotation.create_group("O"):
+        if turn.magnitude() > 0.0:
+            about = np.round(turn.as_rotvec() / turn.magnitude(), 2).tolist()
+            degrees = np.degrees(turn.magnitude())
+            words = (
+                f"the factory's frame is turned by {degrees:.0f} degrees about {about} against the sensor's"
+            )
+            yield words, np.kron(np.eye(2), turn.as_matrix()) @ factory
     yield "rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)
     rows, channels = factory.shape
     if rows == channels:

@@ -122,7 +122,8 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
         maker_known=maker_known,
         maker_share=maker_share,
     )
-    findings += check_scale(fit, leaning=problem.maker is not None)
+    heaviest = float(np.max(problem.added[:, MASS]))
+    findings += check_scale(fit, heaviest, leaning=problem.maker is not None)
     if problem.maker is None:
         findings += check_axes(fit, solution)
     return fit, findings + check_answer(fit, task.factory)

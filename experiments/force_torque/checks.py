@@ -18,6 +18,8 @@ GAP = 3.0  # times the usual step from which two rows have a gap between them
 POSES = 0.1  # share of gaps from which rows are poses held one by one, which have no rate
 SLOWEST_GYROSCOPE = 0.5  # time in s between two rows from which a gyroscope cannot be followed
 TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are summed
+TURNS = 0.5  # m/s^2 by which gravity must change within that time to show how it turns
+FLAT = 1e-3  # share of the largest singular value below which an arm does not show
 CLEAR = 0.5  # correlation from which two signals have a common sign
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
@@ -174,7 +176,9 @@ def _check_acceleration(samples: Samples) -> None:
     """Raise LogError if accelerations cannot be in the unit that was given."""
     size = np.linalg.norm(np.clip(samples.acceleration, -LARGEST, LARGEST), axis=1)
     felt = float(np.median(size))
-    if 0.8 * GRAVITY < felt < 1.2 * GRAVITY:
+    # A limb that swings feels more; units are factors of 9.8 apart.
+    wide = 0.5 if samples.angular_velocity is not None else 0.2
+    if 1.0 - wide < felt / GRAVITY < 1.0 + wide:
         return
     looks = [text for value, text in _LOOKS.items() if 0.8 < felt / value < 1.2]
     looks += ["give m/s^2 with gravity in it, or say units.acceleration"]
@@ -188,30 +192,46 @@ def _check_spin(samples: Samples) -> None:
     """Raise LogError if a gyroscope is in other units or of other signs: gravity must turn as it says.
 
     Seen from the limb gravity turns by dg/dt = -w x g. The slope of its change on the integral of the right
-    side is one where units and signs agree.
+    side is one where units and signs agree. An IMU that swings at an arm p feels K p
+    more, which is beside it.
     """
     spin, time = samples.angular_velocity, samples.time
     if spin is None or time is None:
         return
-    expected, seen = [], []
+    expected, seen, beside = [], [], []
     stride = max(1, round(TURNED / float(np.median(np.diff(time)))))
     for part in contiguous(time):
         if part.stop - part.start <= stride:
             continue
-        a, t = samples.acceleration[part], time[part]
-        rate = -np.cross(spin[part], a)
-        total = np.zeros_like(a)
-        total[1:] = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None], axis=0)
-        expected.append(total[stride:] - total[:-stride])
-        seen.append(a[stride:] - a[:-stride])
+        a, t, w = samples.acceleration[part], time[part], spin[part]
+        swung = np.concatenate([_cross(np.gradient(w, t, axis=0)), _cross(w) @ _cross(w)], axis=2)
+        felt = np.concatenate([-np.cross(w, a)[..., None], _cross(w) @ swung], axis=2)
+        total = np.zeros_like(felt)
+        total[1:] = np.cumsum(0.5 * (felt[1:] + felt[:-1]) * np.diff(t)[:, None, None], axis=0)
+        turned = total[stride:] - total[:-stride]
+        expected.append(turned[..., 0].ravel())
+        seen.append((a[stride:] - a[:-stride]).ravel())
+        beside.append(
+            np.concatenate([swung[stride:] - swung[:-stride], turned[..., 1:]], axis=2).reshape(-1, 12)
+        )
     if not expected:
         return
-    x, y = np.concatenate(expected).ravel(), np.concatenate(seen).ravel()
+    x, y, columns = np.concatenate(expected), np.concatenate(seen), np.concatenate(beside)
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    swings = columns @ np.linalg.lstsq(columns, np.column_stack([x, y]), rcond=FLAT)[0]
+    x, y = x - swings[:, 0], y - swings[:, 1]
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if xx == 0.0 or yy == 0.0 or abs(xy) < CLEAR * np.sqrt(xx * yy):
+    at = f"{samples}: {_name(samples.columns.angular_velocity or ())}"
+    if xx == 0.0 or yy == 0.0:
+        return
+    if abs(xy) < CLEAR * np.sqrt(xx * yy):
+        if yy > len(y) * TURNS**2:
+            raise LogError(
+                f"{at} do not say how gravity turns (correlation {xy / np.sqrt(xx * yy):.2f}); give the "
+                "gyroscope's axes in the accelerometer's order and frame, less its bias, by one clock."
+            )
         return
     slope = xy / xx
-    at = f"{samples}: {_name(samples.columns.angular_velocity or ())}"
     if slope < 0.0:
         raise LogError(
             f"{at} turn gravity the wrong way round; turn their signs, or give both of the IMU's vectors in "
@@ -224,6 +244,11 @@ def _check_spin(samples: Samples) -> None:
             else "give rad/s, and time in seconds"
         )
         raise LogError(f"{at} say {1 / slope:.2g} times the rate at which gravity turns; {cure}.")
+
+
+def _cross(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices of cross products, shape (n, 3, 3), of vectors, shape (n, 3)."""
+    return -np.cross(np.eye(3), vectors[:, None, :])
 
 
 def _name(columns: tuple[str, ...]) -> str:

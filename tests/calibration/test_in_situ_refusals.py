@@ -362,7 +362,7 @@ def test_a_limb_that_rests_at_its_turns_is_not_clipped(dwell):
     ("change", "message"),
     [
         ({"added_mass": 703.0}, "likely in grams"),
-        ({"added_com": [-21.5, 108.3, 367.4]}, "likely in mm or cm"),
+        ({"added_com": [-21.5, 108.3, 367.4]}, "likely in mm, cm or inches"),
     ],
 )
 def test_masses_and_places_that_nobody_hangs_are_refused(change, message):
