@@ -41,13 +41,9 @@ from scipy.stats import chi2
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
+from surefoot.calibration.moment import modes
 from surefoot.calibration.moment.columns import Columns
 from surefoot.calibration.moment.filter import MomentFilter
-from surefoot.calibration.moment.modes import (
-    FIRST_CHANCE,
-    MODES,
-    RATES,
-)
 from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.runner import runner
@@ -158,18 +154,16 @@ def _begin_sure_of(part: str) -> Callable[[MomentFilter, Floats], dict[str, Any]
     return change
 
 
-def _without(mode: int) -> dict[str, Any]:
+def _without(mode: modes.Mode) -> dict[str, Any]:
     """Return constants of the modes by which one is never believed."""
-    rates, chance = RATES.copy(), FIRST_CHANCE.copy()
-    rates[:, mode], chance[mode] = 0.0, 1e-12
+    rates, chance, at = modes.RATES.copy(), modes.FIRST_CHANCE.copy(), modes.MODES.index(mode)
+    rates[:, at], chance[at] = 0.0, 1e-12
     return {"rates": rates, "first_chance": chance / chance.sum(), "least_chance": 1e-12}
 
 
-_, HOLD, LOAD = range(len(MODES))
-
 PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter, Floats], dict[str, Any]]] = {
-    "somebody may hold it": _without(HOLD),
-    "loads": _without(LOAD),
+    "somebody may hold it": _without(modes.HELD),
+    "loads": _without(modes.LOADED),
     "severity by evidence": {"severities": np.ones(4)},
     "noise of rows by evidence": {"noise_share": 0.0},
     "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12},

@@ -28,10 +28,11 @@ def in_a_row(*widths: int) -> Iterator[slice]:
         yield slice(end, end := end + width)
 
 
-def skew(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return [v]x, shape (3, 3): [v]x a = v x a."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return [v]x of vectors, shapes (..., 3) and (..., 3, 3): [v]x a = v x a."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*np.shape(vectors), 3)
 
 
 def of_unit_length(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

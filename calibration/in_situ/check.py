@@ -88,13 +88,14 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
         if one is not other and rows and np.array_equal(one.raw[:rows], other.raw[:rows], equal_nan=True):
             reason = f"'{one.name}' and '{other.name}' hold the same readings: one is a copy."
             found.append(Finding("copied set", reason, "Take the set's own file, or leave it out."))
-    raw = np.concatenate([data.raw for data in sets if data.channels == sets[0].channels])
-    for a, b in combinations(range(raw.shape[1]), 2):
-        if np.array_equal(raw[:, a], raw[:, b], equal_nan=True):
+    alike = [data.raw for data in sets if data.channels == sets[0].channels]
+    for a, b in combinations(range(sets[0].channels), 2):
+        if all(np.array_equal(raw[:, a], raw[:, b], equal_nan=True) for raw in alike):
             reason = f"Channels {a} and {b} hold the same readings: one is a copy of the other."
             found.append(Finding("copied channel", reason, "Check the names of the columns and the wiring."))
     for data in sets:
-        share = float(np.mean(np.all(np.diff(data.raw, axis=0) == 0.0, axis=1))) if len(data.raw) > 1 else 0.0
+        again = (data.raw[1:] == data.raw[:-1]) & np.isfinite(data.raw[1:])
+        share = float(np.mean(np.all(again, axis=1))) if len(again) else 0.0
         if share > limits.REPEATED:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples repeat the one before in all channels: the "

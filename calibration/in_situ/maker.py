@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import ROUNDING, of_unit_length
+from surefoot.calibration.arrays import ROUNDING, of_unit_length, skew
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.findings import Finding
@@ -336,11 +336,10 @@ _OF_ROWS = {
 def _other_point(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
     """Yield the point that torques of a matrix are about, if it is not the sensor's origin."""
     shown = factory @ measured
-    # p x f is linear in p: its columns are the unit vectors' products.
-    arms = np.cross(np.eye(3)[None], shown[:3].T[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+    arms = -skew(shown[:3].T).reshape(-1, 3)
     point = np.linalg.lstsq(arms, (expected[3:] - shown[3:]).T.ravel(), rcond=None)[0]
     moved = np.eye(AXES)
-    moved[3:, :3] = np.cross(point[None], np.eye(3)).T
+    moved[3:, :3] = skew(np.asarray(point, dtype=np.float64))
     where = ", ".join(f"{value:.3f}" for value in -point)
     yield f"the factory's torques are about the point ({where}) m, not the sensor's origin", moved @ factory
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
+from surefoot.calibration.arrays import skew
 from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.table import LogError
 
@@ -204,8 +205,9 @@ def _check_spin(samples: Samples) -> None:
         if part.stop - part.start <= stride:
             continue
         a, t, w = samples.acceleration[part], time[part], spin[part]
-        swung = np.concatenate([_cross(np.gradient(w, t, axis=0)), _cross(w) @ _cross(w)], axis=2)
-        felt = np.concatenate([-np.cross(w, a)[..., None], _cross(w) @ swung], axis=2)
+        across = skew(w)
+        swung = np.concatenate([skew(np.gradient(w, t, axis=0)), across @ across], axis=2)
+        felt = np.concatenate([-np.cross(w, a)[..., None], across @ swung], axis=2)
         total = np.zeros_like(felt)
         total[1:] = np.cumsum(0.5 * (felt[1:] + felt[:-1]) * np.diff(t)[:, None, None], axis=0)
         turned = total[stride:] - total[:-stride]
@@ -244,11 +246,6 @@ def _check_spin(samples: Samples) -> None:
             else "give rad/s, and time in seconds"
         )
         raise LogError(f"{at} say {1 / slope:.2g} times the rate at which gravity turns; {cure}.")
-
-
-def _cross(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrices of cross products, shape (n, 3, 3), of vectors, shape (n, 3)."""
-    return -np.cross(np.eye(3), vectors[:, None, :])
 
 
 def _name(columns: tuple[str, ...]) -> str:
