@@ -53,6 +53,16 @@ def load_script() -> Callable[[str], ModuleType]:
     return load
 
 
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Give the library of calibrators and beliefs, compiled if there is none."""
+    from _native import library_of
+
+    from surefoot.calibration.native import NATIVE
+
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+
+
 @pytest.fixture
 def make_bare() -> Callable[..., Any]:
     """Make a bare environment; by default a walk of 12 s."""

@@ -5,3 +5,14 @@ import pytest
 def sensor(request):
     """Each sensor of the in-situ paper, a key of ``SENSORS`` in ``_in_situ.py``."""
     return request.param
+
+
+@pytest.fixture(scope="session")
+def single(tmp_path_factory):
+    """The library of calibrators in single precision."""
+    from surefoot.calibration.native import NATIVE
+    from surefoot.native.build import FLAGS
+
+    path = tmp_path_factory.mktemp("single") / "single.so"
+    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
+    return NATIVE.load(path)

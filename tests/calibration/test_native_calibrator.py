@@ -6,29 +6,14 @@ import pickle
 import numpy as np
 import pytest
 from _ankles import ANKLES
-from _native import library_of
 from _native_filters import Log, same_estimate
 from _synthetic import LAYOUT, MASS
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference
-from surefoot.calibration.native import NATIVE, NativeState, native_filter
+from surefoot.calibration.native import NativeState, native_filter
 from surefoot.native import compiler
-from surefoot.native.build import FLAGS
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
-
-
-@pytest.fixture(scope="module")
-def single(tmp_path_factory):
-    """The library in single precision."""
-    path = tmp_path_factory.mktemp("single") / "single.so"
-    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
-    return NATIVE.load(path)
 
 
 def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library):

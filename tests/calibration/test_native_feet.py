@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _native import SANITIZED, library_of
+from _native import SANITIZED
 from test_many_feet import DT, MASS, WEIGHT, layout_of, move, read
 from test_native_filter import play
 
@@ -29,11 +29,6 @@ UP = {"fz": [1.0], "xyz": [0.0, 0.0, 1.0], "cells": [0.3, 0.2, 0.3, 0.2], "six a
 """What a newton on a foot is on each of its channels."""
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 class Log:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _ankles import ANKLES
-from _native import SANITIZED, compile_program, library_of
+from _native import SANITIZED, compile_program
 from _native_filters import AT, SAMPLES, Log, same, same_estimate
 from _synthetic import DT, LAYOUT, MASS
 
@@ -18,7 +18,6 @@ from surefoot.calibration.episodes import begin_episode
 from surefoot.calibration.native import NATIVE, c_source, native_filter
 from surefoot.calibration.online import online_method
 from surefoot.native import compiler, leaves_of
-from surefoot.native.build import FLAGS
 
 ROOT = Path(__file__).parents[2]
 
@@ -176,19 +175,6 @@ EVENTS = [
     clean, gaps, missing_and_impossible, bad_references, lies, retracted, stands_for_long, on_one_leg, lifted,
     down_early,
 ]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
-
-
-@pytest.fixture(scope="module")
-def single(tmp_path_factory):
-    """The library in single precision."""
-    path = tmp_path_factory.mktemp("single") / "single.so"
-    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
-    return NATIVE.load(path)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import test_native_filter as shared
 from _moment import DT, Errors, move
-from _native import SANITIZED, compile_program, library_of
+from _native import SANITIZED, compile_program
 from _synthetic import LAYOUT, MASS, NOMINAL
 from test_native_filter import Log, play, robot, same_estimate, setup_of
 
@@ -22,11 +22,6 @@ from surefoot.native import compiler
 SAMPLES, AT = 800, 320
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 class MomentumLog:

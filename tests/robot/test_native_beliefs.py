@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from _native import SANITIZED, compile_program, library_of
+from _native import SANITIZED, compile_program
 from _native_robots import (
     DT,
     PACKETS,
@@ -23,7 +23,7 @@ from _native_robots import (
     same_info,
 )
 
-from surefoot.calibration.native import NATIVE, Library
+from surefoot.calibration.native import NATIVE
 from surefoot.native import compiler
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
@@ -34,11 +34,6 @@ from surefoot.sensors.telemetry.computer import TelemetryLayout
 CORNERS = np.random.default_rng(8).normal(size=(2, 4, 3)) * (0.06, 0.03, 0.001)
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory) -> Library:
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture(scope="module")

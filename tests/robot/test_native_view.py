@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _native import library_of
 from _native_robots import (
     motion,
     python,
@@ -16,7 +15,7 @@ from _native_robots import (
 
 from surefoot.calibration import FeetLayout, nao_shoe_layout
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import NATIVE, Library, rooms
+from surefoot.calibration.native import Library, rooms
 from surefoot.native import Record, compiler
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.native import NativeBeliefs
@@ -29,11 +28,6 @@ SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
 BARE = tuple(part for part in SHOWN if part not in CERTAINTY)
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory) -> Library:
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture(scope="module")
