@@ -197,7 +197,8 @@ def weights_section(report: WeighingReport, folder: Path) -> Section:
 def cop_figure(path: Path, report: WeighingReport) -> Path:
     """Draw measured centres of pressure of the left foot against the plate's holes (the paper's Figure 7)."""
     left = report.held_out[0]
-    pressed = np.isfinite(left.cop_initial).all(axis=1)
+    # Of the lightest weights one map may have a centre of pressure, and the other none.
+    pressed = np.isfinite(left.cop_initial + left.cop_calibrated).all(axis=1)
     holes = left.hole[pressed]
     with figure_at(path, 9.0, 4.4) as figure:
         panels = grid_of(figure, 1, 2, sharex=True, sharey=True)[0]

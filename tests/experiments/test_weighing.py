@@ -10,7 +10,7 @@ from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.weights.paper import TABLE_2, TABLE_3, repeat_tables
+from surefoot.experiments.weights.paper import TABLE_2, TABLE_3, cop_figure, repeat_tables
 from surefoot.experiments.weights.weighing import WeighingSetup, run_weighing, weigh_after_walk
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
@@ -35,6 +35,15 @@ def test_reaches_the_paper_s_table_3_on_holes_never_fitted(seed):
     assert report.calibrated.cop < report.calibrated.cop_raw
     # 20 holes, two feet: four weights above the threshold of seven.
     assert (report.calibrated.placements, report.calibrated.weighings) == (160, 280)
+
+
+def test_the_figure_has_placements_whose_place_both_maps_know(tmp_path):
+    report = run_weighing(seed=1)
+    left = report.held_out[0]
+    assert not np.array_equal(np.isfinite(left.cop_initial), np.isfinite(left.cop_calibrated))
+    said = re.findall(r"(\S+) mm rmse", cop_figure(tmp_path / "cop.svg", report).read_text())
+    assert len(said) == 2
+    assert np.isfinite(np.array(said, dtype=float)).all()
 
 
 def test_repeated_placements_spread_as_weights_do_in_their_holes():
