@@ -15,9 +15,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join([sys.path[0], *filter(None, [os.envir
 project, author, release = "surefoot", "", metadata.version("surefoot")
 html_title = f"surefoot {release}"
 html_theme = "sphinx_book_theme"
-html_theme_options: dict[str, Any] = {"navigation_with_keys": False, "navbar_persistent": []}
-# Wide tables have the place of the page's contents.
-html_theme_options["secondary_sidebar_items"] = {"results": [], "policy-results": [], "**": ["page-toc"]}
+html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
 html_show_copyright = False
 html_static_path, html_css_files = ["_static"], ["surefoot.css"]
 repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]

@@ -83,7 +83,7 @@ def draw_environments() -> None:
         ("Exercise", {"robot": name}, 6.0) for name in ["nao", *others]
     ]
     shown += [("LegRig", {}, 6.0), ("NaoWalk", {}, 6.0), ("NaoCarry", {}, 30.0), ("NaoCarryHard", {}, 30.0)]
-    _, axes = plt.subplots(-(-len(shown) // 4), 4, figsize=(10, 4.2), layout="constrained")
+    _, axes = plt.subplots(-(-len(shown) // 4), 4, figsize=(10, 4.2), facecolor="none", layout="constrained")
     for axis in axes.flat:
         axis.axis("off")
     for axis, (name, chosen, seconds) in zip(axes.flat, shown, strict=False):
@@ -93,7 +93,7 @@ def draw_environments() -> None:
             if any(env.step(np.zeros(env.action_space.shape))[2:4]):
                 break
         axis.imshow(env.render())
-        axis.set_title(" ".join([f"{name}-v0", *chosen.values()]), fontsize=9)
+        axis.set_title(" ".join([f"{name}-v0", *chosen.values()]), fontsize=9, color="0.5")
         env.close()
     plt.show()
 
