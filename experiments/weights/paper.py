@@ -106,7 +106,7 @@ def table_2(report: WeighingReport) -> Table:
         "d": lambda i: decimal(value.offset[i] / GRAVITY, ".5f"),
     }
     note = (
-        f"Mean counts of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
+        f"Mean counts of one second each under {len(load)} weights from 1 g to 6 kg, some of them shown; "
         "c in 1e-6 kg per count, d in kg."
     )
     cells = range(len(report.channel_names))
