@@ -40,13 +40,14 @@ def slug(name: str) -> str:
 
 
 def page(name: str) -> str:
-    """Return the address of a page of the documentation of this version: a wheel has no ``docs`` folder."""
+    """Address of a page of this version's documentation, or its path in a checkout until there is one."""
     try:
         about = metadata("surefoot")
     except PackageNotFoundError:  # copied beside a program, and not installed
         return f"docs/{name}.md"
     home = about["Project-URL"].partition(", ")[2]
-    return f"{home}/blob/v{about['Version']}/docs/{name}.md"
+    here = "" if "/OWNER/" in home else f"{home}/blob/v{about['Version']}/"
+    return f"{here}docs/{name}.md"
 
 
 def check_new_name(what: str, name: str, taken: Collection[str]) -> None:

@@ -26,7 +26,7 @@ class Meters:
         self._rows: deque[list[float]] = deque(maxlen=round(SPAN * FRAMES_PER_SECOND / _EVERY))
         self._count = 0
         self._table = server.gui.add_html("")
-        self._place = server.gui.add_folder("Vertical force, N: left solid, right dashed")
+        self._place = server.gui.add_folder("Vertical force: left solid, right dashed")
         self._colours: Mapping[str, str] = {}
         self._chart: Any = None
 
@@ -45,8 +45,11 @@ class Meters:
                 self._columns(),
                 tuple(series),
                 scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
+                axes=tuple(
+                    uplot.Axis(label=label, size=30, labelSize=18) for label in ("time in s", "force in N")
+                ),
                 legend=uplot.Legend(show=False),
-                aspect=2.0,
+                aspect=1.5,
             )
 
     def forget(self) -> None:
