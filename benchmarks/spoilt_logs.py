@@ -334,7 +334,7 @@ def weighing_outcomes() -> Iterator[Outcome]:
         for mistake, (right, _, spoil) in WEIGHING_SPOILERS.items():
             for seed in range(2):
                 table = spoil(weigh(shape, seed), np.random.default_rng(seed))
-                yield Outcome(f"{shape}, {seed}", mistake, right, judge_weighings(table)[0])
+                yield Outcome(f"{shape}, {seed}", mistake, right, judge_weighings(table).findings)
 
 
 def refusals(kind: str) -> list[str]:
@@ -342,7 +342,7 @@ def refusals(kind: str) -> list[str]:
     if kind == "walks":
         found = [judge_log(log, starting_map(log)).findings for log in sound_walks()]
     else:
-        found = [judge_weighings(weigh(shape, 100 + seed))[0] for shape in SHAPES for seed in range(10)]
+        found = [judge_weighings(weigh(shape, 100 + seed)).findings for shape in SHAPES for seed in range(10)]
     return [next((one.name for one in findings if one.refuses), "") for findings in found]
 
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY, Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
-from surefoot.calibration.weights.curves import CurveFit, fit_curve
+from surefoot.calibration.weights.curves import CurveFit
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
-from surefoot.experiments.weights.judge import ROUNDING, Weighings, find_memory, judge_weighings
+from surefoot.experiments.weights.judge import ROUNDING, Weighings, judge_weighings
 from surefoot.experiments.weights.loop import Memory
 from surefoot.files import write_text
 
@@ -81,17 +81,11 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     """
     weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
-    findings, out_of_line = judge_weighings(weighings)
-    passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
-    kept = np.where(out_of_line, np.nan, weighings.code)
-    bent: list[CurveFit | None] = []
-    memory: list[Memory | None] = []
-    for one in kept.T:
-        there = np.isfinite(one + weighings.load)
-        bent.append(fit_curve(one[there], weighings.load[there]))
-        memory.append(find_memory(weighings.load[there], one[there], bent[-1]))
+    judged = judge_weighings(weighings)
+    passed, weaker = pass_or_refuse(judged.findings, accept, path.name, "the map")
+    bent, memory = zip(*judged.shapes, strict=True)
     curves = Curves([None if one is None else one.knots for one in bent])
-    code = curves.straighten(kept)
+    code = curves.straighten(judged.kept)
     fit = fit_channels(code, weighings.load, names)
     std = _deviations(fit, code)
     notices = passed + weaker
@@ -110,8 +104,8 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
         facts["hysteresis"] = [None if one is None else one.hysteresis for one in memory]
         facts["hysteresis_std"] = [None if one is None else one.hysteresis_std for one in memory]
     write_text(out, json.dumps(facts, indent=1))
-    rest = (fit, std, curves, tuple(bent), tuple(memory), notices)
-    return CalibratedCells(out, path.name, tuple(names), weighings, kept, *rest)
+    rest = (fit, std, curves, bent, memory, notices)
+    return CalibratedCells(out, path.name, tuple(names), weighings, judged.kept, *rest)
 
 
 def read_weighings(path: Path) -> Weighings:
