@@ -56,7 +56,7 @@ class Walk:
 
 def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
     """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
-    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
+    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of(record_walk.__module__))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
 
