@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
@@ -271,7 +270,7 @@ def _make_beliefs(
     table: LogTable,
     moved: LogTable,
     description: Description,
-    time: NDArray[np.float64],
+    time: Floats,
 ) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]], MotionFacts]:
     """Make beliefs of joints and IMU; return both kinds, their source, and the fields of joints of a log."""
     feet, dt = description.layout.feet, description.dt_s
