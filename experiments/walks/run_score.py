@@ -25,6 +25,7 @@ from operator import or_
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from surefoot.calibration import Flag, ground_reference
 from surefoot.experiments.arrays import Floats
@@ -94,14 +95,9 @@ def running_rmse(time: Floats, error: Floats) -> Floats:
 
     NaN is no error; it is returned before there were 2 s, and where no sample of them counts.
     """
-    there = np.isfinite(error)
-    square = np.concatenate([[0.0], np.cumsum(np.where(there, error, 0.0) ** 2)])
-    count = np.concatenate([[0], np.cumsum(there)])
-    last = np.arange(1, len(time) + 1)
-    first = np.searchsorted(time, time - RUNNING + 1e-9)
-    number = count[last] - count[first]
-    mean = (square[last] - square[first]) / np.maximum(number, 1)
-    return np.where((number > 0) & (time >= time[0] + RUNNING), np.sqrt(np.maximum(mean, 0.0)), np.nan)
+    square = pd.Series(np.where(np.isfinite(error), error, np.nan) ** 2, pd.to_timedelta(time, unit="s"))
+    mean = square.rolling(pd.Timedelta(RUNNING, unit="s"), min_periods=1).mean().to_numpy()
+    return np.where(time >= time[0] + RUNNING, np.sqrt(np.maximum(mean, 0.0)), np.nan)
 
 
 def run_errors(stream: Stream, force: Floats) -> Errors:
