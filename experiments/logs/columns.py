@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.reference import GRAVITY
 from surefoot.experiments.arrays import Floats
 from surefoot.names import slug
 
@@ -25,6 +26,8 @@ _VECTORS = {
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}  # of each channel
 PHASES = ("stance", "swing")
 """Contacts that a robot is sure of; a foot in between is neither."""
+LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
+"""Columns of the load that every cell bears by itself, and what one is in N."""
 _POSE = "pose"  # in the place of the two fields of the soles' poses
 
 

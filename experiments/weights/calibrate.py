@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Curves, Parameters, fit_channels
+from surefoot.calibration import Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.calibration.weights.curves import CurveFit
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
+from surefoot.experiments.logs.columns import LOADS
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
@@ -112,8 +113,7 @@ def read_weighings(path: Path) -> Weighings:
     """Read a table of weighings; LogError if it is none."""
     mapping = TableMapping.beside(path)
     table = mapping.read_by_mapping(path, "give a CSV of weighings, one a row.", mapping.columns)
-    units = {"load_kg": GRAVITY, "load_N": 1.0}
-    given = [name for name in units if name in table]
+    given = [name for name in LOADS if name in table]
     if len(given) != 1:
         raise LogError(
             f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has {given or 'neither'}."
@@ -124,7 +124,7 @@ def read_weighings(path: Path) -> Weighings:
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
             "'raw_left_front_left_count'."
         )
-    unit = units[given[0]]
+    unit = LOADS[given[0]]
     return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
 
 
