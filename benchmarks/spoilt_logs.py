@@ -251,9 +251,9 @@ def log_of(
         references.append(own.reference)
     reference = Reference(*(np.asarray(part)[16:] for part in stack_rows(references)))
     time = setup.dt * np.arange(16, len(raw))
-    about = {"sample_age_s": setup.age}
-    return Log(time, np.array(raw)[16:], reference, setup.layout, setup.mass, setup.initial, None, setup.dt,
-               setup.lag, seed, None, about)  # fmt: skip
+    known: Any = {"layout": setup.layout, "mass": setup.mass, "nominal": setup.initial, "dt": setup.dt}
+    known |= {"lag": setup.lag, "seed": seed, "about": {"sample_age_s": float(np.mean(setup.age))}}
+    return Log(time, np.array(raw)[16:], reference, calibrated=None, **known)
 
 
 def break_cell(log: Log, fault: str) -> Log:
