@@ -1,8 +1,8 @@
 """The worth of a calibration motion: planned against other motions, and played before walks and exercises.
 
-    python benchmarks/calibration_motion.py plan                  # bounds of motions of 40 s, NAO
-    python benchmarks/calibration_motion.py walk --seeds 20       # NAO: the motion, then 12 s of walking
-    python benchmarks/calibration_motion.py robots --seeds 5      # the motion, then 12 s of exercise
+    python benchmarks/calibration_motion.py plan     # bounds of motions of 40 s, NAO
+    python benchmarks/calibration_motion.py walk     # the motion, then 12 s of walking (NAO) or of exercise
+    python docs/study_tables.py out/results
 
 The start is the bad one of walks: scales 12 % off, offsets 1.5 N for a NAO (3 N per 100 N of weight for
 others), drift of 2 % and 1 N (2 N per 100 N) per square root of a minute; the robot's usual errors about
@@ -11,24 +11,28 @@ own error by the data sheet is given beside. NEES is that of all scales and offs
 """
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from rich.console import Console
 
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
-from surefoot.experiments.arrays import stack_rows
+from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
+from surefoot.experiments.study.page import save_tables
+from surefoot.experiments.study.progress import each
+from surefoot.experiments.study.tables import Table, decimal
 from surefoot.experiments.walks.score import cop_world, rms
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.sensors import LoadCells, sized
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import CalibrateFirst, FootSensors, SelfCalibration
-
-Floats = NDArray[np.float64]
 
 RANDOM = 20
 """Random orders of motions that a plan is held against."""
@@ -102,31 +106,24 @@ def nees_of(calibration: SelfCalibration, sensors: FootSensors) -> float:
     return float(error @ np.linalg.solve(np.asarray(estimate.covariance), error) / error.size)
 
 
-def study_runs(robot: str, seeds: range, budget: float, enough: float, limits: Limits) -> None:
-    """Print a line a seed, with the motion and, for the NAO, without."""
-    planned = plan_motion(robot, budget, limits=limits)
-    print(planned.tables[0].title, "-", ", ".join(planned.plan.motions), flush=True)
-    cases: list[tuple[str, Prelude | None, float]] = [("motion", planned.prelude, 0.0)]
-    if robot == "nao":
-        cases.append(("34 s of walking", None, 34.0 - STAND_TIME))
-    for name, prelude, before in cases:
-        runs = []
-        for seed in seeds:
-            one = run(robot, seed, prelude, before, enough)
-            runs.append(one)
-            cop, claimed, raw = (1e3 * value for value in (one.cop, one.claimed, one.raw))
-            print(
-                f"{robot:4s} {name:16s} seed {seed:4d}  CoP {cop:5.2f} mm (claimed {claimed:4.2f}, raw "
-                f"{raw:5.2f})  NEES {one.nees:5.2f}  motion {one.motion:4.1f} s{'  FELL' * one.fell}",
-                flush=True,
-            )
-        cop = 1e3 * np.array([one.cop for one in runs])
-        print(
-            f"{robot:4s} {name:16s} CoP mean {np.nanmean(cop):.2f}, median {np.nanmedian(cop):.2f}, worst "
-            f"{np.nanmax(cop):.2f} mm; NEES mean {np.nanmean([one.nees for one in runs]):.2f}; "
-            f"{sum(one.fell for one in runs)} falls of {len(runs)}\n",
-            flush=True,
-        )
+def error_table(robots: Sequence[str], seeds: range, budget: float, enough: float, limits: Limits) -> Table:
+    """Return errors after the motion, a row a robot, and of the NAO without it."""
+    cases: list[tuple[str, str, Prelude | None, float]] = []
+    for robot in robots:
+        cases.append((robot.upper(), robot, plan_motion(robot, budget, limits=limits).prelude, 0.0))
+        if robot == "nao":
+            name = "NAO, 34 s of walking in place of the motion"
+            cases.append((name, robot, None, 34.0 - STAND_TIME))
+    rows = []
+    for name, robot, prelude, before in cases:
+        runs = pd.DataFrame([run(robot, seed, prelude, before, enough) for seed in each(name, seeds)])
+        raw, cop, claimed = (1e3 * runs[part] for part in ("raw", "cop", "claimed"))
+        figures = (cop.mean(), cop.max(), claimed.mean(), runs["nees"].mean())
+        cells = (decimal(raw.mean(), ".1f"), *(decimal(one, ".2f") for one in figures))
+        rows.append((name, decimal(len(runs), "d"), *cells, decimal(runs["fell"].sum(), "d")))
+    columns = ("robot", "seeds", "CoP by the data sheet (mm)", "after the motion (mm)", "worst (mm)",
+               "claimed (mm)", "NEES", "falls")  # fmt: skip
+    return Table("errors", f"After a motion of {budget:g} s", columns, tuple(rows))
 
 
 def record_walk(duration: float, **options: Any) -> FootMotion:
@@ -162,66 +159,66 @@ def cop_std(covariance: Floats, layout: Any, walk: FootMotion) -> float:
     return float(np.sqrt(np.einsum("nkx,kl,nlx->n", rows, covariance, rows).mean()))
 
 
-def study_plan(budget: float) -> None:
+def bound_table(budget: float) -> Table:
     """Compare bounds of the NAO's motions after the same time, for the CoP of a walk at 0.04 m/s."""
     stage = Rehearsal("nao")
     able, _ = rehearse(stage)
     layout, judge = stage.layout, record_walk(12.0, speed=0.04)
-    names = list(able.motions)
-
-    def tell(name: str, covariance: Floats, time: float) -> None:
-        print(f"{name:44s} {time:5.1f} s   {1e3 * cop_std(covariance, layout, judge):6.2f} mm", flush=True)
-
-    def of(name: str, order: list[str]) -> None:
-        plan = plan_foot_excitation(layout, able, budget, motions=order)
-        tell(name, plan.covariance, float(plan.time[-1]))
-
-    plan = plan_foot_excitation(layout, able, budget)
-    tell("nothing", plan.covariance_before, 0.0)
-    tell("the plan", plan.covariance, float(plan.time[-1]))
     length = {name: able.dt * len(motion.force) for name, motion in able.motions.items()}
+
+    def bound(order: list[str] | None = None, robot: MovingRobot = able) -> float:
+        plan = plan_foot_excitation(layout, robot, budget, motions=order)
+        return cop_std(plan.covariance, layout, judge)
+
+    before = plan_foot_excitation(layout, able, budget).covariance_before
+    found = {"nothing": cop_std(before, layout, judge), "the plan": bound()}
     for name in ("step @ 1.4", "sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5", "squat @ 1"):
-        of(f"{name} alone", [name] * int(budget / length[name]))
+        found[f"{name} alone"] = bound([name] * int(budget / length[name]))
     sways = ["sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5"]
-    of("steps for a quarter, then slow sways", ["step @ 1.4"] * 2 + sways * int((budget - 10.1) / 10.6))
+    mixed = ["step @ 1.4"] * 2 + sways * int((budget - 10.1) / 10.6)
+    found["steps for a quarter, then slow sways"] = bound(mixed)
     rng = np.random.default_rng(0)
-    found = []
-    for _ in range(RANDOM):
-        order: list[str] = []
-        while sum(length[name] for name in order) < budget - 3.0:
-            fit = [name for name in names if sum(length[one] for one in [*order, name]) <= budget]
-            order.append(fit[rng.integers(len(fit))])
-        found.append(plan_foot_excitation(layout, able, budget, motions=order).covariance)
-    found.sort(key=lambda covariance: cop_std(covariance, layout, judge))
-    tell(f"{RANDOM} random orders, the best", found[0], budget)
-    tell(f"{RANDOM} random orders, the median", found[RANDOM // 2], budget)
+    bounds = sorted(bound(draw_order(length, budget, rng)) for _ in range(RANDOM))
+    found |= {f"{RANDOM} random orders, the best": bounds[0]}
+    found |= {f"{RANDOM} random orders, the median": bounds[RANDOM // 2]}
     for name, options in {
         "walking at 0.04 m/s": {"speed": 0.04},
         "turning on the spot at 0.2 rad/s": {"speed": 0.0, "turn_rate": 0.2},
     }.items():
-        motion = record_walk(budget, **options)
-        other = MovingRobot(mass=able.mass, motions={name: motion}, dt=1.0 / 80.0, lag=4)
-        plan = plan_foot_excitation(layout, other, budget, motions=[name])
-        tell(name, plan.covariance, budget)
+        motions = {name: record_walk(budget, **options)}
+        found[name] = bound([name], MovingRobot(mass=able.mass, motions=motions, dt=1.0 / 80.0, lag=4))
+    rows = tuple((name, decimal(1e3 * one, ".2f")) for name, one in found.items())
+    return Table("bounds", f"Motions of {budget:g} s", ("motion", "bound (mm)"), rows)
+
+
+def draw_order(length: Mapping[str, float], budget: float, rng: np.random.Generator) -> list[str]:
+    """Draw motions of some lengths in s until no more fit."""
+    order: list[str] = []
+    while (taken := sum(length[name] for name in order)) < budget - 3.0:
+        fit = [name for name in length if taken + length[name] <= budget]
+        order.append(fit[rng.integers(len(fit))])
+    return order
 
 
 def main() -> None:
-    """Run the chosen parts."""
+    """Print the table of a study, and save it for the page."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
-    parser.add_argument("study", choices=["plan", "walk", "robots"])
-    parser.add_argument("--robots", nargs="+", default=["g1", "t1", "op3"])
+    parser.add_argument("study", choices=["plan", "walk"])
+    parser.add_argument("--robots", nargs="+", default=["nao", "op3", "g1", "t1"])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--budget", type=float, default=37.0, help="s; a NAO takes 3 s more to and fro")
     parser.add_argument("--enough", type=float, default=0.0, help="m at which the motion stops; 0 plays all")
     parser.add_argument("--torque", type=float, default=Limits.torque, help="largest share of a limit")
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.seeds)
     if given.study == "plan":
-        study_plan(given.budget)
-    for robot in {"plan": [], "walk": ["nao"], "robots": given.robots}[given.study]:
-        study_runs(robot, seeds, given.budget, given.enough, Limits(torque=given.torque))
+        table = bound_table(given.budget)
+    else:
+        seeds = range(given.first, given.first + given.seeds)
+        table = error_table(given.robots, seeds, given.budget, given.enough, Limits(torque=given.torque))
+    Console(width=160).print(table.to_rich())
+    save_tables(Path(f"out/results/calibration-motion-{given.study}/tables"), (table,))
 
 
 if __name__ == "__main__":

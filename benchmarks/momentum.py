@@ -300,7 +300,9 @@ def _outside(scene: Scene, time: float, weight: float) -> Floats:
 
 def stream(folder: Path, name: str, seed: int) -> Stream:
     """Read a recorded scene, or record it by the code of now; a filter changes no recording."""
-    code = source_hash("surefoot.envs", "surefoot.robot.beliefs", "surefoot.robot.sensing.sensors")
+    code = source_hash(
+        "surefoot.envs", "surefoot.sensors", "surefoot.robot.beliefs", "surefoot.robot.sensing"
+    )
     path = folder / f"{re.sub('[/, ]+', '_', name)}_{seed}_{code}.pickle"
     if not path.is_file():
         scene, _, start = name.partition(", ")

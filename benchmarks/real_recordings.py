@@ -30,14 +30,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
+from surefoot.calibration.cop import cop_of_cells
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.contacts import refer_to_contacts
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, with_interval
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
 from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import hold_last
-
-Floats = NDArray[np.float64]
 
 RATE = 80.0
 """Samples per second that all recordings are brought to: the rate of the CoP paper's cells."""
@@ -81,22 +82,16 @@ class Recording(NamedTuple):
 
     def reference(self) -> Reference:
         """Return the beliefs that calibrators are given of a robot whose feet stand at one place."""
-        samples, feet = len(self.force), len(self.layout.feet)
-        zero = np.zeros((samples, 3))
-        moving = np.where(self.loaded & self.still, 0.0, 1.0)[:, None]
-        acceleration = zero.copy()
+        samples = len(self.force)
+        at_rest = refer_to_contacts(self.loaded[:, None], self.empty[:, None], np.zeros((samples, 1, 3)))
+        acceleration = np.zeros((samples, 3))
         acceleration[:, 2] = np.where(self.loaded, self.vgrf / self.weight - 1.0, 0.0) * GRAVITY
         cop = np.where(self.loaded[:, None], self.cop, 0.0)
-        return Reference(
+        return at_rest._replace(
             com=np.column_stack([cop, np.full(samples, 1.0)]),
             com_acceleration=acceleration,
-            angular_momentum_rate=zero,
-            position_sole=np.zeros((samples, feet, 3)),
-            R_level_sole=np.broadcast_to(np.eye(3), (samples, feet, 3, 3)),
-            stance=np.repeat(self.loaded[:, None], feet, axis=1),
-            swing=np.repeat(self.empty[:, None], feet, axis=1),
-            accelerometer=acceleration + np.array([0.0, 0.0, GRAVITY]),
-            gyroscope=zero + moving,
+            accelerometer=at_rest.accelerometer + acceleration,
+            gyroscope=np.repeat(np.where(self.loaded & self.still, 0.0, 1.0)[:, None], 3, axis=1),
         )
 
 
@@ -163,12 +158,7 @@ def _plate(a: float, b: float) -> FeetLayout:
 
 def _cop(layout: FeetLayout, force: Floats) -> Floats:
     """Find the centre of pressure where there is force, NaN elsewhere, shape (..., 2)."""
-    position = layout.feet[0].position_cell_sole
-    assert position is not None
-    total = force.sum(axis=-1, keepdims=True)
-    safe = np.where(total > 5.0, total, np.nan)
-    cop: Floats = (force @ position[:, :2]) / safe
-    return cop
+    return cop_of_cells(force, np.asarray(layout.feet[0].position_cell_sole)[:, :2])
 
 
 def _resample(values: Floats, rate: float) -> Floats:
@@ -197,14 +187,11 @@ def spoil(recording: Recording, seed: int) -> Stream:
     samples, channels = recording.force.shape
     gain = 1.0 + SCALE_STD * rng.standard_normal(channels)
     offset = OFFSET_SHARE * recording.weight * rng.standard_normal(channels)
-    feet = len(recording.layout.feet)
-    soles = np.zeros((samples, feet, 3))
-    level = np.broadcast_to(np.eye(3), (samples, feet, 3, 3))
-    time = np.arange(samples) / RATE
+    time, reference = np.arange(samples) / RATE, recording.reference()
     log = Log(
         time=time,
         raw=recording.force * gain + offset,
-        reference=recording.reference(),
+        reference=reference,
         layout=recording.layout,
         mass=recording.weight / GRAVITY,
         nominal=Parameters(np.ones(channels), np.zeros(channels)),
@@ -214,8 +201,8 @@ def spoil(recording: Recording, seed: int) -> Stream:
         seed=seed,
         truth=LogTruth(
             force=hold_last(recording.force),
-            position_sole=soles,
-            R_world_sole=level,
+            position_sole=reference.position_sole,
+            R_world_sole=reference.R_level_sole,
             scale=np.broadcast_to(1.0 / gain, (samples, channels)),
             offset=np.broadcast_to(-offset / gain, (samples, channels)),
         ),

@@ -10,13 +10,9 @@ where ``SUREFOOT_STRANGERS`` names one (see ``momentum.py``), a G1 that walks by
 """
 
 import argparse
-import csv
 import dataclasses
-import json
 import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,19 +20,17 @@ import gymnasium as gym
 import numpy as np
 from rich.console import Console
 
-import surefoot
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.study.page import MADE
+from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import Table, share
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
-from surefoot.files import write_text
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 OUT = Path("out/results/spoilt/tables")
@@ -257,9 +251,9 @@ def log_of(
         references.append(own.reference)
     reference = Reference(*(np.asarray(part)[16:] for part in stack_rows(references)))
     time = setup.dt * np.arange(16, len(raw))
-    about = {"sample_age_s": setup.age}
-    return Log(time, np.array(raw)[16:], reference, setup.layout, setup.mass, setup.initial, None, setup.dt,
-               setup.lag, seed, None, about)  # fmt: skip
+    known: Any = {"layout": setup.layout, "mass": setup.mass, "nominal": setup.initial, "dt": setup.dt}
+    known |= {"lag": setup.lag, "seed": seed, "about": {"sample_age_s": float(np.mean(setup.age))}}
+    return Log(time, np.array(raw)[16:], reference, calibrated=None, **known)
 
 
 def break_cell(log: Log, fault: str) -> Log:
@@ -340,7 +334,7 @@ def weighing_outcomes() -> Iterator[Outcome]:
         for mistake, (right, _, spoil) in WEIGHING_SPOILERS.items():
             for seed in range(2):
                 table = spoil(weigh(shape, seed), np.random.default_rng(seed))
-                yield Outcome(f"{shape}, {seed}", mistake, right, judge_weighings(table)[0])
+                yield Outcome(f"{shape}, {seed}", mistake, right, judge_weighings(table).findings)
 
 
 def refusals(kind: str) -> list[str]:
@@ -348,7 +342,7 @@ def refusals(kind: str) -> list[str]:
     if kind == "walks":
         found = [judge_log(log, starting_map(log)).findings for log in sound_walks()]
     else:
-        found = [judge_weighings(weigh(shape, 100 + seed))[0] for shape in SHAPES for seed in range(10)]
+        found = [judge_weighings(weigh(shape, 100 + seed)).findings for shape in SHAPES for seed in range(10)]
     return [next((one.name for one in findings if one.refuses), "") for findings in found]
 
 
@@ -381,16 +375,7 @@ def main() -> None:
     heads = ("logs", "spoilt", "of them without a word", "the true cause first", "sound ones refused")
     tables.append(Table("counts", "Spoilt and sound logs", heads, tuple(rows)))
     console.print(tables[-1].to_rich())
-    OUT.mkdir(parents=True, exist_ok=True)
-    for table in tables:
-        with (OUT / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([table.columns, *table.rows])
-    made = {
-        "command": " ".join(["python benchmarks/spoilt_logs.py", *sys.argv[1:]]),
-        "software": f"surefoot {surefoot.__version__}",
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
-    }
-    write_text(OUT / MADE, json.dumps(made, indent=1) + "\n")
+    save_tables(OUT, tables)
 
 
 if __name__ == "__main__":

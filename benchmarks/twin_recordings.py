@@ -12,29 +12,25 @@ Data sheets: Kistler 9281C and 9286A (threshold below 0.25 N, drift below 0.01 N
 bits); the maker's manual of the balance board (60 values a second).
 """
 
-import csv
 import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
-import surefoot
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import Twin, identify
-from surefoot.experiments.study.page import MADE
+from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import NOTHING, Table, Verdict, number, span
 from surefoot.files import write_text
 
-Floats = NDArray[np.float64]
 Foot = Mapping[str, Any]
 
 OUT = Path("out/results/twin/tables")
@@ -53,20 +49,12 @@ class Written(NamedTuple):
     offset: float | None = None
 
 
-def plate(folder: Path, name: str) -> Written:
-    """Return a Kistler plate's four cells in N."""
-    with np.load(folder / "foot" / "kistler2_600hz.npz") as file:
-        cells, rate = file[f"{name}_N"][4:, :-20].astype(np.float64), float(file["rate_hz"])
+def plate(folder: Path, session: str, name: str, mass: float, last: int | None = None) -> Written:
+    """Return a Kistler plate's four cells in N, up to a last row."""
+    with np.load(folder / "foot" / f"{session}_600hz.npz") as file:
+        cells, rate = file[f"{name}_N"][4:, :last].astype(np.float64), float(file["rate_hz"])
         a, b = float(file["a_m"]), float(file["b_m"])
-    return _cells(cells, np.arange(cells.shape[1]) / rate, [(a, b), (-a, b), (-a, -b), (a, -b)], 72.0)
-
-
-def pole(folder: Path) -> Written:
-    """Return the plate on which a loaded pole is rocked."""
-    with np.load(folder / "foot" / "caltester_FP1_600hz.npz") as file:
-        cells, rate = file["plate0_N"][4:].astype(np.float64), float(file["rate_hz"])
-        a, b = float(file["a_m"]), float(file["b_m"])
-    return _cells(cells, np.arange(cells.shape[1]) / rate, [(a, b), (-a, b), (-a, -b), (a, -b)], 28.0)
+    return _cells(cells, np.arange(cells.shape[1]) / rate, [(a, b), (-a, b), (-a, -b), (a, -b)], mass)
 
 
 def board(folder: Path) -> Written:
@@ -108,14 +96,14 @@ def _cells(cells: Floats, time: Floats, place: list[tuple[float, float]], mass: 
 class Sheet(NamedTuple):
     """What a data sheet says of a parameter: words, and the interval that it means."""
 
-    words: str
-    low: float
-    high: float
-    why: str  # it does not fit, where it does not
+    words: str = NOTHING
+    low: float = 0.0
+    high: float = np.inf
+    why: str = ""  # it does not fit, where it does not
 
 
 PLATE = {
-    "step of a reading": Sheet("0.15 N (10 kN in 16 bits)", 0.14, 0.17, ""),
+    "step of a reading": Sheet("0.15 N (10 kN in 16 bits)", 0.14, 0.17),
     "noise of a conversion": Sheet(
         "threshold 0.25 N", 0.0, 0.25, "the recorder's own noise, of two of its steps, is larger"
     ),
@@ -127,18 +115,18 @@ PLATE = {
     ),
 }
 BOARD = {
-    "step of a reading": Sheet(NOTHING, 0.0, np.inf, ""),
-    "noise of a conversion": Sheet(NOTHING, 0.0, np.inf, ""),
-    "random walk of the offset": Sheet(NOTHING, 0.0, np.inf, ""),
-    TESTS: Sheet(NOTHING, 0.0, np.inf, "who stands on it sways by more than its noise"),
+    "step of a reading": Sheet(),
+    "noise of a conversion": Sheet(),
+    "random walk of the offset": Sheet(),
+    TESTS: Sheet(why="who stands on it sways by more than its noise"),
     "conversion rate": Sheet("60 1/s", 59.0, 61.0, "rows come in bursts by radio, whose times show no clock"),
 }
 
 RECORDINGS: Mapping[str, tuple[Callable[[Path], Written], Mapping[str, Sheet]]] = {
-    "force plate 1": (lambda folder: plate(folder, "plate0"), PLATE),
-    "force plate 2": (lambda folder: plate(folder, "plate1"), PLATE),
+    "force plate 1": (lambda folder: plate(folder, "kistler2", "plate0", 72.0, -20), PLATE),
+    "force plate 2": (lambda folder: plate(folder, "kistler2", "plate1", 72.0, -20), PLATE),
     "balance board": (board, BOARD),
-    "force plate with a rocked pole": (pole, {}),
+    "force plate with a rocked pole": (lambda folder: plate(folder, "caltester_FP1", "plate0", 28.0), {}),
     "iCub's feet, swaying": (icub, {}),
     "iCub's six-axis sensor": (ankle, {}),
 }
@@ -182,7 +170,7 @@ def rows_of(folder: Path, name: str) -> Iterator[tuple[str, ...]]:
         value, unit = seen[what].value, seen[what].unit
         fits = value.low <= said.high and value.high >= said.low
         text = f"{number(value.value)} ({span(value.low, value.high, '.3g')}) {unit}"
-        verdict = NOTHING if said.words == NOTHING else Verdict.of(fits, "yes" if fits else "no")
+        verdict = NOTHING if said.words == NOTHING else Verdict.of(fits)
         yield (name, what, text, said.words, verdict, "" if fits else said.why)
     alike = ", ".join(f"{test.partition(':')[0]} {number(p, 2)}" for test, p in twin.likeness)
     why = "" if twin.alike or TESTS not in sheet else sheet[TESTS].why
@@ -203,15 +191,7 @@ def main() -> None:
         sys.exit("SUREFOOT_DATA names no folder that holds 'foot' and 'ft' with the recordings.")
     table = recordings_table(folder)
     Console(width=180).print(table.to_rich())
-    OUT.mkdir(parents=True, exist_ok=True)
-    with (OUT / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([table.columns, *table.rows])
-    made = {
-        "command": "python benchmarks/twin_recordings.py",
-        "software": f"surefoot {surefoot.__version__}",
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
-    }
-    write_text(OUT / MADE, json.dumps(made, indent=1) + "\n")
+    save_tables(OUT, (table,))
 
 
 if __name__ == "__main__":

@@ -151,7 +151,7 @@ def row_of_failure(episode: Episode, error: str) -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Return the versions of this process; ``code`` is a hash of surefoot's own sources."""
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
-    code = source_hash(__name__)
+    code = source_hash()
     found = {"surefoot": surefoot.__version__, "python": platform.python_version(), **packages, "code": code}
     return {name: found[name] for name in VERSIONS}
 

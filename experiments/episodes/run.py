@@ -8,10 +8,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from pydantic import AfterValidator, ConfigDict, Field
 
 from surefoot.experiments.episodes.episode import (
     COP_INPUTS,
@@ -26,6 +27,7 @@ from surefoot.experiments.episodes.episode import (
 )
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.scores import controllers_of
+from surefoot.experiments.logs.settings import Settings, must_be
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.progress import working
@@ -174,15 +176,30 @@ EPISODES = f"{TABLE}.parquet"
 
 _UNNAMED = "policy"  # name of a controller that nobody named
 
-_COLUMNS: Mapping[str, type] = {
-    "controller": str, "feed": str, "cop_input": str, "scenario": str, "severity": float, "seed": int,
-    "return": float, "fell": bool, "time": float, "cop_error": float, "tracking": float,
-}  # fmt: skip
-"""Columns that a page needs, and their types."""
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+MayLack = Annotated[float, must_be("NaN, or finite and not negative", lambda x: x != x or 0.0 <= x < np.inf)]
 
-_MEANINGS = {str: "a name", float: "a finite number", int: "a whole number", bool: "true or false"}
-_KNOWN: Mapping[str, Collection[str]] = {"feed": FEEDS, "cop_input": COP_INPUTS, "scenario": TASKS}
-_MAY_LACK = ("cop_error", "tracking")  # NaN where no centre of pressure was ever felt
+
+def _one_of(known: Collection[str]) -> AfterValidator:
+    return must_be(f"one of {', '.join(known)}, or module:name", lambda name: ":" in name or name in known)
+
+
+class EpisodeRow(Settings):
+    """The columns of an episode that a page needs; a centre of pressure may never have been felt."""
+
+    model_config = ConfigDict(extra="ignore", coerce_numbers_to_str=False)
+
+    controller: str
+    feed: Annotated[str, _one_of(FEEDS)]
+    cop_input: Annotated[str, _one_of(COP_INPUTS)]
+    scenario: Annotated[str, _one_of(TASKS)]
+    severity: NotNegative
+    seed: Annotated[int, Field(ge=0)]
+    returned: Annotated[float, Field(alias="return", allow_inf_nan=False)]
+    fell: bool
+    time: NotNegative
+    cop_error: MayLack
+    tracking: MayLack
 
 
 def read_rows(path: Path) -> Frame:
@@ -207,13 +224,16 @@ def read_rows(path: Path) -> Frame:
 
 
 def read_episodes(path: Path, controller: str = "") -> Frame:
-    """Return checked episodes in order, without failures, perhaps renamed; ValueError names the column."""
+    """Return checked episodes in order, without failures, perhaps renamed; LogError names the column."""
     frame = read_rows(path)
     if "error" in frame:
         frame = frame[frame["error"] == ""]
-    if missing := [name for name in _COLUMNS if name not in frame]:
+    names = [field.alias or name for name, field in EpisodeRow.model_fields.items()]
+    if missing := [name for name in names if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    frame = frame.assign(**{name: _check_column(path, frame[name]) for name in _COLUMNS})
+    records = frame[names].to_dict("records")
+    checked = [EpisodeRow.read(one, f"'{path}'").model_dump(by_alias=True) for one in records]
+    frame = frame.assign(**pd.DataFrame(checked, index=frame.index, columns=names))
     frame = frame.assign(controller=frame["controller"].replace("", _UNNAMED))
     held = controllers_of(frame)
     if controller and len(held) > 1:
@@ -237,25 +257,3 @@ def sort_episodes(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
         return column if order is None else column.map(order.index)
 
     return frame.sort_values([*ranks, "severity", "seed"], key=rank, ignore_index=True)
-
-
-def _check_column(path: Path, column: Column) -> Column:
-    """Return a column as the type that a fresh one has, or raise ValueError with the value that is wrong."""
-    name, kind = str(column.name), _COLUMNS[str(column.name)]
-
-    def fits(value: Any) -> bool:
-        if kind is str:
-            return isinstance(value, str) and (":" in value or value in _KNOWN.get(name, (value,)))
-        number = isinstance(value, int | float | np.number | np.bool_)
-        whole = kind is float or (number and value == kind(value))
-        signed = name == "return" or (number and not value < 0)
-        return number and whole and signed and (np.isfinite(value) or (name in _MAY_LACK and value != value))
-
-    if wrong := [value for value in column if not fits(value)]:
-        sign = " that is not negative" if kind in (int, float) and name != "return" else ""
-        known = f". Known: {', '.join(_KNOWN[name])}" if name in _KNOWN else ""
-        raise ValueError(
-            f"'{path}' holds {wrong[0]!r} in its column '{name}', which must be {_MEANINGS[kind]}{sign}"
-            f"{known}."
-        )
-    return pd.Series(list(column), index=column.index, dtype=None if kind is str else kind)

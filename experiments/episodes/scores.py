@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import short_label
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval, mean_interval
@@ -91,7 +91,7 @@ def recovery_share(frame: Frame, feed: str, severity: float) -> tuple[float, flo
     if not (loss.apart and loss.mean > 0.0):
         return None
     draws = np.random.default_rng(0).integers(len(own), size=(_SHARE_RESAMPLES, len(own)))
-    won: NDArray[np.float64] = (own - drifting)[draws].mean(axis=1) / (true - drifting)[draws].mean(axis=1)
+    won: Floats = (own - drifting)[draws].mean(axis=1) / (true - drifting)[draws].mean(axis=1)
     low, high = np.quantile(won, [0.025, 0.975])
     return float((own - drifting).mean() / (true - drifting).mean()), float(low), float(high)
 
@@ -160,7 +160,7 @@ def half_fall(rows: Frame) -> HalfFall | None:
     return HalfFall(_crossing(severities, fell.mean(axis=0)), float(low), float(high), *ends)
 
 
-def _crossing(severities: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+def _crossing(severities: Floats, share: Floats) -> float:
     rising: Any = share if (np.diff(share) >= 0.0).all() else optimize.isotonic_regression(share).x
     if rising[-1] < 0.5:
         return float("inf")

@@ -70,8 +70,8 @@ def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
         reason, cure = recording.refusal.removeprefix(f"{recording.file}: "), ""
         yield Wrong(Finding("unreadable", f"{reason[0].upper()}{reason[1:]}", cure))
     elif recording.kind == "weighings":
-        found, _ = judge_weighings(read_weighings(path))
-        yield from (Wrong(one, settle=settling_motion(one.name)) for one in found)
+        findings = judge_weighings(read_weighings(path)).findings
+        yield from (Wrong(one, settle=settling_motion(one.name)) for one in findings)
     elif isinstance(read, Log):
         yield from _judge_walk(recording, read)
     elif isinstance(read, InSituLog):

@@ -9,21 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
-from surefoot.calibration import GRAVITY
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import config_beside
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.instrument.noise import BLOCK
 from surefoot.experiments.logs.bag import is_bag, read_bag
-from surefoot.experiments.logs.columns import raw_names_of
+from surefoot.experiments.logs.columns import LOADS, raw_names_of
 from surefoot.experiments.logs.contacts import FELT
 from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 from surefoot.files import read_toml
-
-LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
-"""Columns of the load that every cell bears, and what one is in N."""
 
 CHANNEL = re.compile(r"raw_(.+)_count")
 

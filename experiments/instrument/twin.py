@@ -208,19 +208,15 @@ def _preset(
         notes.append("No clock of a chip shows in the rows: chips are as fast as they are, or faster.")
     own = 0.5 * (1 + at_rest.settling) / float(np.mean(rate)) if rate else 0.0
     delay = max(0.0, response.delay.value - own) if response and response.delay else 0.0
-    zero = np.full(len(slope), np.nan)
     if response is not None:
         zero = response.offset / unit
-    elif recording.has_loads:
-        notes.append("No known load: scale, hysteresis, creep and delay are not seen.")
-        seen = np.isfinite(counts) & recording.unloaded
-        zero = np.array(
-            [np.median(one[at]) if at.any() else np.nan for one, at in zip(counts.T, seen.T, strict=True)]
-        )
     else:
+        zero = _zero_of(counts, recording)
         notes.append(
-            "No row is known to be unloaded: noise is at most that of the quietest parts, and scale, offset, "
-            "drift, hysteresis, creep and delay are not seen."
+            "No known load: scale, hysteresis, creep and delay are not seen."
+            if recording.has_loads
+            else "No row is known to be unloaded: noise is at most that of the quietest parts, and scale, "
+            "offset, drift, hysteresis, creep and delay are not seen."
         )
     offset = ((zero - (2.0 ** (bits - 1) if binary else 0.0)) / slope)[np.isfinite(zero)]
     cells = LoadCells(
@@ -240,6 +236,14 @@ def _preset(
         wire=Wire(delay=delay, under_way=max(Wire().under_way, int(np.ceil(delay / row)) + 2)),
     )
     return cells, tuple(notes)
+
+
+def _zero_of(counts: Floats, recording: Recording) -> Floats:
+    """Return the median of each channel's unloaded counts; NaN where no row is known to be unloaded."""
+    seen = np.isfinite(counts) & recording.unloaded
+    return np.array(
+        [np.median(one[at]) if at.any() else np.nan for one, at in zip(counts.T, seen.T, strict=True)]
+    )
 
 
 def _mechanics(response: Response | None) -> Mechanics:

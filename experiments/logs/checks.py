@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
 
@@ -32,7 +32,7 @@ def naming_cure(table: LogTable) -> str:
     return f"there are {join_names(others)}: name them under [columns] in {file.stem}.toml. {LISTED}"
 
 
-def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, NDArray[np.float64]]:
+def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, Floats]:
     """Return columns as floats; LogError if one is missing or wrong; raw readings may be NaN: no sample.
 
     ``cure`` is said besides of missing columns.
@@ -56,7 +56,7 @@ def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict
     return values
 
 
-def _check_quaternion(values: dict[str, NDArray[np.float64]], stem: str, file: str) -> None:
+def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
     # Clipped, as squares of absurd values overflow; they are refused all the same.
     length = np.sqrt(sum(np.clip(values[f"{stem}{axis}"], -LARGEST, LARGEST) ** 2 for axis in "wxyz"))
     wrong = np.abs(length - 1.0) > 1e-3
@@ -68,7 +68,7 @@ def _check_quaternion(values: dict[str, NDArray[np.float64]], stem: str, file: s
         )
 
 
-def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) -> None:
+def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
     """Raise LogError if times in s, shape (N,), leap or do not step as the description says."""
     check_increasing(time, file)
     step = np.diff(time)
@@ -100,7 +100,7 @@ def check_load_cells(layout: FeetLayout, what: str) -> None:
         raise LogError(f"The page shows two feet on load cells, and this {what} has others.")
 
 
-def check_increasing(time: NDArray[np.float64], file: str, *, repeats: bool = False) -> None:
+def check_increasing(time: Floats, file: str, *, repeats: bool = False) -> None:
     """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be."""
     if len(time) < 2:
         raise LogError(f"{file}: {len(time)} rows are no walk; a log needs at least two.")
@@ -134,7 +134,7 @@ def check_reference(reference: Reference, file: str) -> None:
         )
 
 
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _length(vectors: Floats) -> Floats:
     """Lengths of vectors, finite for absurd ones too."""
     return np.asarray(np.linalg.norm(np.clip(vectors, -LARGEST, LARGEST), axis=-1))
 

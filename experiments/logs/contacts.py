@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from surefoot.calibration import GRAVITY, Reference
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_columns
 from surefoot.experiments.logs.table import LogError, LogTable
 
@@ -82,7 +83,7 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
     return _erode(stance, dt), _erode(swing, dt, SURE_ALOFT)
 
 
-def feel_contacts(load: NDArray[np.float64], weight: float, dt: float) -> tuple[Bools, Bools]:
+def feel_contacts(load: Floats, weight: float, dt: float) -> tuple[Bools, Bools]:
     """Guess stance and swing, (N, F) each, from the feet's vertical force in N by the starting map, (N, F).
 
     The map's offsets may be wrong: a foot swings where its load is flat at the low end of its range. A foot

@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
@@ -27,19 +26,15 @@ from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
-    MOMENTUM,
     PHASES,
     columns_of,
+    fields_of,
     has_references,
-    momentum_names_of,
-    momentum_of,
     names_of,
+    part_names,
     phase_names,
     raw_names_of,
-    reference_of,
     stack,
-    truth_names_of,
-    truth_of,
 )
 from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description, MotionFacts, describe
@@ -171,15 +166,15 @@ def read_log(
         description = description.model_copy(update={"dt_s": table.step})
     facts, layout = description.facts(), description.layout
     has_truth, has_momentum = (
-        any(name.startswith(f"{kind}_") for name in table.names) for kind in ("truth", MOMENTUM)
+        any(name.startswith(f"{kind}_") for name in table.names) for kind in ("truth", "momentum")
     )
     counts = ["time_s", *raw_names_of(layout)]
     bare = description.motion is None and not has_references(table.names)
     alone = feet_alone and bare
     names = [*counts] if alone or description.motion is not None else names_of(layout)
     has_momentum = has_momentum and not bare and description.motion is None
-    names += truth_names_of(layout) if has_truth else []
-    names += momentum_names_of(layout) if has_momentum else []
+    names += part_names(layout, "truth") if has_truth else []
+    names += part_names(layout, "momentum") if has_momentum else []
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
@@ -190,9 +185,11 @@ def read_log(
     if alone:
         reference, facts = _reference_of_feet(table, raw, facts)
     elif description.motion is None:
-        reference = reference_of(values, layout)
+        reference = Reference(**fields_of(values, layout, "reference"))
         check_reference(reference, path.name)
-        facts["momentum"] = momentum_of(values, layout, reference) if has_momentum else None
+        if has_momentum:
+            contacts_too = {phase: getattr(reference, phase) for phase in PHASES}
+            facts["momentum"] = MomentumReference(**fields_of(values, layout, "momentum"), **contacts_too)
     else:
         made = _make_beliefs(path, table, moved or table, description, time)
         reference, facts["momentum"], about, facts["turned"], facts["motion"] = made
@@ -205,7 +202,7 @@ def read_log(
         time=time,
         raw=raw,
         reference=reference,
-        truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
+        truth=LogTruth(**fields_of(values, layout, "truth")) if has_truth else None,
         **facts,
     )
 
@@ -273,7 +270,7 @@ def _make_beliefs(
     table: LogTable,
     moved: LogTable,
     description: Description,
-    time: NDArray[np.float64],
+    time: Floats,
 ) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]], MotionFacts]:
     """Make beliefs of joints and IMU; return both kinds, their source, and the fields of joints of a log."""
     feet, dt = description.layout.feet, description.dt_s

@@ -184,7 +184,7 @@ NEEDED = 2  # rows without a loss that a moment must have before and behind it
 
 
 def make_beliefs(
-    time: NDArray[np.float64],
+    time: Floats,
     motion: Motion,
     facts: MotionFacts,
     model: LogModel,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_increasing, naming_cure
 from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
@@ -32,11 +33,11 @@ class Motion(NamedTuple):
     """Joints and IMU over M rows at an even rate, some of which may be missing."""
 
     number: NDArray[np.int64]  # of each row, counted in periods, shape (M,)
-    time: NDArray[np.float64]  # in s on the clock of the feet, without the chance in its lateness, shape (M,)
+    time: Floats  # in s on the clock of the feet, without the chance in its lateness, shape (M,)
     period: float  # between two numbers in s
-    joint: NDArray[np.float64]  # angles of the model's hinges in rad, shape (M, J)
-    accelerometer: NDArray[np.float64]  # specific force in m/s^2, IMU axes, shape (M, 3)
-    gyroscope: NDArray[np.float64]  # in rad/s, IMU axes, shape (M, 3)
+    joint: Floats  # angles of the model's hinges in rad, shape (M, J)
+    accelerometer: Floats  # specific force in m/s^2, IMU axes, shape (M, 3)
+    gyroscope: Floats  # in rad/s, IMU axes, shape (M, 3)
 
     def turn(self, joint: int) -> "Motion":
         """Return it with the sign of one joint turned round."""
@@ -78,9 +79,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     return Motion(number, time, period, joint, force, spin)
 
 
-def _rows_within(
-    values: dict[str, NDArray[np.float64]], limits: Mapping[str, float], file: str
-) -> dict[str, NDArray[np.float64]]:
+def _rows_within(values: dict[str, Floats], limits: Mapping[str, float], file: str) -> dict[str, Floats]:
     """Return the rows in which columns are numbers within limits."""
     whole = np.all([np.abs(values[name]) <= limit for name, limit in limits.items()], axis=0)
     if whole.sum() < 8:
@@ -92,8 +91,8 @@ def _rows_within(
 
 
 def _clock(
-    time: NDArray[np.float64], packet: NDArray[np.float64] | None, facts: MotionFacts, file: str
-) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    time: Floats, packet: Floats | None, facts: MotionFacts, file: str
+) -> tuple[NDArray[np.int64], Floats, float]:
     """Return numbers of the rows, their times without chance, and the period."""
     if packet is None:
         number = count_rows(time, facts.dt_s)
@@ -115,14 +114,14 @@ def _clock(
     return number, even - facts.delay_s, period
 
 
-def even_times(time: NDArray[np.float64], number: NDArray[np.int64]) -> tuple[NDArray[np.float64], float]:
+def even_times(time: Floats, number: NDArray[np.int64]) -> tuple[Floats, float]:
     """Return times of numbered rows without the chance in their lateness, and the period."""
     period = float(np.polyfit(number, time, 1)[0])
     late = uniform_filter1d(time - period * number, CLOCK_SPAN, mode="reflect")
     return np.asarray(period * number + late, dtype=np.float64), period
 
 
-def count_rows(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
+def count_rows(time: Floats, period: float) -> NDArray[np.int64]:
     """Return numbers of the rows: the next rows make up for a late one, and not for a lost one."""
     number = np.arange(len(time))
     for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
@@ -136,7 +135,7 @@ def count_rows(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
     return number
 
 
-def _check_units(values: Mapping[str, NDArray[np.float64]], joints: Sequence[str], file: str) -> None:
+def _check_units(values: Mapping[str, Floats], joints: Sequence[str], file: str) -> None:
     for name in joints:
         largest = float(np.abs(values[f"joint_{name}_rad"]).max())
         if largest > LARGEST_ANGLE:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -15,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.table import LogError
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -65,7 +65,7 @@ def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
 def array_of(*shape: int | None) -> PlainValidator:
     """Make a validator of finite arrays of a shape, in which ``None`` is any length."""
 
-    def check(value: Any) -> NDArray[np.float64]:
+    def check(value: Any) -> Floats:
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.policy.tasks import Task, find_task
 from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, put_on_feet
 
@@ -36,9 +37,7 @@ def make_task(
     return put_on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 
 
-def _input_matrix(
-    state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
-) -> NDArray[np.float64]:
+def _input_matrix(state_layout: Mapping[str, slice], standing: Floats, task: Task) -> Floats:
     """Return the matrix that picks and scales the inputs of (state, cop, cop_valid, 1), (N, S + 6).
 
     Not the joints' velocities, which encoders measure badly, nor arms and head.

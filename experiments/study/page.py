@@ -146,12 +146,9 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None
     for table in tables:
         with atomic_path(folder / f"{prefix}{table.name}.csv") as part:
             table.to_frame().to_csv(part, index=False)
-    code = source_hash(
-        *(f"surefoot.{part}" for part in ("calibration", "sensors", "envs", "robot", "wrappers"))
-    )
     made = {
         "command": command_line(),
-        "software": f"surefoot {surefoot.__version__} (code {code})",
+        "software": f"surefoot {surefoot.__version__} (code {source_hash()})",
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
     }
     write_text(folder / MADE, json.dumps(made, indent=1) + "\n")

@@ -1,50 +1,42 @@
-"""Which files of surefoot a piece of work depends on, by the imports in their text, and one hash of them.
-
-A name that a package only passes on is followed to the module that defines it; a string that names a module
-counts as an import, and so does the id of an environment.
-"""
+"""The code that decides results: one hash of its sources, and those of what a user adds."""
 
 import inspect
-import re
 import sys
-from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-import surefoot
 from surefoot.calibration import METHODS, online
 from surefoot.names import plain_name
 from surefoot.sensors import presets
 
-_DATA = (".xml", ".h", ".c")  # files beside modules that decide results as well
-_ROOT = Path(surefoot.__file__).parent
-_IMPORT = re.compile(r"^[ \t]*from (surefoot[\w.]*) import (?:\(([^)]*)\)|([^\n(]*))", re.MULTILINE)
-_WHOLE = re.compile(r"^[ \t]*import (surefoot\.[\w.]+)", re.MULTILINE)
-_STRING = re.compile(r"[\"'](surefoot(?:\.\w+)+)(?::\w+)?[\"']")
-_ENVIRONMENT = re.compile(r"[\"']surefoot/\w+-v\d+[\"']")
+_PACKAGES = ("calibration", "controllers", "envs", "experiments", "native", "robot", "sensors", "wrappers")
+_SOURCES = (".py", ".xml", ".h", ".c")
+_SHOWING = {"cli", "view", "page.py", "figures.py", "tables.py", "findings.py"}
+"""Folders and files that show results and decide none."""
 
 
 @cache
-def source_hash(*entries: str) -> str:
-    """Return 16 hex digits that change with the code behind some modules or packages."""
-    modules, digest = source_modules(*entries), sha256()
-    folders = {_file(module).parent for module in modules if module.startswith("surefoot.")}
-    data = {file for folder in folders for file in folder.iterdir() if file.suffix in _DATA}
-    files = data.union(map(_file, modules))
-    # Several are alike in their names and their folders' names: the text decides on the order as well.
-    for text in sorted(f"{file.parent.name}/{file.name}".encode() + file.read_bytes() for file in files):
-        digest.update(text)
+def source_hash(*modules: str) -> str:
+    """Return 16 hex digits of the files of modules and packages, by default of all that decide results."""
+    digest = sha256()
+    for module in modules or tuple(f"surefoot.{name}" for name in _PACKAGES):
+        home = _find_home(module)
+        files = {file.relative_to(home).as_posix(): file for file in (home, *home.rglob("*"))}
+        for name in sorted(files):
+            if files[name].suffix in _SOURCES and not _SHOWING.intersection(name.split("/")):
+                digest.update(f"{module} {name} ".encode() + files[name].read_bytes())
     return digest.hexdigest()[:16]
 
 
 @cache
 def code_of(module: str) -> str:
-    """Hash of a module's sources, and versions of the packages they use: both decide its results."""
+    """Hash of the code behind a function of a module, and versions of packages: both decide its results."""
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
-    return f"code {source_hash(module)}, {versions}"
+    own = "" if module.startswith("surefoot.") else f" and {source_hash(module)}"
+    return f"code {source_hash()}{own}, {versions}"
 
 
 def own_code(*names: str) -> tuple[str, ...]:
@@ -62,69 +54,15 @@ def own_code(*names: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-@cache
-def source_modules(*entries: str) -> frozenset[str]:
-    """Return the modules of surefoot that some modules need, directly or not, and these themselves."""
-    found: set[str] = set()
-    waiting = list(entries)
-    while waiting:
-        module = waiting.pop()
-        if module not in found:
-            found.add(module)
-            waiting += _needs(module)
-    return frozenset(found)
-
-
-def _file(module: str) -> Path:
-    if module.partition(".")[0] != "surefoot":
-        return Path(str(getattr(sys.modules.get(module), "__file__", module)))
-    if file := _find_source(module):
-        return file
-    raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
-
-
-def _find_source(module: str) -> Path | None:
-    path = _place(module)
-    return next((file for file in (path / "__init__.py", path.with_suffix(".py")) if file.is_file()), None)
-
-
-@cache
-def _place(module: str) -> Path:
-    """Return a module's folder, or its file without an ending; an sdist has its packages side by side."""
-    head, *names = module.split(".")[1:] or [""]
-    spec = find_spec(f"surefoot.{head}") if head else None
-    homes = spec.submodule_search_locations if spec is not None else None
-    return (Path(homes[0]) if homes else _ROOT / head).joinpath(*names)
-
-
-@cache
-def _needs(module: str) -> frozenset[str]:
-    text = _file(module).read_text(encoding="utf-8")
-    needed = {_find_home(home, name) for home, name, _ in _imports(text)}
-    needed.update(name for name in (*_WHOLE.findall(text), *_STRING.findall(text)) if _find_source(name))
-    if _ENVIRONMENT.search(text):
-        needed.add("surefoot.registration")
-    return frozenset(needed - {module})
-
-
-def _imports(text: str) -> Iterator[tuple[str, str, str]]:
-    """Yield the names that a source imports from surefoot: of which module, which, and their names there."""
-    for home, several, one in _IMPORT.findall(text):
-        for part in re.sub(r"#[^\n]*", "", several or one).split(","):
-            if words := part.split():
-                yield home, words[0], words[-1]
-
-
-def _find_home(module: str, name: str) -> str:
-    """Return the module in which ``from module import name`` ends."""
-    if _find_source(f"{module}.{name}"):
-        return f"{module}.{name}"
-    if _file(module).name == "__init__.py":
-        return _exports(module).get(name, module)
-    return module
-
-
-@cache
-def _exports(package: str) -> dict[str, str]:
-    text = _file(package).read_text(encoding="utf-8")
-    return {own: _find_home(home, name) for home, name, own in _imports(text)}
+def _find_home(module: str) -> Path:
+    """Return the folder of a package or the file of a module."""
+    if module in sys.modules:
+        there = sys.modules[module]
+        path, folders = getattr(there, "__file__", None), getattr(there, "__path__", ())
+    else:
+        spec = find_spec(module)
+        path, folders = (spec.origin, spec.submodule_search_locations or ()) if spec else (None, ())
+    home = next(iter(folders), path)
+    if home is None:
+        raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
+    return Path(home)

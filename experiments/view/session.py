@@ -28,6 +28,7 @@ from surefoot.robot.foot_view import FootView, default_parts
 from surefoot.robot.sensing.instruments import layout_options, usual_cells
 from surefoot.robot.sensing.live_errors import LiveErrors
 from surefoot.robot.sensing.raw_view import TRUE_KEYS
+from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import BAR_CELLS_ON_HX711
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
@@ -136,13 +137,7 @@ class Session:
         source: Any = find_source(env)
         if source.drawing.position_cell_sole is None:
             raise ValueError(f"{source.drawing.flaw} Or give flat soles to feet without area, with --soles.")
-        cells = usual_cells(source.drawing)
-        self._walk_densities = cells.scale_drift, cells.offset_drift
-        # The usual cells do not warm up; those whose data sheet says what that does are of the same kind.
-        known = BAR_CELLS_ON_HX711
-        self._tempcos = known.scale_tempco, known.offset_tempco * cells.capacity / known.capacity
-        # Drift is that of LiveErrors, which can be changed.
-        self._sensors = FootSensors(env, replace(cells, scale_drift=0.0, offset_drift=0.0))
+        self._sensors = self._wear(env, usual_cells(source.drawing))
         self._env = SelfCalibration(self._sensors, "none")
         # What methods that learn from momentum are given besides.
         robot = self._sensors.robot
@@ -176,6 +171,14 @@ class Session:
         self.steps = self._episode_steps = 0
         self._recording: Recording | None = None
         self.power_up(seed)
+
+    def _wear(self, env: gym.Env[Any, Any], cells: LoadCells) -> FootSensors:
+        """Put cells under the feet; their drift and warmth are those of LiveErrors, which can be changed."""
+        self._walk_densities = cells.scale_drift, cells.offset_drift
+        # The usual cells do not warm up; those whose data sheet says what that does are of the same kind.
+        known = BAR_CELLS_ON_HX711
+        self._tempcos = known.scale_tempco, known.offset_tempco * cells.capacity / known.capacity
+        return FootSensors(env, replace(cells, scale_drift=0.0, offset_drift=0.0))
 
     def power_up(self, seed: int) -> None:
         """Begin again with the sensors, the robot and the chances of a seed, and nothing broken."""

@@ -13,15 +13,15 @@ import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats, take_rows
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.columns import (
     PHASES,
+    fields_of,
     has_references,
     names_of,
     phase_names,
     raw_names_of,
-    reference_of,
 )
 from surefoot.experiments.logs.contacts import SURE, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description
@@ -159,8 +159,8 @@ class StreamFeet:
 
     def _believe(self, row: Mapping[str, Any]) -> Reference:
         values = {name: np.array([_number(row, name)]) for name in self._names}
-        reference: Reference = take_rows(reference_of(values, self.layout), 0)
-        return reference
+        fields = fields_of(values, self.layout, "reference")
+        return Reference(**{name: part[0] for name, part in fields.items()})
 
     def _feel(self, row: Mapping[str, Any], raw: Any) -> Reference:
         """Make a reference of feet that stand side by side; contacts are told, or felt."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Reference, ground_reference, zero_phase
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
-from surefoot.experiments.arrays import take_rows
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.walks.score import rms
 
@@ -23,9 +23,9 @@ CUTOFF = 10.0  # cutoff of the filter that both sides pass, in Hz
 class Ground(NamedTuple):
     """The ground under both feet, at the moments that the references describe: N - lag rows."""
 
-    time: NDArray[np.float64]  # in s
-    vgrf: NDArray[np.float64]  # of both feet in N; NaN where it is not known
-    cop: NDArray[np.float64]  # from the middle of the soles, level axes, in m, two columns; NaN for none
+    time: Floats  # in s
+    vgrf: Floats  # of both feet in N; NaN where it is not known
+    cop: Floats  # from the middle of the soles, level axes, in m, two columns; NaN for none
 
 
 class Agreement(NamedTuple):
@@ -44,7 +44,7 @@ def ground_of_motion(log: Log) -> Ground:
     return _ground(log, asked.vgrf, asked.moment)
 
 
-def ground_of_forces(log: Log, force: NDArray[np.float64]) -> Ground:
+def ground_of_forces(log: Log, force: Floats) -> Ground:
     """Ground force and CoP by forces of the feet's channels in N, shape (N, K)."""
     reference = _late_references(log)
     wrench = sole_wrenches(force[: len(log) - log.lag], log.layout)
@@ -75,7 +75,7 @@ def _late_references(log: Log) -> Reference:
     return Reference(*map(blank, late))
 
 
-def _ground(log: Log, vgrf: NDArray[np.float64], moment: NDArray[np.float64]) -> Ground:
+def _ground(log: Log, vgrf: Floats, moment: Floats) -> Ground:
     """Filter between gaps, and divide."""
     time = log.time[: len(log) - log.lag]
     middle = np.asarray(log.reference.position_sole)[log.lag :, :, :2].mean(axis=1)

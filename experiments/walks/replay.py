@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import (
     Estimate,
@@ -79,16 +78,6 @@ def age_of(log: Log) -> float:
     return float(log.about.get("sample_age_s", 0.0))
 
 
-class Replayed(NamedTuple):
-    """The result of a method on one log of N samples."""
-
-    force: Floats  # calibrated, in N, shape (N, K)
-    cop: Floats  # of both feet in the reference's level frame in m, shape (N, 2)
-    scale: Floats  # newtons per count, shape (N, K)
-    offset: Floats  # force that a reading of zero stands for in N, shape (N, K)
-    flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
-
-
 def starting_map(log: Log, start: str | None = None) -> Parameters:
     """Return the nominal or the calibrated map, or raise LogError; by default as ``about`` says."""
     if start is None:
@@ -113,11 +102,9 @@ def with_map(log: Log, path: Path) -> Log:
     return replace(log, raw=curves.straighten(log.raw), calibrated=calibrated, about=about)
 
 
-def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:
-    """Run one method over logs of any lengths and robots, and return its result on each.
+def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Estimate]:
+    """Run one method over logs of any lengths and robots, and return its estimates, N rows, on each.
 
     Raises LogError if a log has no such starting map, ValueError if there is no such method or option.
     """
-    starts = [starting_map(log, start) for log in logs]
-    found = [replay_log(log, method, initial, **options) for log, initial in zip(logs, starts, strict=True)]
-    return [Replayed(one.force, one.cop, one.scale, one.offset, one.flags) for one in found]
+    return [replay_log(log, method, starting_map(log, start), **options) for log in logs]

@@ -16,9 +16,8 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, Reference
-from surefoot.calibration.native import ReferenceRecord
-from surefoot.envs import InstrumentedEnv, RobotDrawing, load_robot_spec
+from surefoot.calibration import GRAVITY
+from surefoot.envs import InstrumentedEnv, load_robot_spec
 from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import look_of
@@ -47,11 +46,9 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 from surefoot.experiments.walks.score import hold_last, rms
-from surefoot.robot.sensing.instruments import layout_options
 from surefoot.wrappers import FootSensors, SelfCalibration
 
-TOGETHER = (("none", "tare", "window"), ("moment",))  # methods that are given the same references
-METHODS = tuple(name for names in TOGETHER for name in names)
+METHODS = ("none", "tare", "window", "moment")
 SENSORS: Mapping[str, Any] = MappingProxyType({"load cells": None, "ankle sensors": "icub-force-torque"})
 BEGIN = 1.0  # s from which on errors count
 BEARS = 0.1  # share of the weight from which on a foot's centre of pressure counts
@@ -99,59 +96,28 @@ MOTIONS = (
 """Robots that are not ours; servos hold those of the package, of which three can exercise."""
 
 
-class _Together:
-    """Some methods in the place of a wrapper's calibrator, which are given the same references."""
-
-    def __init__(self, one: FootCalibrator, drawing: RobotDrawing, names: Sequence[str]) -> None:
-        self.setup = one.setup
-        of_setup = "mass", "initial", "dt", "lag", "age"
-        given: dict[str, Any] = {name: getattr(one.setup, name) for name in of_setup}
-        layout = one.setup.layout
-        self.methods = [
-            FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing)}) for name in names
-        ]
-
-    def native(self) -> None:
-        """Nothing, as no filter of the library's alone makes the estimates."""
-
-    def is_in(self, state: Any) -> bool:
-        """No: no state of the library's alone is the one it goes on with."""
-        return False
-
-    def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
-        self.estimates = [method.update(raw, reference) for method in self.methods]
-        return self.estimates[0]
-
-    def retract(self) -> None:
-        for method in self.methods:
-            method.retract()
-
-
 def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[str, list[dict[str, Any]]]:
     """Run for a duration in s: ``scores`` has a row a method: ``cop`` in m, ``vgrf`` in N, ``falls``.
 
-    The robot does the same whatever its feet are calibrated by: each group of methods has a run of its own.
+    The robot does the same whatever its feet are calibrated by: each method has a run of its own.
     """
-    return {"scores": [row for names in TOGETHER for row in _run(motion, sensors, seed, duration, names)]}
+    about = {**asdict(motion), "sensors": sensors, "seed": seed}
+    runs = {method: _run(motion, sensors, seed, duration, method) for method in METHODS}
+    return {"scores": [{**about, "method": method, **errors} for method, errors in runs.items()]}
 
 
-def _run(
-    motion: Motion, sensors: str, seed: int, duration: float, names: Sequence[str]
-) -> list[dict[str, Any]]:
+def _run(motion: Motion, sensors: str, seed: int, duration: float, method: str) -> dict[str, Any]:
     env = FootSensors(motion.env(), SENSORS[sensors])
-    calibrated: Any = SelfCalibration(env, names[0])
+    calibrated = SelfCalibration(env, method)
     calibrated.reset(seed=seed)
-    together = calibrated.robot.calibrator = _Together(calibrated.calibrator, env.source.drawing, names)
-    together.update(env.raw, calibrated.reference)
-    setup = together.setup
-    rng = np.random.default_rng([_STREAM, seed])
-    cop: list[list[Floats]] = []
-    vgrf: list[list[Floats]] = []
+    setup, rng = calibrated.calibrator.setup, np.random.default_rng([_STREAM, seed])
+    cop: list[tuple[Floats, Floats]] = []
+    vgrf: list[tuple[Floats, Floats]] = []
     falls, ended = 0, False
     for _ in range(round(duration / setup.dt)):
-        truth = env.source.truth
-        cop.append([truth.cop_sole[-1], *(one.cop_foot for one in together.estimates)])
-        vgrf.append([truth.vgrf(), *(one.vgrf for one in together.estimates)])
+        truth, estimate = env.source.truth, calibrated.estimate
+        cop.append((truth.cop_sole[-1].copy(), np.array(estimate.cop_foot)))
+        vgrf.append((truth.vgrf(), np.array(estimate.vgrf)))
         if ended:
             calibrated.reset()
             ended = False
@@ -160,15 +126,11 @@ def _run(
         _, _, fell, truncated, _ = calibrated.step(action.astype(np.float32))
         ended = fell or truncated
         falls += bool(fell)
-    time = setup.dt * np.arange(len(cop))
-    loads, places = np.array(vgrf)[time >= BEGIN], hold_last(np.reshape(cop, (len(cop), -1)))[time >= BEGIN]
-    places = places.reshape((*loads.shape, 2))
-    borne = loads[:, 0] > BEARS * setup.mass * GRAVITY
-    off = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
-    total = (loads[:, 1:] - loads[:, :1]).sum(axis=-1)
-    about = {**asdict(motion), "sensors": sensors, "seed": seed, "falls": falls}
-    errors = zip(names, off.swapaxes(0, 1), total.T, strict=True)
-    return [{**about, "method": m, "cop": rms(o[borne]), "vgrf": rms(t)} for m, o, t in errors]
+    counted = setup.dt * np.arange(len(cop)) >= BEGIN
+    true, own = np.array(vgrf)[counted].swapaxes(0, 1)
+    places = hold_last(np.reshape(cop, (len(cop), -1)))[counted].reshape(-1, 2, *true.shape[1:], 2)
+    off = np.linalg.norm(places[:, 1] - places[:, 0], axis=-1)[true > BEARS * setup.mass * GRAVITY]
+    return {"falls": falls, "cop": rms(off), "vgrf": rms((own - true).sum(axis=-1))}
 
 
 def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:

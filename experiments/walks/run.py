@@ -325,7 +325,7 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: 
     played_by_method = play(streams, method, **scenario.options_of(method), **changes)
     for stream, played in zip(streams, played_by_method, strict=True):
         found["scores"].append({**row, **score_run(stream, played)})
-        running = running_rmse(stream.log.time, run_errors(stream, played.force)[0])
+        running = running_rmse(stream.log.time, run_errors(stream, played.force).cop)
         every = max(round(SLICE / stream.log.dt), 1)
         found["errors"] += [
             {**row, "seed": stream.seed, "time": float(moment), "cop": float(value)}

@@ -25,15 +25,22 @@ from operator import or_
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from surefoot.calibration import Flag, ground_reference
-from surefoot.calibration.cop import FORCE_THRESHOLD
-from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.play import Played, Stream
 from surefoot.experiments.walks.replay import age_of, starting_map
 from surefoot.experiments.walks.scenarios import TRUE_MAP
-from surefoot.experiments.walks.score import cop_world, foot_errors, rms, score_forces, vertical_forces
+from surefoot.experiments.walks.score import (
+    Errors,
+    are_forces,
+    cop_world,
+    errors_of,
+    rms,
+    score_forces,
+    vertical_forces,
+)
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
 FAULT_FLAGS = reduce(or_, _FLAGS)  # flags that accuse a channel
@@ -57,37 +64,30 @@ GRACE = 1.0  # time in s after a fault in which it may be found and isolated, an
 def score_run(stream: Stream, played: Played) -> dict[str, Any]:
     """Score a method's result on a stream: the numbers that the module describes; NaN for nothing to say."""
     log, judged = stream.log, stream.judged
-    cop, vgrf, cell = run_errors(stream, played.force)
-    start_cop, start_vgrf, start_cell = run_errors(stream, stream.start)
-    foot, start_foot = (
-        foot_errors(force, stream.truth.force, log.layout) for force in (played.force, stream.start)
-    )
+    errors, before = run_errors(stream, played.force), run_errors(stream, stream.start)
     final = log.time[judged][-1]
     last = judged & (log.time > final - min(END, (final - stream.began) / 3.0))
-    end, end_start = rms(cop[last]), rms(start_cop[last])
-    running = running_rmse(log.time, cop)
+    end, start = errors.rms(last), before.rms(last)
+    running = running_rmse(log.time, errors.cop)
     row: dict[str, Any] = {
         "seed": stream.seed,
         "fell": stream.fell,
         "walked": float(log.time[-1] - stream.began),
-        "cop": rms(cop[judged]),
-        "cop_foot": rms(foot[judged]),
-        "vgrf": rms(vgrf[judged]),
-        "cell": rms(cell[judged]),
+        **errors.rms(judged),
         "finite": bool(np.isfinite(played.force).all()),
-        "end": end,
-        "end_start": end_start,
-        "worse": _larger(end, end_start),
-        "worse_foot": _larger(rms(foot[last]), rms(start_foot[last])),
-        "worse_vgrf": _larger(rms(vgrf[last]), rms(start_vgrf[last])),
-        "worse_cell": _larger(rms(cell[last]), rms(start_cell[last])),
-        "converged": _convergence(log.time, running, end, stream.began),
+        "end": end["cop"],
+        "end_start": start["cop"],
+        "worse": _larger(end["cop"], start["cop"]),
+        "worse_foot": _larger(end["cop_foot"], start["cop_foot"]),
+        "worse_vgrf": _larger(end["vgrf"], start["vgrf"]),
+        "worse_cell": _larger(end["cell"], start["cell"]),
+        "converged": _convergence(log.time, running, end["cop"], stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
     }
     row |= _parameter_errors(stream, played)
     row |= _consistency(stream, played)
     row |= _flags(stream, played)
-    return row | _faults(stream, played, cop, foot)
+    return row | _faults(stream, played, errors)
 
 
 def running_rmse(time: Floats, error: Floats) -> Floats:
@@ -95,31 +95,15 @@ def running_rmse(time: Floats, error: Floats) -> Floats:
 
     NaN is no error; it is returned before there were 2 s, and where no sample of them counts.
     """
-    there = np.isfinite(error)
-    square = np.concatenate([[0.0], np.cumsum(np.where(there, error, 0.0) ** 2)])
-    count = np.concatenate([[0], np.cumsum(there)])
-    last = np.arange(1, len(time) + 1)
-    first = np.searchsorted(time, time - RUNNING + 1e-9)
-    number = count[last] - count[first]
-    mean = (square[last] - square[first]) / np.maximum(number, 1)
-    return np.where((number > 0) & (time >= time[0] + RUNNING), np.sqrt(np.maximum(mean, 0.0)), np.nan)
+    square = pd.Series(np.where(np.isfinite(error), error, np.nan) ** 2, pd.to_timedelta(time, unit="s"))
+    mean = square.rolling(pd.Timedelta(RUNNING, unit="s"), min_periods=1).mean().to_numpy()
+    return np.where(time >= time[0] + RUNNING, np.sqrt(np.maximum(mean, 0.0)), np.nan)
 
 
-def run_errors(stream: Stream, force: Floats) -> tuple[Floats, Floats, Floats]:
-    """Size of the CoP error in m (N,), error of the vertical force in N (N,) and of the cells in N (N, C)."""
-    log, truth = stream.log, stream.truth
-    poses = (log.layout, truth.position_sole, truth.R_world_sole)
-    forces = (vertical_forces(part, log.layout, truth.R_world_sole) for part in (force, truth.force))
-    vgrf, true_vgrf = (of_feet.sum(axis=-1) for of_feet in forces)
-    true_cop = cop_world(truth.force, *poses) if stream.cop is None else stream.cop
-    off = np.linalg.norm(cop_world(force, *poses) - true_cop, axis=-1)
-    cop: Floats = np.where(true_vgrf > FORCE_THRESHOLD, off, np.nan)
-    return cop, vgrf - true_vgrf, (force - truth.force)[:, _newtons(log.layout)]
-
-
-def _newtons(layout: FeetLayout) -> list[bool]:
-    """Return which channels are forces: torques of a six-axis sensor are in another unit."""
-    return [not name.rpartition("/")[2].startswith("t") for name in layout.channel_names]
+def run_errors(stream: Stream, force: Floats) -> Errors:
+    """Return errors of forces in N, (N, K), at each sample of a stream."""
+    layout, truth = stream.log.layout, stream.truth
+    return errors_of(force, truth.force, layout, truth.position_sole, truth.R_world_sole, stream.cop)
 
 
 def _convergence(time: Floats, running: Floats, end: float, began: float) -> float:
@@ -140,7 +124,7 @@ def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
     true_offset = truth.offset - ratio * start.offset
     # A channel without load: F0 = -true_offset / ratio.
     unloaded = played.offset - played.scale * true_offset / ratio
-    offset = unloaded[judged][:, _newtons(stream.log.layout)]
+    offset = unloaded[judged][:, are_forces(stream.log.layout)]
     return {"scale": rms((played.scale / ratio - 1.0)[judged]), "offset": rms(offset)}
 
 
@@ -162,7 +146,7 @@ def _flags(stream: Stream, played: Played) -> dict[str, float]:
     return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
 
 
-def _faults(stream: Stream, played: Played, cop: Floats, foot: Floats) -> dict[str, float]:
+def _faults(stream: Stream, played: Played, errors: Errors) -> dict[str, float]:
     time = stream.log.time
     accused = (played.flags & int(FAULT_FLAGS)) != 0
     start = min((fault.start for fault in stream.faults), default=float("inf"))
@@ -178,7 +162,7 @@ def _faults(stream: Stream, played: Played, cop: Floats, foot: Floats) -> dict[s
     accused |= (played.flags & int(reduce(or_, kinds))) != 0
     guilty = {n for fault in stream.faults for n in (fault.channel, fault.other) if n is not None}
     raised = np.flatnonzero(accused.any(axis=1) & (time >= start))
-    row["after"], row["after_foot"] = (rms(error[time >= start + GRACE]) for error in (cop, foot))
+    row["after"], row["after_foot"] = (rms(error[time >= start + GRACE]) for error in errors[:2])
     row["found"] = float(time[raised[0]] - start) if len(raised) else float("inf")
     if len(raised):
         window = (time >= start) & (time <= time[raised[0]] + GRACE)

@@ -17,6 +17,7 @@ import numpy as np
 
 from surefoot.calibration.online import METHODS, method_entry
 from surefoot.experiments.logs.format import write_log
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
@@ -56,7 +57,7 @@ class Walk:
 
 def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
     """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
-    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
+    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of(record_walk.__module__))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
 
@@ -87,6 +88,8 @@ SPEEDS = (0.02, 0.04, 0.1)  # speeds of the CoP paper in m/s
 
 _FAULT_STREAM = 0xFA17
 
+_question = Words("walks", "questions")
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -94,7 +97,6 @@ class Scenario:
 
     name: str  # for files and the command
     title: str
-    answers: str  # the question, and where it is asked
     walk: Walk
     condition: str = CHIPS.name  # name of the cells that read it
     faults: tuple[Fault, ...] = ()  # of one channel; channel and start are drawn
@@ -103,6 +105,13 @@ class Scenario:
     most_seeds: int | None = None  # for long ones
     long: bool = False  # no part of a quick run
     paper: bool = False  # scored as the CoP paper scores, too
+
+    @property
+    def answers(self) -> str:
+        """The question, and where it is asked."""
+        if self.faults:
+            return _question("fault", kind=self.faults[0].kind)
+        return _question("paper" if self.paper else self.name.partition("-0")[0])  # of all speeds one
 
     def seeds(self, seeds: int) -> range:
         """Number its walks, where ``seeds`` are asked for."""
@@ -128,14 +137,7 @@ def _fault(kind: str, title: str, **options: float) -> Scenario:
     # Only a swap needs another channel; both are drawn later.
     other = 1 if kind.startswith("swapped") else None
     fault = Fault(kind.partition("-")[0], 0, other=other, **options)
-    return Scenario(
-        f"fault-{kind}",
-        title,
-        f"A cell fails while the robot walks: is it found within 1 s, is it the right one, and what is the "
-        f"centre of pressure worth afterwards ({fault.kind}; none of the papers asks)?",
-        _PLAIN_WALK,
-        faults=(fault,),
-    )
+    return Scenario(f"fault-{kind}", title, _PLAIN_WALK, faults=(fault,))
 
 
 def _speed(speed: float) -> Walk:
@@ -160,64 +162,25 @@ _WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}  # of some 5 N, a tenth of the w
 
 _FOOT_LENGTH = {"foot_length": 0.17}
 _ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))
-_BOUNDARIES = "CoP paper, section 5.1"
 
 _TABLE = (
+    *(Scenario(f"speed-{speed:g}", f"{speed:g} m/s", _speed(speed)) for speed in SPEEDS),
     *(
-        Scenario(
-            f"speed-{speed:g}",
-            f"{speed:g} m/s",
-            "The paper's three speeds from the bad start (CoP paper, Tables 4-6).",
-            _speed(speed),
-        )
-        for speed in SPEEDS
-    ),
-    *(
-        Scenario(
-            f"instant-{speed:g}",
-            f"{speed:g} m/s, ideal converters",
-            "The same walks read when the host asks: what do chips on clocks of their own cost, with "
-            "readings up to 13 ms old?",
-            _speed(speed),
-            INSTANT.name,
-        )
+        Scenario(f"instant-{speed:g}", f"{speed:g} m/s, ideal converters", _speed(speed), INSTANT.name)
         for speed in SPEEDS
     ),
     Scenario(
         "start-stop-turn",
         "start, stop and turn",
-        "Gait transitions, which the paper leaves to future work (sections 4.3 and 5).",
         Walk("route", duration=STAND_TIME + 30.0, env={"route": (*_ROUTE, *_ROUTE[:2])}),
     ),
-    Scenario(
-        "pushes",
-        "pushes",
-        "External disturbances, which the paper leaves to future work (sections 4.3 and 5).",
-        Walk("pushes", env={"push_impulse": (0.1, 0.3)}),
-    ),
-    Scenario(
-        "soft-ground",
-        "soft ground",
-        f"Compliant ground breaks the assumption of rigid contact ({_BOUNDARIES}).",
-        Walk("soft", env={"ground_time_constant": 0.06}),
-    ),
-    Scenario(
-        "slippery-ground",
-        "slippery ground",
-        f"Slip breaks the assumption of static friction ({_BOUNDARIES}).",
-        Walk("slippery", env={"friction": (0.04, 0.06)}),
-    ),
-    Scenario(
-        "rolling-feet",
-        "rolling from heel to toe",
-        f"Rolling contact amplifies errors near contact transitions ({_BOUNDARIES}).",
-        Walk("rolling", env={"foot_roll": 0.05}),
-    ),
+    Scenario("pushes", "pushes", Walk("pushes", env={"push_impulse": (0.1, 0.3)})),
+    Scenario("soft-ground", "soft ground", Walk("soft", env={"ground_time_constant": 0.06})),
+    Scenario("slippery-ground", "slippery ground", Walk("slippery", env={"friction": (0.04, 0.06)})),
+    Scenario("rolling-feet", "rolling from heel to toe", Walk("rolling", env={"foot_roll": 0.05})),
     Scenario(
         "imu-bias",
         "IMU bias and tilt",
-        f"A biased IMU, whose tilt is then wrong as well ({_BOUNDARIES}): four times the bias, ten times "
-        "its wander.",
         Walk(
             "imu",
             sensors={
@@ -228,54 +191,23 @@ _TABLE = (
     Scenario(
         "delay-jitter",
         "delay off by 10 ms, and jitter",
-        f"Telemetry 10 ms later or earlier than assumed, with 8 ms of jitter ({_BOUNDARIES}).",
         Walk("delay", sensors={"link": Link(jitter=0.008)}, clock_error=0.010),
     ),
+    Scenario("mass-error", "mass off by 2 %", Walk("mass", beliefs={"errors": {"mass": 0.02}})),
     Scenario(
-        "mass-error",
-        "mass off by 2 %",
-        "The reference's own errors: an assumed mass that is 2 % off.",
-        Walk("mass", beliefs={"errors": {"mass": 0.02}}),
+        "payload", "a payload of 0.3 kg picked up", Walk("payload", env={"payload": (0.3, STAND_TIME + 12.0)})
     ),
-    Scenario(
-        "payload",
-        "a payload of 0.3 kg picked up",
-        "The reference's own errors: the robot picks up 6 % of its mass and does not know.",
-        Walk("payload", env={"payload": (0.3, STAND_TIME + 12.0)}),
-    ),
-    Scenario(
-        "com-error",
-        "centre of mass off by 10 mm",
-        "The reference's own errors: an assumed centre of mass that is 10 mm off.",
-        Walk("com", beliefs={"errors": {"com": 0.010}}),
-    ),
-    Scenario(
-        "standing",
-        "standing",
-        "A robot that stands still shows sums of its cells, and no cell's share: is anything moved that "
-        "nobody knows?",
-        Walk("standing", 0.0, env=_STILL),
-    ),
+    Scenario("com-error", "centre of mass off by 10 mm", Walk("com", beliefs={"errors": {"com": 0.010}})),
+    Scenario("standing", "standing", Walk("standing", 0.0, env=_STILL)),
     Scenario(
         "standing-held",
         "standing, held by a fifth of its weight",
-        "Somebody lifts a standing robot for 8 s: are the cells blamed for it?",
         Walk("standing-held", 0.0, env=_STILL, held=(0.2, *_HELD)),
     ),
     Scenario(
-        "walking-held",
-        "walking, held by 15 % of its weight",
-        "A gantry takes a part of a walking robot's weight for 8 s, and lets go.",
-        Walk("walking-held", held=(0.15, *_HELD)),
+        "walking-held", "walking, held by 15 % of its weight", Walk("walking-held", held=(0.15, *_HELD))
     ),
-    Scenario(
-        "shear",
-        "cells that feel shear",
-        "Cells read a tenth (one standard deviation) of the horizontal forces on them, at 0.1 m/s: no map of "
-        "counts can undo it.",
-        Walk("shear", 0.1, conditions=(_SHEARED,)),
-        _SHEARED.name,
-    ),
+    Scenario("shear", "cells that feel shear", Walk("shear", 0.1, conditions=(_SHEARED,)), _SHEARED.name),
     *(
         _fault(kind, title, **options)
         for kind, title, options in (
@@ -292,8 +224,6 @@ _TABLE = (
     Scenario(
         "ankle-ft",
         "six-axis sensors in the ankles",
-        "Ankle force-torque sensors in place of the cells: scales off by 8 %, cross-talk of 1 %, offsets off "
-        "by 5 N and 0.1 N m.",
         Walk("ankle", conditions=(_ANKLE, _BOTH)),
         _ANKLE.name,
         options=_FOOT_LENGTH,
@@ -302,7 +232,6 @@ _TABLE = (
     Scenario(
         "cells-and-ankle-ft",
         "cells and six-axis sensors",
-        "Both instruments on every foot, which may calibrate each other; errors are those of their mean.",
         Walk("ankle", conditions=(_ANKLE, _BOTH)),
         _BOTH.name,
         options=_FOOT_LENGTH,
@@ -311,7 +240,6 @@ _TABLE = (
     Scenario(
         "temperature-ramp",
         "ten minutes, warming by 20 K",
-        "Offsets and scales that follow the temperature besides drifting.",
         Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
         _WARM.name,
         most_seeds=3,
@@ -320,7 +248,6 @@ _TABLE = (
     Scenario(
         "half-an-hour",
         "half an hour",
-        "Long-term stability over extended walking (CoP paper, section 4.3).",
         Walk("half-hour", duration=STAND_TIME + 1800.0),
         most_seeds=3,
         long=True,
@@ -331,8 +258,6 @@ if "SUREFOOT_STRANGERS" in os.environ:
         Scenario(
             "g1-policy",
             "a G1 by a published policy",
-            "A robot and a policy of others, at 0.4 m/s, on cells of its size. They read means of control "
-            "steps: it hits the ground so hard that readings 13 ms old are no use.",
             Walk("g1-policy", 0.4, policy="ppo_g1_29dof", conditions=(MEAN,)),
             MEAN.name,
         ),
@@ -342,7 +267,6 @@ PAPER_SCENARIOS = {
     (condition.name, speed): Scenario(
         f"{condition.name}-{speed:g}",
         f"{speed:g} m/s, {condition.title}",
-        "The CoP paper's Tables 4 to 6: against its own baseline, and against the truth.",
         Walk(f"both-{speed:g}", speed, conditions=CONDITIONS),
         condition.name,
         paper=True,

@@ -8,7 +8,7 @@ All errors are root mean squares over the samples of one walk from a settling ti
   observation holds it, and still counts.
 * **foot's CoP**: that of each foot in its own sole's frame, over both feet, where the true load of the foot
   exceeds 5 N; held likewise. The total hides errors of one foot in the other's favour.
-* **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
+* **vGRF**: the vertical force of both feet together.
 * **cell**: the force of single cells, over all cells.
 
 The CoP paper scores against its own calibration from weights applied to the same counts instead of a truth;
@@ -29,14 +29,24 @@ class Score(NamedTuple):
     """Errors of one estimate over one walk, rms."""
 
     cop: float  # in m
-    cop_x: float  # its part along the world's x axis (forward) in m
-    cop_y: float  # its part along y (left) in m
     cop_foot: float  # of single feet in m
     vgrf: float  # of both feet together in N
-    vgrf_foot: float  # of single feet in N
     cell: float  # in N
     samples: int  # that count
     held: float  # share of them in which the estimate had no centre of pressure of its own
+
+
+class Errors(NamedTuple):
+    """Errors of an estimate at each of N samples."""
+
+    cop: Floats  # size in m, shape (N,); NaN where it does not count
+    cop_foot: Floats  # likewise of each foot, shape (N, 2)
+    vgrf: Floats  # in N, shape (N,)
+    cell: Floats  # of the channels that are forces in N, shape (N, C)
+
+    def rms(self, counted: NDArray[np.bool_]) -> dict[str, float]:
+        """Return root mean squares over some samples, by the names of the errors."""
+        return {name: rms(part[counted]) for name, part in self._asdict().items()}
 
 
 def cop_world(force: Floats, layout: FeetLayout, position_sole: Floats, R_world_sole: Floats) -> Floats:
@@ -71,28 +81,37 @@ def score_forces(
             f"No sample from {settle:g} s on has finite forces, so there is nothing to score; "
             f"the walk ends at {time[-1]:g} s: walk longer or settle for less."
         )
-    vgrf_estimate = vertical_forces(estimate, layout, R_world_sole)
-    vgrf_truth = vertical_forces(truth, layout, R_world_sole)
-    pressed = counted & (vgrf_truth.sum(axis=-1) > FORCE_THRESHOLD)
-    cop_estimate = cop_world(estimate, layout, position_sole, R_world_sole)
-    error = cop_estimate - cop_world(truth, layout, position_sole, R_world_sole)
-    pressed &= np.isfinite(error).all(axis=-1)
-    lost = vgrf_estimate.sum(axis=-1) <= FORCE_THRESHOLD
-    cop_x, cop_y = np.sqrt(np.mean(error[pressed] ** 2, axis=0)) if pressed.any() else (np.nan, np.nan)
-    return Score(
-        cop=float(np.hypot(cop_x, cop_y)),
-        cop_x=float(cop_x),
-        cop_y=float(cop_y),
-        cop_foot=rms(foot_errors(estimate, truth, layout)[counted]),
-        vgrf=rms((vgrf_estimate - vgrf_truth).sum(axis=-1)[counted]),
-        vgrf_foot=rms((vgrf_estimate - vgrf_truth)[counted]),
-        cell=rms((estimate - truth)[counted]),
-        samples=int(counted.sum()),
-        held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
-    )
+    errors = errors_of(estimate, truth, layout, position_sole, R_world_sole)
+    lost = vertical_forces(estimate, layout, R_world_sole).sum(axis=-1) <= FORCE_THRESHOLD
+    pressed = counted & np.isfinite(errors.cop)
+    held = float(np.mean(lost[pressed])) if pressed.any() else float("nan")
+    return Score(**errors.rms(counted), samples=int(counted.sum()), held=held)
 
 
-def foot_errors(estimate: Floats, truth: Floats, layout: FeetLayout) -> Floats:
+def errors_of(
+    estimate: Floats,
+    truth: Floats,
+    layout: FeetLayout,
+    position_sole: Floats,
+    R_world_sole: Floats,
+    true_cop: Floats | None = None,
+) -> Errors:
+    """Return errors of forces in N, (N, K), against others, or a CoP that is known better in m, (N, 2)."""
+    poses = (layout, position_sole, R_world_sole)
+    vgrf, true_vgrf = (vertical_forces(f, layout, R_world_sole).sum(axis=-1) for f in (estimate, truth))
+    true_cop = cop_world(truth, *poses) if true_cop is None else true_cop
+    off = np.linalg.norm(cop_world(estimate, *poses) - true_cop, axis=-1)
+    cop: Floats = np.where(true_vgrf > FORCE_THRESHOLD, off, np.nan)
+    cell = (estimate - truth)[:, are_forces(layout)]
+    return Errors(cop, _foot_errors(estimate, truth, layout), vgrf - true_vgrf, cell)
+
+
+def are_forces(layout: FeetLayout) -> list[bool]:
+    """Return which channels are forces: torques of a six-axis sensor are in another unit."""
+    return [not name.rpartition("/")[2].startswith("t") for name in layout.channel_names]
+
+
+def _foot_errors(estimate: Floats, truth: Floats, layout: FeetLayout) -> Floats:
     """Return how far each foot's CoP is off in m, (N, 2), of forces in N, (N, K); NaN up to 5 N of load."""
     found, expected = (cop_of_wrench(sole_wrenches(force, layout)) for force in (estimate, truth))
     there = np.isfinite(found).all(axis=-1)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.walks.walkers import Moment, walk_moments
 from surefoot.files import atomic_path
@@ -190,7 +191,7 @@ def _from_above(feed: str, moment: Moment) -> Image.Image:
     sole, R = truth.position_sole[-1], truth.R_world_sole[-1]
     centre = sole[:, :2].mean(axis=0)
 
-    def at(point: NDArray[np.float64]) -> tuple[float, float]:
+    def at(point: Floats) -> tuple[float, float]:
         x, y = (point[:2] - centre) * scale
         return float(0.42 * size[0] + x), float(0.5 * size[1] - y)
 

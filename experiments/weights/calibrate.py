@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Curves, Parameters, fit_channels
+from surefoot.calibration import Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
-from surefoot.calibration.weights.curves import CurveFit, fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
+from surefoot.experiments.logs.columns import LOADS
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
-from surefoot.experiments.weights.judge import ROUNDING, Weighings, find_memory, judge_weighings
+from surefoot.experiments.weights.judge import ROUNDING, Shape, Weighings, judge_weighings
 from surefoot.experiments.weights.loop import Memory
 from surefoot.files import write_text
 
@@ -32,8 +32,7 @@ class CalibratedCells:
     fit: ChannelFit  # behind the curves
     std: Floats  # standard deviations of scales and offsets, shape (K, 2)
     curves: Curves
-    bent: tuple[CurveFit | None, ...]
-    memory: tuple[Memory | None, ...]  # hysteresis and drift, where cells were weighed up and down
+    shapes: list[Shape]  # of the cells
     notices: tuple[str, ...]
 
     @property
@@ -44,7 +43,7 @@ class CalibratedCells:
     @property
     def table(self) -> Table:
         """A row a cell."""
-        fit, std, bent, memory = self.fit, self.std, self.bent, self.memory
+        fit, std, shapes = self.fit, self.std, self.shapes
         columns: dict[str, Cell] = {
             "cell": lambda i: self.names[i],
             "weighings": lambda i: decimal(fit.stats[i].samples, "d"),
@@ -52,15 +51,15 @@ class CalibratedCells:
                 1e6 * fit.value.scale[i], 1e6 * std[i, 0]
             ),
             "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
-            "curve": lambda i: NOTHING if (one := bent[i]) is None else one.shape,
+            "curve": lambda i: NOTHING if (one := shapes[i].curve) is None else one.shape,
             "hysteresis (% of full scale)": lambda i: (
-                NOTHING if (one := memory[i]) is None else with_deviation(*percents(one))
+                NOTHING if (one := shapes[i].memory) is None else with_deviation(*percents(one))
             ),
             "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
         }
         if not self.curves.any:
             del columns["curve"]
-        if not any(memory):
+        if not any(one.memory for one in shapes):
             del columns["hysteresis (% of full scale)"]
         more = ", of counts that the curve makes straight" if self.curves.any else ""
         return table_of("weighings", f"F = scale · count + offset{more}", columns, range(len(self.names)))
@@ -81,45 +80,37 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     """
     weighings = read_weighings(path)
     names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
-    findings, out_of_line = judge_weighings(weighings)
-    passed, weaker = pass_or_refuse(findings, accept, path.name, "the map")
-    kept = np.where(out_of_line, np.nan, weighings.code)
-    bent: list[CurveFit | None] = []
-    memory: list[Memory | None] = []
-    for one in kept.T:
-        there = np.isfinite(one + weighings.load)
-        bent.append(fit_curve(one[there], weighings.load[there]))
-        memory.append(find_memory(weighings.load[there], one[there], bent[-1]))
-    curves = Curves([None if one is None else one.knots for one in bent])
-    code = curves.straighten(kept)
+    judged = judge_weighings(weighings)
+    passed, weaker = pass_or_refuse(judged.findings, accept, path.name, "the map")
+    bent, memory = zip(*judged.shapes, strict=True)
+    curves = Curves([one and one.knots for one in bent])
+    code = curves.straighten(judged.kept)
     fit = fit_channels(code, weighings.load, names)
     std = _deviations(fit, code)
-    notices = passed + weaker
     facts: dict[str, Any] = {
         "channels": names,
         "scale_N_per_count": fit.value.scale.tolist(),
         "offset_N": fit.value.offset.tolist(),
         "scale_std_N_per_count": [float(one) if np.isfinite(one) else None for one in std[:, 0]],
         "offset_std_N": [float(one) if np.isfinite(one) else None for one in std[:, 1]],
-        "notices": list(notices),
+        "notices": [*passed, *weaker],
     }
     if curves.any:
         facts["curves"] = curves.as_plain()
-        facts["curve_std_N"] = [None if one is None else one.std for one in bent]
+        facts["curve_std_N"] = [one and one.std for one in bent]
     if any(memory):
-        facts["hysteresis"] = [None if one is None else one.hysteresis for one in memory]
-        facts["hysteresis_std"] = [None if one is None else one.hysteresis_std for one in memory]
+        facts["hysteresis"] = [one and one.hysteresis for one in memory]
+        facts["hysteresis_std"] = [one and one.hysteresis_std for one in memory]
     write_text(out, json.dumps(facts, indent=1))
-    rest = (fit, std, curves, tuple(bent), tuple(memory), notices)
-    return CalibratedCells(out, path.name, tuple(names), weighings, kept, *rest)
+    rest = (fit, std, curves, judged.shapes, passed + weaker)
+    return CalibratedCells(out, path.name, tuple(names), weighings, judged.kept, *rest)
 
 
 def read_weighings(path: Path) -> Weighings:
     """Read a table of weighings; LogError if it is none."""
     mapping = TableMapping.beside(path)
     table = mapping.read_by_mapping(path, "give a CSV of weighings, one a row.", mapping.columns)
-    units = {"load_kg": GRAVITY, "load_N": 1.0}
-    given = [name for name in units if name in table]
+    given = [name for name in LOADS if name in table]
     if len(given) != 1:
         raise LogError(
             f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has {given or 'neither'}."
@@ -130,7 +121,7 @@ def read_weighings(path: Path) -> Weighings:
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
             "'raw_left_front_left_count'."
         )
-    unit = units[given[0]]
+    unit = LOADS[given[0]]
     return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
 
 

@@ -8,11 +8,14 @@ residuals falls from s to s', over all cells.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
+from scipy.stats import theilslopes
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.findings import Finding
@@ -34,6 +37,9 @@ RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are mad
 RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
 DEGREE = 3  # of the polynomial that gives the slope of a cell with too few loads for a curve
 ROUND = 0.5  # loads that are all multiples of it, in newtons, look like kilograms
+
+
+_note = partial(Finding, refuses=False)
 
 
 @dataclass(frozen=True)
@@ -67,21 +73,45 @@ class Line:
         return abs(self.slope) > FOLLOWS * self.slope_std
 
 
-def judge_weighings(table: Weighings) -> tuple[list[Finding], NDArray[np.bool_]]:
-    """Return findings, and which readings are to be left out, shape (n, K)."""
-    rails = np.isin(table.code, RAILS)
-    table, given = replace(table, code=np.where(rails, np.nan, table.code)), table
+class Shape(NamedTuple):
+    """What one cell's readings show besides a line, each ``None`` for nothing."""
+
+    curve: CurveFit | None
+    memory: Memory | None
+
+
+class Judged(NamedTuple):
+    """A judged table of weighings."""
+
+    findings: list[Finding]
+    kept: Floats  # counts without those that are to be left out, shape (n, K)
+    shapes: list[Shape]  # of the cells, by these counts
+
+
+def judge_weighings(table: Weighings) -> Judged:
+    """Say whether a table fits itself, what is to be left out of it, and which shapes its cells have."""
+    out = np.isin(table.code, RAILS)
+    table, given = replace(table, code=np.where(out, np.nan, table.code)), table
     lines: list[Line | None] = [_fit(table.load, code) for code in table.code.T]
     found: list[Finding] = [*_check_units(table, lines)]
-    out = rails.copy()
-    if (label := _check_labels(table, lines)) is not None:
-        return [label, *found], out
-    for i, (name, line) in enumerate(zip(table.cells, lines, strict=True)):
-        if line is None:
-            continue
-        out[:, i] |= _outliers(table, i, line)
-        found += _check_cell(given, name, i, line, out[:, i])
-    return found, out
+    label = _check_labels(table, lines)
+    for i, line in enumerate(lines):
+        if line is not None and label is None:
+            out[:, i] |= _outliers(table, i, line)
+    kept = np.where(out, np.nan, given.code)
+    shapes = [_find_shape(table.load, code) for code in kept.T]
+    if label is not None:
+        return Judged([label, *found], kept, shapes)
+    for i, (line, shape) in enumerate(zip(lines, shapes, strict=True)):
+        if line is not None:
+            found += _check_cell(given, i, line, out[:, i], shape)
+    return Judged(found, kept, shapes)
+
+
+def _find_shape(load: Floats, code: Floats) -> Shape:
+    there = np.isfinite(code + load)
+    curve = fit_curve(code[there], load[there])
+    return Shape(curve, find_memory(load[there], code[there], curve))
 
 
 def _fit(load: Floats, code: Floats) -> Line | None:
@@ -93,8 +123,7 @@ def _fit(load: Floats, code: Floats) -> Line | None:
     # Theil and Sen: the median of slopes between medians of loads starts where outliers do not reach.
     loads = np.unique(x)
     middle = np.array([np.median(y[x == one]) for one in loads])
-    slopes = [(b - a) / (q - p) for (p, a), (q, b) in combinations(zip(loads, middle, strict=True), 2)]
-    slope = float(np.median(slopes))
+    slope = float(theilslopes(middle, loads).slope)
     level = float(np.median(y - slope * x))
     basis = np.column_stack([x / np.abs(loads).max(), np.ones_like(x)])
     r = y - slope * x - level
@@ -147,11 +176,10 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
     values = np.unique(known[known != 0.0]) / table.unit
     listed = ", ".join(f"{one:g}" for one in values[:4])
     if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):
-        yield Finding(
+        yield _note(
             "round newtons",
             f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are.",
             "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then.",
-            refuses=False,
         )
     tenths = values * 10.0 / GRAVITY
     if (
@@ -245,10 +273,13 @@ def _outliers(table: Weighings, i: int, line: Line) -> NDArray[np.bool_]:
     return far
 
 
-def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np.bool_]) -> Iterator[Finding]:
-    """Say of one cell which readings are left out, whether it follows its load, and how it bends."""
-    code, load = table.code[:, i], table.load
-    kept = np.isfinite(code) & np.isfinite(load) & ~out
+def _check_cell(
+    table: Weighings, i: int, line: Line, out: NDArray[np.bool_], shape: Shape
+) -> Iterator[Finding]:
+    """Say of one cell whether it follows its load, which readings are left out, and which shape it has."""
+    name, code, load = table.cells[i], table.code[:, i], table.load
+    read = np.isfinite(code)
+    kept = read & np.isfinite(load) & ~out
     x, span = load[kept], float(np.ptp(load[kept])) if kept.any() else 0.0
     if not line.follows:
         yield Finding(
@@ -262,52 +293,58 @@ def _check_cell(table: Weighings, name: str, i: int, line: Line, out: NDArray[np
         )
         return
     if out.any():
-        rows = np.flatnonzero(out)
+        rows, many = np.flatnonzero(out), out.sum() > MOST * read.sum()
         listed = ", ".join(f"{row + 2}" for row in rows[:6]) + (" and more" if len(rows) > 6 else "")
-        reason = (
-            f"Column '{name}': {len(rows)} of {int(np.isfinite(code).sum())} readings lie off the line of "
-            f"the others by up to {_off(line, code[out], load[out]):.3g} N (line {listed} of the file, "
-            f"such as {code[rows[0]]:.10g})."
-        )
-        if len(rows) > MOST * np.isfinite(code).sum():
-            yield Finding("outliers", reason, "Weigh this cell again.", len(rows) / len(code), MOST)
-            return
-        yield Finding("outliers", reason, "They are left out.", refuses=False)
-    bend, at, doubt = _bend(table, i, line, kept)
-    curve = fit_curve(code[kept], x)
-    memory = find_memory(x, code[kept], curve)
-    if curve is not None:
         yield Finding(
+            "outliers",
+            f"Column '{name}': {len(rows)} of {read.sum()} readings lie off the line of the others by up to "
+            f"{_off(line, code[out], load[out]):.3g} N (line {listed} of the file, such as "
+            f"{code[rows[0]]:.10g}).",
+            "Weigh this cell again." if many else "They are left out.",
+            len(rows) / len(code),
+            MOST,
+            refuses=bool(many),
+        )
+        if many:
+            return
+    bend = _bend(load[kept], code[kept], line)
+    yield from _check_line(name, line, span, (bend[0], table.label(bend[1]), bend[2]), shape)
+    yield from _check_memory(name, shape.memory, span)
+
+
+def _check_line(
+    name: str, line: Line, span: float, bend: tuple[float, str, float], shape: Shape
+) -> Iterator[Finding]:
+    """Say how far a cell that bore a span of N is from its line: most by a bend under a load, unsure by N."""
+    (size, at, doubt), curve, memory = bend, shape.curve, shape.memory
+    scatter = abs(line.scale / line.slope)
+    bent = f"Column '{name}' is no line: under {at} its readings lie {size:.2g} N from it"
+    if curve is not None:
+        yield _note(
             "curve",
-            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it.",
+            f"{bent}.",
             f"A {curve.shape} takes its place; weights that were left out are found to {curve.std:.2g} N "
             f"(by a line to {curve.line_std:.2g} N).",
             curve.line_std,
             LEAST * span,
-            refuses=False,
         )
-    elif bend > max(FOLLOWS * doubt, LEAST * span):
-        yield Finding(
+    elif size > max(FOLLOWS * doubt, LEAST * span):
+        yield _note(
             "curve",
-            f"Column '{name}' is no line: under {table.label(at)} its readings lie {bend:.2g} N from it, and "
-            f"they scatter by {abs(line.scale / line.slope):.2g} N.",
+            f"{bent}, and they scatter by {scatter:.2g} N.",
             "Forces between the weights are that uncertain; weigh near the loads that matter.",
-            bend,
+            size,
             LEAST * span,
-            refuses=False,
         )
-    elif not (memory and memory.loops) and (scatter := abs(line.scale / line.slope)) > FOLLOWS * LEAST * span:
-        yield Finding(
+    elif not (memory and memory.loops) and scatter > FOLLOWS * LEAST * span:
+        yield _note(
             "scatter",
             f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
             "or weights that do not rest on it alone.",
             "Weigh each load three times or more, up and down.",
             scatter,
             FOLLOWS * LEAST * span,
-            refuses=False,
         )
-
-    yield from _check_memory(name, memory, span)
 
 
 def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | None:
@@ -330,7 +367,7 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
     share, std = (100.0 * part for part in (memory.hysteresis, memory.hysteresis_std))
     if memory.loops:
         value, deviation = round_to(abs(share), std)
-        yield Finding(
+        yield _note(
             "hysteresis",
             f"Column '{name}' reads {'more' if share > 0.0 else 'less'} on the way down than on the way up: "
             f"a hysteresis of {value} ± {deviation} % of full scale, {abs(memory.hysteresis) * span:.2g} N "
@@ -338,17 +375,15 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
             "No line or curve undoes it: forces are off by up to half of it, up or down.",
             abs(memory.hysteresis),
             max(LEAST_LOOP, memory.reach * memory.hysteresis_std),
-            refuses=False,
         )
     if memory.drifts and abs(memory.drift) > LEAST * span:
-        yield Finding(
+        yield _note(
             "drift",
             f"Column '{name}' drifts while it is weighed, by {memory.drift:+.2g} N from its first row to its "
             "last.",
             "Let the cell warm up for a quarter of an hour under no load, and weigh again.",
             abs(memory.drift),
             LEAST * span,
-            refuses=False,
         )
 
 
@@ -357,9 +392,8 @@ def _off(line: Line, code: Floats, load: Floats) -> float:
     return float(np.nanmax(np.abs(code - line.slope * load - line.level)) / abs(line.slope))
 
 
-def _bend(table: Weighings, i: int, line: Line, kept: NDArray[np.bool_]) -> tuple[float, float, float]:
+def _bend(load: Floats, code: Floats, line: Line) -> tuple[float, float, float]:
     """Return the largest mean residual of a load in N, that load, and its standard deviation."""
-    code, load = table.code[kept, i], table.load[kept]
     slope, level = np.polyfit(load, code, 1)
     groups = {float(one): code[load == one] for one in np.unique(load)}
     means = [(abs(part.mean() - slope * one - level) / abs(slope), one) for one, part in groups.items()]

@@ -24,6 +24,7 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
+from surefoot.experiments.arrays import Floats
 from surefoot.sensors import LoadCells, load_cells
 from surefoot.sensors.devices.load_cells import LoadCellState, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -62,12 +63,12 @@ class WeighingSetup:
 class Placements:
     """Weighings of one foot at holes that its fit never saw."""
 
-    hole: NDArray[np.float64]  # where the weights stood in the sole frame in m, shape (n, 2)
-    load: NDArray[np.float64]  # in N, shape (n,)
-    cop_initial: NDArray[np.float64]  # by the data sheet's map in m, shape (n, 2); NaN below 5 N
-    cop_calibrated: NDArray[np.float64]  # by the fitted channels and correction
-    vgrf_initial: NDArray[np.float64]  # vertical force by the data sheet's map in N, shape (n,)
-    vgrf_calibrated: NDArray[np.float64]  # by the fitted channels
+    hole: Floats  # where the weights stood in the sole frame in m, shape (n, 2)
+    load: Floats  # in N, shape (n,)
+    cop_initial: Floats  # by the data sheet's map in m, shape (n, 2); NaN below 5 N
+    cop_calibrated: Floats  # by the fitted channels and correction
+    vgrf_initial: Floats  # vertical force by the data sheet's map in N, shape (n,)
+    vgrf_calibrated: Floats  # by the fitted channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,8 @@ class WeighingReport:
     """The result of known weights; feet are (left, right)."""
 
     channel_names: tuple[str, ...]
-    channel_load: NDArray[np.float64]  # on each cell in kg, shape (n,)
-    channel_code: NDArray[np.float64]  # mean counts under them, shape (n, K)
+    channel_load: Floats  # on each cell in kg, shape (n,)
+    channel_code: Floats  # mean counts under them, shape (n, K)
     channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
     corrections: tuple[CopCorrectionFit, ...]
     initial: PlacementScore  # on held-out holes, by the data sheet's map
@@ -94,12 +95,12 @@ class _Cells:
     state: LoadCellState
     setup: WeighingSetup
     rng: np.random.Generator
-    bow: NDArray[np.float64] = field(init=False)
+    bow: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self.bow = self.setup.nonlinearity * self.rng.uniform(-1.0, 1.0, self.config.channels)
 
-    def read(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read(self, load: Floats) -> Floats:
         """Return mean counts of true loads in N, shape (n, K), weighed one after another."""
         share = load / self.config.capacity
         bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
@@ -112,6 +113,12 @@ class _Cells:
             repeated = np.tile(one, (self.setup.readings, 1))
             counts[i] = static_counts(self.config, self.state, repeated, self.rng).mean(axis=0)
         return counts
+
+    def read_foot(self, where: slice, load: Floats) -> Floats:
+        """Return mean counts of all cells while those of one foot bear loads in N, shape (n, 4)."""
+        on_all = np.zeros((len(load), self.config.channels))
+        on_all[:, where] = load
+        return self.read(on_all)
 
 
 def run_weighing(
@@ -147,33 +154,21 @@ def run_weighing(
     corrections, initial, placements, plates = [], [], [], []
     for foot, where in zip(layout.feet, layout.slices, strict=True):
         hole, load, held_out, cell_load, plate = _place(setup, foot, rng)
-        plates.append(plate)
-        on_all_cells = np.zeros((len(load), cells.channels))
-        on_all_cells[:, where] = cell_load
-        raw = weighed.read(on_all_cells)
-        fit = fit_cop_correction(
-            channels.value.force(raw)[:, where], load, hole, _positions(foot), held_out=held_out
-        )
+        raw = weighed.read_foot(where, cell_load)
+        before, after = (part.force(raw)[:, where] for part in (nominal, channels.value))
+        fit = fit_cop_correction(after, load, hole, _positions(foot), held_out=held_out)
+        unseen = hole[held_out], load[held_out], before[held_out], after[held_out]
+        placements.append(_compare_maps(fit, _positions(foot), *unseen))
+        initial.append(fit.score(before[held_out], load[held_out], hole[held_out]))
         corrections.append(fit)
-        before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
-        initial.append(fit.score(before, load[held_out], hole[held_out]))
-        unseen = Placements(
-            hole=hole[held_out],
-            load=load[held_out],
-            cop_initial=cop_of_cells(before, _positions(foot)),
-            cop_calibrated=fit.cop(after),
-            vgrf_initial=before.sum(axis=1),
-            vgrf_calibrated=after.sum(axis=1),
-        )
-        placements.append(unseen)
+        plates.append(plate)
     repeats = []
+    every = {"initial": nominal, "weights": channels.value, **(maps or {})}
     for i, plate in enumerate(plates if maps is not None else ()):
         foot, where, fit = layout.feet[i], layout.slices[i], corrections[i]
         hole, load, cell_load = _repeat(setup, plate, np.unique(placements[i].hole, axis=0), rng)
-        on_all_cells = np.zeros((len(load), cells.channels))
-        on_all_cells[:, where] = cell_load
-        raw = weighed.read(on_all_cells)
-        for name, one in {"initial": nominal, "weights": channels.value, **(maps or {})}.items():
+        raw = weighed.read_foot(where, cell_load)
+        for name, one in every.items():
             force = one.force(raw)[:, where]
             cop = fit.cop(force) if name == "weights" else cop_of_cells(force, _positions(foot))
             about = {"map": name, "foot": foot.name, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}
@@ -189,6 +184,20 @@ def run_weighing(
         calibrated=_pool([fit.score_held_out for fit in corrections]),
         held_out=tuple(placements),
         repeats=pd.concat(repeats) if repeats else pd.DataFrame(),
+    )
+
+
+def _compare_maps(
+    fit: CopCorrectionFit, positions: Floats, hole: Floats, load: Floats, before: Floats, after: Floats
+) -> Placements:
+    """Return weighings at holes in m, (n, 2), by forces of the data sheet's map and the fitted one."""
+    return Placements(
+        hole=hole,
+        load=load,
+        cop_initial=cop_of_cells(before, positions),
+        cop_calibrated=fit.cop(after),
+        vgrf_initial=before.sum(axis=1),
+        vgrf_calibrated=after.sum(axis=1),
     )
 
 
@@ -210,7 +219,7 @@ def weigh_after_walk(seed: int = 0, methods: tuple[str, ...] = ("window", "momen
     return run_weighing(state=state, seed=seed, maps=maps)
 
 
-def _positions(foot: FootLayout) -> NDArray[np.float64]:
+def _positions(foot: FootLayout) -> Floats:
     if foot.position_cell_sole is None or foot.channels != 4:
         raise ValueError(f"Weighing needs four load cells a foot, but foot '{foot.name}' has none or others.")
     return foot.position_cell_sole[:, :2]
@@ -218,7 +227,7 @@ def _positions(foot: FootLayout) -> NDArray[np.float64]:
 
 def _place(
     setup: WeighingSetup, foot: FootLayout, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64], SolePlate]:
+) -> tuple[Floats, Floats, NDArray[np.bool_], Floats, SolePlate]:
     """Return holes (n, 2) in m, loads (n,) in N, if held out (n,), cells' loads (n, 4) in N, the plate."""
     drawn = _positions(foot)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
@@ -242,8 +251,8 @@ def _place(
 
 
 def _repeat(
-    setup: WeighingSetup, plate: SolePlate, holes: NDArray[np.float64], rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    setup: WeighingSetup, plate: SolePlate, holes: Floats, rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
     """Put weights into the outermost holes and the middle one, again and again.
 
     Return holes (n, 2) in m, loads (n,) in N, and the cells' loads (n, 4) in N.
@@ -257,7 +266,7 @@ def _repeat(
     return hole, load, _share(plate, load, stands)
 
 
-def _share(plate: SolePlate, load: NDArray[np.float64], stands: NDArray[np.float64]) -> NDArray[np.float64]:
+def _share(plate: SolePlate, load: Floats, stands: Floats) -> Floats:
     """Return the cells' loads in N, (n, 4), under weights in N, (n,), that stand at places in m, (n, 2)."""
     return np.column_stack([load, stands[:, 1] * load, -stands[:, 0] * load]) @ plate.share.T
 

@@ -54,18 +54,18 @@ def test_episodes_are_read_or_refused(tmp_path):
     assert read_episodes(path)[frame.columns].equals(frame)
     for wrong, text in (
         (frame.drop(columns="return"), "lacks the column 'return'"),
-        (frame.assign(feed="sand"), "holds 'sand' in its column 'feed', .* a name. Known: true, none"),
-        (frame.assign(**{"return": "much"}), "holds 'much' in its column 'return', .* be a finite number"),
-        (frame.assign(controller=7), "holds 7 in its column 'controller', which must be a name"),
-        (frame.assign(feed=[None, *frame["feed"][1:]]), "holds (None|nan) in its column 'feed'"),
-        (frame.assign(**{"return": np.nan}), "holds nan in its column 'return', which must be a finite"),
-        (frame.assign(**{"return": -np.inf}), "holds -inf in its column 'return'"),
-        (frame.assign(seed=frame["seed"] + 0.5), "'seed', which must be a whole number that is not negative"),
-        (frame.assign(seed=-1), "'seed', which must be a whole number that is not negative"),
-        (frame.assign(time=-1.0), "'time', which must be a finite number that is not negative"),
-        (frame.assign(severity=np.inf), "'severity', which must be a finite number that is not negative"),
-        (frame.assign(fell=2), "'fell', which must be true or false"),
-        (frame.assign(tracking=np.inf), "'tracking', which must be a finite number that is not negative"),
+        (frame.assign(feed="sand"), "feed: must be one of true, none.*, or module:name, got 'sand'"),
+        (frame.assign(**{"return": "much"}), "return: Input should be a valid number.*, got 'much'"),
+        (frame.assign(controller=7), "controller: Input should be a valid string, got 7"),
+        (frame.assign(feed=[None, *frame["feed"][1:]]), "feed: Input should be a valid string"),
+        (frame.assign(**{"return": np.nan}), "return: Input should be a finite number, got nan"),
+        (frame.assign(**{"return": -np.inf}), "return: Input should be a finite number, got -inf"),
+        (frame.assign(seed=frame["seed"] + 0.5), "seed: Input should be a valid integer"),
+        (frame.assign(seed=-1), "seed: Input should be greater than or equal to 0, got -1"),
+        (frame.assign(time=-1.0), "time: Input should be greater than or equal to 0, got -1.0"),
+        (frame.assign(severity=np.inf), "severity: Input should be a finite number, got inf"),
+        (frame.assign(fell=2), "fell: Input should be a valid boolean.*, got 2"),
+        (frame.assign(tracking=np.inf), "tracking: must be NaN, or finite and not negative, got inf"),
     ):
         wrong.to_parquet(path)
         with pytest.raises(ValueError, match=text):

@@ -39,7 +39,7 @@ def test_the_table_of_spoilt_weighings(spoilt: ModuleType, shape: str, mistake: 
     """Each of 28 kinds, of which each is named first."""
     names, refuses, spoil = spoilt.WEIGHING_SPOILERS[mistake]
     for seed in range(2):
-        findings, _ = judge_weighings(spoil(spoilt.weigh(shape, seed), np.random.default_rng(seed)))
+        findings = judge_weighings(spoil(spoilt.weigh(shape, seed), np.random.default_rng(seed))).findings
         assert findings[0].name in names
         assert findings[0].refuses == refuses
 
@@ -47,15 +47,15 @@ def test_the_table_of_spoilt_weighings(spoilt: ModuleType, shape: str, mistake: 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_sound_tables_pass(spoilt: ModuleType, shape: str) -> None:
     for seed in range(6):
-        findings, out = judge_weighings(spoilt.weigh(shape, seed))
-        assert findings == []
-        assert not out.any()
+        judged = judge_weighings(spoilt.weigh(shape, seed))
+        assert judged.findings == []
+        assert np.isfinite(judged.kept).all()
 
 
 def test_a_label_of_another_load_is_named(spoilt: ModuleType) -> None:
     table = spoilt.weigh("four cells", 5)
     table = replace(table, load=np.where(table.load == 2.0 * GRAVITY, 2.5 * GRAVITY, table.load))
-    (first,), _ = judge_weighings(table)
+    (first,) = judge_weighings(table).findings
     assert "the readings under 2.5 are those of 2 (probability more than 99.9 %" in first.reason
 
 
@@ -126,7 +126,7 @@ def test_hysteresis_of_weights_up_and_down_is_found(share: float) -> None:
     off, names = [], []
     for seed in range(30):
         table = loop(share, seed)
-        names.append([one.name for one in judge_weighings(table)[0]])
+        names.append([one.name for one in judge_weighings(table).findings])
         memory = find_memory(table.load, table.code[:, 0], None)
         assert memory is not None
         off.append((memory.hysteresis - share) / memory.hysteresis_std)
@@ -136,7 +136,7 @@ def test_hysteresis_of_weights_up_and_down_is_found(share: float) -> None:
 
 def test_a_drift_is_no_hysteresis() -> None:
     table = loop(0.0, 1, drift=1.0)
-    (found,), _ = judge_weighings(table)
+    (found,) = judge_weighings(table).findings
     assert found.name == "drift"
     assert "'raw_a_count' drifts while it is weighed, by +1 N from its first row to its last." in found.reason
     rising = replace(table, load=table.load[:18], code=table.code[:18])
@@ -169,7 +169,7 @@ def test_hysteresis_of_a_curve_is_no_drift() -> None:
     rows = np.isin(table.load / GRAVITY, (0.0, 1.0, 2.0, 5.0))
     felt = (table.code[rows] - 84000.0) / 1e4
     code = np.rint(1023.0 * felt / (felt + 20.0))
-    found, _ = judge_weighings(replace(table, load=table.load[rows], code=code))
+    found = judge_weighings(replace(table, load=table.load[rows], code=code)).findings
     assert "hysteresis" in [one.name for one in found]
     assert "drift" not in [one.name for one in found]
 

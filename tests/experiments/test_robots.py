@@ -1,4 +1,4 @@
-"""Robots that others made: methods hear what their wrappers would tell them, and a study needs no package."""
+"""Robots that others made: they do the same on any feet, and a study needs no package."""
 
 import numpy as np
 import pandas as pd
@@ -6,35 +6,17 @@ import pytest
 
 from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.walks import robots as study
-from surefoot.experiments.walks.robots import (
-    METHODS,
-    SENSORS,
-    Motion,
-    claims_of,
-    compare_robots,
-    run_robot,
-)
-from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.experiments.walks.robots import METHODS, Motion, claims_of, compare_robots, run_robot
 
 FALLS = Motion("Walker2d-v5", "falling", 0.3)
 
 
-def test_every_method_hears_what_its_own_wrapper_would_tell_it() -> None:
+def test_the_robot_does_the_same_whatever_its_feet_are_calibrated_by() -> None:
     rows = run_robot(FALLS, "load cells", seed=3, duration=1.6)["scores"]
     assert [row["method"] for row in rows] == list(METHODS)
     assert rows[0]["falls"] > 0
-    env = FootSensors(FALLS.env(), SENSORS["load cells"])
-    alone = SelfCalibration(env, "moment")
-    alone.reset(seed=3)
-    rng, off, ended = np.random.default_rng([0x20B07, 3]), [], False
-    for _ in range(200):
-        off.append((alone.estimate.vgrf - env.source.truth.vgrf()).sum())
-        if ended:
-            alone.reset()
-            ended = False
-        else:
-            ended = alone.step((0.3 * rng.uniform(-1.0, 1.0, 6)).astype(np.float32))[2]
-    assert rows[-1]["vgrf"] == pytest.approx(np.sqrt(np.mean(np.square(off[125:]))), rel=1e-12)
+    assert {row["falls"] for row in rows} == {rows[0]["falls"]}
+    assert len({row["vgrf"] for row in rows}) > 1
 
 
 @pytest.mark.parametrize(

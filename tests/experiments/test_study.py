@@ -13,8 +13,6 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from surefoot.controllers import zero_action
-from surefoot.experiments.episodes.plan import run_episode
 from surefoot.experiments.study.figures import (
     draw_curve,
     figure_at,
@@ -26,7 +24,7 @@ from surefoot.experiments.study.figures import (
 )
 from surefoot.experiments.study.page import ReportFigure, Section, failure_section, publish, write_page
 from surefoot.experiments.study.runner import attempt, runner
-from surefoot.experiments.study.sources import source_hash, source_modules
+from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.statistics import survival
 from surefoot.experiments.study.store import JOURNAL, Case, Store, StudyError
 from surefoot.experiments.study.tables import Table, Verdict, at_least, at_most, claim_table
@@ -229,38 +227,15 @@ def test_cells_are_coloured_by_verdicts_and_not_by_words(tmp_path: Path) -> None
     assert f'<td class="words">{"w" * 40}</td>' in text
 
 
-def test_what_an_episode_runs_is_in_its_hash():
-    ran = set()
-
-    def note(frame, event, argument):
-        module = frame.f_globals.get("__name__", "")
-        if event == "call" and module.startswith("surefoot."):
-            ran.add(module)
-
-    sys.setprofile(note)
-    try:
-        run_episode(zero_action, "moment", 3, duration=0.5)
-    finally:
-        sys.setprofile(None)
-    assert {"surefoot.envs.nao.balance", "surefoot.calibration.moment.filter"} <= ran
-    packages = {name for name in ran if hasattr(sys.modules[name], "__path__")}
-    assert ran - packages <= source_modules("surefoot.experiments.episodes.plan")
-
-
-def test_a_name_is_followed_to_the_module_that_defines_it():
-    modules = source_modules("surefoot.experiments.walks.score")
-    assert "surefoot.calibration.cop" in modules
-    assert "surefoot.calibration.in_situ.calibrate" not in modules
-
-
-def test_the_filter_in_c_counts(monkeypatch):
-    read, header = Path.read_bytes, "surefoot_moment.h"
-    before = source_hash.__wrapped__("surefoot.calibration.foot_calibrator")
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"\n" * (path.name == header))
-    assert source_hash.__wrapped__("surefoot.calibration.foot_calibrator") != before
+def test_code_that_decides_results_counts_and_code_that_shows_them_does_not(monkeypatch):
+    read, before = Path.read_bytes, source_hash.__wrapped__()
+    for file, counts in (("native/surefoot_moment.h", True), ("walks/page.py", False)):
+        changed = lambda path, end=file: read(path) + b"\n" * path.as_posix().endswith(end)  # noqa: E731
+        monkeypatch.setattr(Path, "read_bytes", changed)
+        assert (source_hash.__wrapped__() != before) == counts
 
 
 def test_other_code_is_another_hash():
     assert source_hash("surefoot.calibration.online") != source_hash("surefoot.sensors.severity")
     with pytest.raises(ModuleNotFoundError, match="no module"):
-        source_hash("surefoot.calibration.magic")
+        source_hash("surefoot.magic")
