@@ -15,7 +15,6 @@ from surefoot.calibration.moment.health import (
     HealthConstants,
     contact_probability,
     drift_on,
-    follow_noise,
     map_covariance,
     normalise,
     uncertainty,
@@ -196,7 +195,6 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            noise=np.ones(columns.components),
             tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
@@ -311,14 +309,12 @@ class MomentFilter:
             weighed = self._weigh(belief, state.drifted)
         else:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
-            step = learn(mixed, rows, state.noise, columns, block.duration)
+            step = learn(mixed, rows, columns, block.duration)
             before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
             belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
             after = step.likelihood + weighed.evidence
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
-            nis = normalise(step.innovation, step.stated)
-            noise = follow_noise(state.noise, step.innovation, step.expected, rows.variance, belief.chance[0])
-            state = state._replace(noise=noise)
+            nis = normalise(step.innovation, step.expected)
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0

@@ -17,11 +17,6 @@ LEAST_ROW = 1e-6
 """Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
 
 
-NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
-"""How much of a row's learnt noise one block decides: a second of ten; up to which factor on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations)."""
-
-
 class HealthConstants(NamedTuple):
     """Constants of estimates, by their names in C; module constants of such names explain them.
 
@@ -32,9 +27,6 @@ class HealthConstants(NamedTuple):
     reading_noise: float
     most_load: float = MOST_LOAD
     least_row: float = LEAST_ROW
-    noise_share: float = NOISE_SHARE
-    largest_noise: float = LARGEST_NOISE
-    largest_surprise: float = LARGEST_SURPRISE
 
 
 def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:
@@ -131,22 +123,6 @@ def contact_probability(
 def normalise(innovation: Array, covariance: Array) -> float:
     """Return the normalised innovation squared."""
     return float(innovation @ np.linalg.solve(covariance, innovation))
-
-
-def follow_noise(noise: Array, innovation: Array, expected: Array, stated: Array, free: float) -> Array:
-    """Return by how many times rows' variances are larger than stated, learnt upwards only.
-
-    Args:
-        noise: By how many times they were thought to be, shape (C,).
-        innovation: Of a block, shape (C,).
-        expected: Its covariance, shape (C, C).
-        stated: Of the rows, shape (C, C).
-        free: Chance that nobody holds the robot.
-    """
-    variance = np.diagonal(expected)
-    share = np.diagonal(stated) * noise / variance
-    surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
-    return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
 
 
 def variances(row: Array, covariance: Array) -> Array:

@@ -60,9 +60,6 @@ FIRST_CHANCE = np.array([0.977, 0.02, 0.003])
 LEAST_CHANCE = 1e-6
 """Chance that a mode keeps: who was free for an hour is believed to be held within two blocks."""
 
-GATE = 3.0
-"""Standard deviations beyond which an innovation pulls no harder: a false alarm in 370."""
-
 
 class ModeConstants(NamedTuple):
     """Constants of the modes, by their names in C; J modes.
@@ -73,7 +70,6 @@ class ModeConstants(NamedTuple):
         rates: :data:`RATES`, shape (J, J).
         first_chance: :data:`FIRST_CHANCE`, shape (J,).
         least_chance: :data:`LEAST_CHANCE`.
-        gate: :data:`GATE`.
     """
 
     mode_time: Array
@@ -85,7 +81,6 @@ class ModeConstants(NamedTuple):
     rates: Array
     first_chance: Array
     least_chance: float
-    gate: float
 
 
 MODE_CONSTANTS = ModeConstants(
@@ -98,7 +93,6 @@ MODE_CONSTANTS = ModeConstants(
     rates=RATES,
     first_chance=FIRST_CHANCE,
     least_chance=LEAST_CHANCE,
-    gate=GATE,
 )
 """Those of here."""
 
@@ -186,31 +180,26 @@ class Step(NamedTuple):
         belief: The modes' posteriors at its end; how likely they are is as before.
         likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
         innovation: Of the mode that was likeliest before, shape (C,).
-        expected: Its covariance with variances as they were used, shape (C, C).
-        stated: Its covariance with variances as stated, shape (C, C).
+        expected: Its covariance, shape (C, C).
     """
 
     belief: Belief
     likelihood: Array
     innovation: Array
     expected: Array
-    stated: Array
 
 
-def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: float) -> Step:
+def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step:
     """Predict the block's mean momentum in each mode, measure it, and go on to the block's end.
 
     Args:
         belief: The modes' posteriors about the block's point o.
         rows: The block.
-        noise: By how many times rows' variances are larger than stated, shape (C,).
         columns: The unknowns.
         duration: Of the block in s.
     """
-    larger = np.sqrt(noise)
     # The mean over a block of a random walk within it has a third of its variance at the end.
-    stated = rows.variance + rows.walk / 3.0
-    variance = rows.variance * np.outer(larger, larger) + rows.walk / 3.0
+    variance = rows.variance + rows.walk / 3.0
     means, covariances, likelihoods, seen = [], [], [], []
     wrench = np.arange(columns.wrench.start, columns.wrench.stop)
     momentum = columns.momentum
@@ -222,12 +211,11 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         covariance[:, wrench] *= decay
         covariance[wrench, wrench] += wrench_variance(mode, rows) * (1.0 - decay**2)
         innovation = rows.measured - rows.mean @ mean - rows.mean_rest
-        prior = rows.mean @ covariance @ rows.mean.T
-        expected = prior + variance
+        expected = rows.mean @ covariance @ rows.mean.T + variance
         likelihoods.append(
             -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
         )
-        seen.append((innovation, expected, prior + stated))
+        seen.append((innovation, expected))
         # A load's weight is estimated; the robot's own is only considered (Schmidt, 1966),
         # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
@@ -272,7 +260,7 @@ def weigh_modes(chance: Array, evidence: Array) -> Array:
 def update(
     mean: Array, covariance: Array, H: Array, innovation: Array, variance: Array, considered: slice
 ) -> tuple[Array, Array]:
-    """Take in rows by Joseph's form; one beyond the gate pulls no harder than at it.
+    """Take in rows by Joseph's form.
 
     Args:
         mean: Shape (N,).
@@ -283,10 +271,7 @@ def update(
         considered: Unknowns that are considered and not estimated (Schmidt, 1966).
     """
     predicted = H @ covariance
-    S = predicted @ H.T + variance
-    excess = np.diag(np.maximum((innovation / GATE) ** 2 - np.diagonal(S), 0.0))
-    variance = variance + excess
-    gain = np.linalg.solve(S + excess, predicted).T
+    gain = np.linalg.solve(predicted @ H.T + variance, predicted).T
     gain[considered] = 0.0
     keep = np.eye(len(mean)) - gain @ H
     joseph = keep @ covariance @ keep.T + gain @ variance @ gain.T

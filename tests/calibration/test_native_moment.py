@@ -275,7 +275,7 @@ int main(int count, char **words) {
         if (uniform() < 0.0005) kept = state;
         if (uniform() < 0.0005) state = kept;
         if (!sf_all_finite(state.belief.mean, 3 * N) || !sf_all_finite(state.belief.covariance, 3 * N * N) ||
-            !sf_all_finite(state.belief.chance, 3) || !sf_all_finite(state.noise, moment.components) ||
+            !sf_all_finite(state.belief.chance, 3) ||
             !sf_all_finite(state.published.mean, sf_weighed(&robot)) || !sf_finite(state.tare.rate) ||
             !sf_all_finite(state.covariance, 4 * K * K) || !sf_all_finite(e.force, K) ||
             !sf_all_finite(e.force_std, K) || !sf_all_finite(e.undetermined, K) ||
