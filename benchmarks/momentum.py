@@ -42,8 +42,8 @@ from scipy.stats import chi2
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.calibration.moment import modes
-from surefoot.calibration.moment.columns import Columns
 from surefoot.calibration.moment.filter import MomentFilter
+from surefoot.calibration.native.config import moment_constants
 from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.runner import runner
@@ -143,12 +143,12 @@ PARTS_PAGE = (
 """Scenes on which parts of ``moment`` are left out."""
 
 
-def _begin_sure_of(part: str) -> Callable[[MomentFilter, Floats], dict[str, Any]]:
+def _begin_sure_of(part: str) -> Callable[[MomentFilter], dict[str, Any]]:
     """Return a change of the first variances that takes some unknowns for known."""
 
-    def change(core: MomentFilter, first_variance: Floats) -> dict[str, Any]:
-        variance = first_variance.copy()
-        variance[getattr(Columns.of(core.setup.layout), part)] = 0.0
+    def change(core: MomentFilter) -> dict[str, Any]:
+        variance = core.first_variance.copy()
+        variance[getattr(core.columns, part)] = 0.0
         return {"first_variance": variance}
 
     return change
@@ -161,7 +161,7 @@ def _without(mode: modes.Mode) -> dict[str, Any]:
     return {"rates": rates, "first_chance": chance / chance.sum(), "least_chance": 1e-12}
 
 
-PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter, Floats], dict[str, Any]]] = {
+PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter], dict[str, Any]]] = {
     "somebody may hold it": _without(modes.HELD),
     "loads": _without(modes.LOADED),
     "severity by evidence": {"severities": np.ones(4)},
@@ -179,16 +179,12 @@ PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter, Floats], dict[str, 
 
 def _change_constants(part: str) -> Any:
     """Return a patch that leaves a part out of every filter that is made; none without a name."""
-    usual, change = MomentFilter.constants.fget, PARTS.get(part, {})  # type: ignore[attr-defined]
+    change = PARTS.get(part, {})
 
-    def constants(core: MomentFilter) -> tuple[Any, ...]:
-        records = usual(core)
-        values = change
-        if callable(change):
-            values = change(core, next(r.first_variance for r in records if hasattr(r, "first_variance")))
-        return tuple(r._replace(**{k: v for k, v in values.items() if k in r._fields}) for r in records)
+    def constants(core: MomentFilter) -> dict[str, Any]:
+        return {**moment_constants(core), **(change(core) if callable(change) else change)}
 
-    return patch.object(MomentFilter, "constants", property(constants))
+    return patch("surefoot.calibration.native.config.moment_constants", constants)
 
 
 EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}

@@ -1,6 +1,6 @@
 """How the moment filter runs over a stream; its theory is in :mod:`surefoot.calibration.moment.config`."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from surefoot.calibration.moment.columns import Columns, Spread, first_mean, fir
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.health import (
-    HealthConstants,
     contact_probability,
     drift_on,
     map_covariance,
@@ -23,7 +22,6 @@ from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     FREE,
-    MODE_CONSTANTS,
     MODES,
     begin,
     begin_momentum,
@@ -31,7 +29,7 @@ from surefoot.calibration.moment.modes import (
     mix,
     weigh_modes,
 )
-from surefoot.calibration.moment.motion import MotionConstants, Track
+from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
@@ -73,34 +71,6 @@ HELD_CHANCE = 0.9
 """Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
 
 
-class FilterConstants(NamedTuple):
-    """Constants of the stream, by their names in C; options and module constants explain them.
-
-    Attributes:
-        components: Of momentum, C.
-        capacity: Most samples of a block.
-        first_variance: Variances at the start, shape (N,).
-        walk: As of :class:`~surefoot.calibration.moment.columns.Spread`, shape (2, K).
-        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
-        level: :data:`LEVEL`, or :data:`ANY_WAY`.
-    """
-
-    components: int
-    capacity: int
-    first_variance: Array
-    walk: Array
-    block: float
-    mass_std: float
-    ahead: float
-    level: float
-    kept_time: float = KEPT_TIME
-    longest_pause: float = LONGEST_PAUSE
-    product_time: float = PRODUCT_TIME
-    largest_error: float = LARGEST_ERROR
-    least_read: float = LEAST_READ
-    held_chance: float = HELD_CHANCE
-
-
 class MomentFilter:
     """The moment filter for one setup: pure functions that share constants.
 
@@ -112,6 +82,11 @@ class MomentFilter:
         setup: The same.
         config: The same.
         columns: The unknowns.
+        spread: How sure they are at the start, as stated.
+        first_variance: Variances at the start, shape (N,).
+        reading_noise: Standard deviation of a channel's reading in N.
+        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
+        level: :data:`LEVEL`, or :data:`ANY_WAY`.
         front_end: The way of a sample.
         faults: Finds faults of channels.
         repairs: Finds wrong readings by the robot's motion.
@@ -125,7 +100,7 @@ class MomentFilter:
         layout = setup.layout
         self._channels, self._feet = layout.channels, len(layout.feet)
         self.columns = columns = Columns.of(layout)
-        self._spread = spread = Spread.of(setup, config)
+        self.spread = spread = Spread.of(setup, config)
         self.front_end = FrontEnd(setup, imu=False, momentum=True)
         self.model = Model(setup, config, columns)
         self.tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
@@ -136,29 +111,11 @@ class MomentFilter:
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
         self.repairs = Repairs(layout, setup.weight, self.faults, columns)
         self.blocks = Blocks(self.front_end, config.block, self.faults)
-        self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
-        self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
+        self._first_mean, self.first_variance = first_mean(columns), first_variance(columns, spread, config)
+        self.reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
-        self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
-        self._level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
-
-    @property
-    def constants(self) -> tuple[NamedTuple, ...]:
-        """All constants as records, of which each field has the name that it has in C."""
-        config = self.config
-        own = FilterConstants(
-            self.columns.components,
-            self.blocks.capacity,
-            self._first_variance,
-            self._spread.walk,
-            config.block,
-            config.mass_std,
-            self._ahead,
-            self._level,
-        )
-        health = HealthConstants(reading_noise=self._reading_noise)
-        parts = self.model.constants, self.tare.constants, self._severity.constants
-        return own, *parts, health, MODE_CONSTANTS, MotionConstants(), self.repairs.constants
+        self.ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
+        self.level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
 
     @property
     def limits(self) -> dict[str, tuple[Any, Any]]:
@@ -174,7 +131,7 @@ class MomentFilter:
         front, columns, feet = self.front_end.init(raw), self.columns, self._feet
         means, covariances = [], []
         for mode in MODES:
-            mean, covariance = self._first_mean.copy(), np.diag(self._first_variance)
+            mean, covariance = self._first_mean.copy(), np.diag(self.first_variance)
             if mode.load > 0.0:
                 begin(mean, covariance, columns.mass, np.array([self.config.mass_std**2 + mode.load**2]))
             means.append(mean)
@@ -253,11 +210,11 @@ class MomentFilter:
     def _lies(self, sample: Sample) -> bool:
         """Return whether no sole is level enough to stand on."""
         _, rotation = self.front_end.motions.columns.soles(sample.motion)
-        return bool(sample.sound and rotation[:, 2, 2].max() < self._level)
+        return bool(sample.sound and rotation[:, 2, 2].max() < self.level)
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
-        walked = self._spread.walk * state.tare.rate**2 * duration
+        walked = self.spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
         for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
@@ -364,7 +321,7 @@ class MomentFilter:
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
-        walked = self._spread.walk * rate**2 * self._ahead
+        walked = self.spread.walk * rate**2 * self.ahead
         mean, columns, weight = published.mean, self.columns, self.setup.weight
         learnt = map_covariance(mean, published.covariance, columns, weight)
         return drift_on(learnt, mean, columns, weight, walked)
@@ -394,7 +351,7 @@ class MomentFilter:
             undetermined=state.published.undetermined,
             contact_probability=contact_probability(
                 estimate.vgrf, sample.rows[:, 0], learnt, sample.force,
-                self._reading_noise, setup.weight,
+                self.reading_noise, setup.weight,
             ),
         )  # fmt: skip
 

@@ -1,7 +1,5 @@
 """How sure the estimates are: of forces, of the centre of pressure, of contact, and of the filter itself."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.special import ndtr
 
@@ -15,18 +13,6 @@ MOST_LOAD = 1.5
 
 LEAST_ROW = 1e-6
 """Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
-
-
-class HealthConstants(NamedTuple):
-    """Constants of estimates, by their names in C; module constants of such names explain them.
-
-    Attributes:
-        reading_noise: Standard deviation of a channel's reading in N.
-    """
-
-    reading_noise: float
-    most_load: float = MOST_LOAD
-    least_row: float = LEAST_ROW
 
 
 def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:

@@ -13,7 +13,6 @@ measurement by the force that acted, and the centre of mass by its velocity.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.cop import level_rows
@@ -64,28 +63,6 @@ class Rows(NamedTuple):
     height: float
 
 
-class ModelConstants(NamedTuple):
-    """Constants of the rows, by their names in C.
-
-    Attributes:
-        velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
-        spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
-        ripple: As of :class:`~surefoot.calibration.moment.config.Moment`.
-        least_load: :data:`LEAST_LOAD`.
-        talks: Number of pairs of channels that may talk across, T.
-        talk_to: Channels that may show a vertical force, shape (T,).
-        talk_from: The channels of these forces, shape (T,).
-    """
-
-    velocity_variance: Array
-    spin_variance: float
-    ripple: float
-    least_load: float
-    talks: int
-    talk_to: NDArray[np.int64]
-    talk_from: NDArray[np.int64]
-
-
 class Model:
     """The rows of one setup.
 
@@ -93,22 +70,24 @@ class Model:
         setup: The robot.
         config: Options.
         columns: The unknowns.
+
+    Attributes:
+        velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
+        spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
+        talk_to: Channels that may show a vertical force, shape (T,).
+        talk_from: The channels of these forces, shape (T,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns) -> None:
         self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
         self._shear = columns.components == SHEAR
         self._order = _ORDER[int(self._shear)]
-        self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
-        self._spin = config.momentum_noise**2
+        self.velocity_variance = (
+            np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
+        )
+        self.spin_variance = config.momentum_noise**2
         self._ripple = config.ripple
-        self._talk_to, self._talk_from = find_talks(setup.layout)
-
-    @property
-    def constants(self) -> ModelConstants:
-        """Constants, by their names in C."""
-        talks = len(self._talk_to), self._talk_to, self._talk_from
-        return ModelConstants(self._velocity, self._spin, self._ripple, LEAST_LOAD, *talks)
+        self.talk_to, self.talk_from = find_talks(setup.layout)
 
     def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
@@ -140,8 +119,8 @@ class Model:
             reach = weighted.sum(axis=0)
             H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
             H[:, columns.offset], H[:, columns.drift] = reach, reach * a
-            shown = block.force[:, self._talk_from]
-            H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self._talk_to], shown)
+            shown = block.force[:, self.talk_from]
+            H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self.talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
             pulled = share @ gravity
             H[:, columns.mass] = (share @ summed)[:, None]
@@ -233,10 +212,10 @@ class Model:
         components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / self._gravity
         turned = skew(arm.mean(axis=0))
         noise = np.zeros((6, 6))
-        noise[:3, :3] = np.diag(self._velocity)
-        noise[3:, :3] = turned * self._velocity
+        noise[:3, :3] = np.diag(self.velocity_variance)
+        noise[3:, :3] = turned * self.velocity_variance
         noise[:3, 3:] = noise[3:, :3].T
-        noise[3:, 3:] = (turned * self._velocity) @ turned.T + self._spin * np.eye(3)
+        noise[3:, 3:] = (turned * self.velocity_variance) @ turned.T + self.spin_variance * np.eye(3)
         order = self._order
         return components[:, order], noise[np.ix_(order, order)] / self._gravity**2
 

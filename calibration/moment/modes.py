@@ -61,42 +61,6 @@ LEAST_CHANCE = 1e-6
 """Chance that a mode keeps: who was free for an hour is believed to be held within two blocks."""
 
 
-class ModeConstants(NamedTuple):
-    """Constants of the modes, by their names in C; J modes.
-
-    Attributes:
-        mode_time, mode_force, mode_torque, mode_load, mode_shift: As of :class:`Mode`, shape (J,) each.
-        held: Which of them is the one that is held.
-        rates: :data:`RATES`, shape (J, J).
-        first_chance: :data:`FIRST_CHANCE`, shape (J,).
-        least_chance: :data:`LEAST_CHANCE`.
-    """
-
-    mode_time: Array
-    mode_force: Array
-    mode_torque: Array
-    mode_load: Array
-    mode_shift: Array
-    held: int
-    rates: Array
-    first_chance: Array
-    least_chance: float
-
-
-MODE_CONSTANTS = ModeConstants(
-    mode_time=np.array([mode.time for mode in MODES]),
-    mode_force=np.array([mode.force for mode in MODES]),
-    mode_torque=np.array([mode.torque for mode in MODES]),
-    mode_load=np.array([mode.load for mode in MODES]),
-    mode_shift=np.array([mode.shift for mode in MODES]),
-    held=MODES.index(HELD),
-    rates=RATES,
-    first_chance=FIRST_CHANCE,
-    least_chance=LEAST_CHANCE,
-)
-"""Those of here."""
-
-
 def wrench_variance(mode: Mode, rows: Rows) -> Array:
     """Return the variances of an outside wrench, and of errors that act like one, shape (C,)."""
     force = force_and_wrench(len(rows.measured))

@@ -16,7 +16,7 @@ from surefoot.calibration.moment.columns import Columns
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.model import Rows
 from surefoot.calibration.moment.state import Belief, MomentState
-from surefoot.calibration.moment.suspects import Leap, SuspectConstants, Suspects
+from surefoot.calibration.moment.suspects import Leap, Suspects
 
 
 class Finding(NamedTuple):
@@ -42,13 +42,11 @@ class Repairs:
 
     Attributes:
         suspects: Who may be guilty.
-        constants: Constants, by their names in C.
     """
 
     def __init__(self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns) -> None:
         self._weight, self._faults, self._columns = weight, faults, columns
         self.suspects = Suspects(layout, faults.stand_in.cells, columns)
-        self.constants = SuspectConstants()
 
     def weigh(
         self, state: MomentState, block: Block, rows: Rows, published: Array, belief: Belief, moved: Array,

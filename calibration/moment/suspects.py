@@ -47,18 +47,6 @@ SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 is believed; and the squared surprise of which more counts no more (three standard deviations)."""
 
 
-class SuspectConstants(NamedTuple):
-    """Constants of suspects, by their names in C; module constants of such names explain them."""
-
-    sure: float = SURE
-    contrast: float = CONTRAST
-    alike: float = ALIKE
-    least_error: float = LEAST_ERROR
-    suspect_share: float = SUSPECT_SHARE
-    suspect_noise: tuple[float, float] = SUSPECT_NOISE
-    suspect_surprise: float = SUSPECT_SURPRISE
-
-
 class Leap(NamedTuple):
     """Zeros that have leapt together.
 
