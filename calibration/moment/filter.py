@@ -13,9 +13,7 @@ from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.health import (
     contact_probability,
-    drift_on,
     map_covariance,
-    normalise,
     uncertainty,
 )
 from surefoot.calibration.moment.model import Model
@@ -267,11 +265,11 @@ class MomentFilter:
         else:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
             step = learn(mixed, rows, columns, block.duration)
+            nis = step.nis
             before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
             belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
             after = step.likelihood + weighed.evidence
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
-            nis = normalise(step.innovation, step.expected)
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
@@ -322,9 +320,7 @@ class MomentFilter:
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
         walked = self.spread.walk * rate**2 * self.ahead
-        mean, columns, weight = published.mean, self.columns, self.setup.weight
-        learnt = map_covariance(mean, published.covariance, columns, weight)
-        return drift_on(learnt, mean, columns, weight, walked)
+        return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight, walked)
 
     def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""

@@ -15,14 +15,17 @@ LEAST_ROW = 1e-6
 """Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
 
 
-def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:
-    """Return the covariance of (a, b) in F = a F0 + b, b in N, shape (2K, 2K).
+def map_covariance(
+    published: Array, covariance: Array, columns: Columns, weight: float, walked: Array
+) -> Array:
+    """Return the covariance of (a, b) in F = a F0 + b, b in N, that drift on, shape (2K, 2K).
 
     Args:
         published: Scales, offsets and drift, shape (M,).
         covariance: Theirs, shape (M, M).
         columns: The unknowns.
         weight: W in N.
+        walked: Variances that each scale, and each zero in W^2, drifts by until it is used, shape (2, K).
     """
     K = columns.scale.stop
     at = np.arange(K)
@@ -32,21 +35,7 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     J[K + at, K + at] = weight
     J[K + at, 2 * K + at] = published[columns.scale] * weight
     learnt: Array = J @ covariance @ J.T
-    return 0.5 * (learnt + learnt.T)
-
-
-def drift_on(learnt: Array, published: Array, columns: Columns, weight: float, walked: Array) -> Array:
-    """Return the covariance of (a, b) after scales and zeros have drifted on.
-
-    Args:
-        learnt: That of (a, b), b in N, shape (2K, 2K).
-        published: Scales, offsets and drift, shape (M,).
-        columns: The unknowns.
-        weight: W in N.
-        walked: Variances that each scale, and each zero in W^2, drifts by, shape (2, K).
-    """
-    K = columns.scale.stop
-    at, learnt = np.arange(K), learnt.copy()
+    learnt = 0.5 * (learnt + learnt.T)
     a, u = published[columns.scale] * weight, published[columns.drift] * weight
     learnt[at, at] += walked[0]
     learnt[at, K + at] += walked[0] * u
@@ -104,11 +93,6 @@ def contact_probability(
     without = np.where(load <= 0.0, np.maximum(without, 1.0 / most), without)
     found: Array = with_load / (with_load + without)
     return found
-
-
-def normalise(innovation: Array, covariance: Array) -> float:
-    """Return the normalised innovation squared."""
-    return float(innovation @ np.linalg.solve(covariance, innovation))
 
 
 def variances(row: Array, covariance: Array) -> Array:

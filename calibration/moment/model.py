@@ -44,7 +44,6 @@ class Rows(NamedTuple):
         crossed: The block's mean momentum by each channel's place and each channel's F0, shape (C, K, K).
         lasting: Variance of errors that last longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
-        load: Mean vertical force in W as published.
         height: Of the centre of mass over o in m.
     """
 
@@ -59,7 +58,6 @@ class Rows(NamedTuple):
     crossed: Array
     lasting: Array
     point: Array
-    load: float
     height: float
 
 
@@ -104,7 +102,7 @@ class Model:
         com, sole, rotation = block.com, block.sole, block.rotation
         felt = block.force + u
         force = a * felt + b
-        point, load = self._point(force, sole, rotation, dt)
+        point = self._point(force, sole, rotation, dt)
         unit = self._of_channels(sole - point, rotation)
         gravity, along = self._weigh(com - point)
         heading = _heading(rotation)
@@ -153,7 +151,6 @@ class Model:
             crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
             lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
             point=point,
-            load=load,
             height=float((com[:, 2] - point[2]).mean()),
         )
 
@@ -179,12 +176,11 @@ class Model:
             added[at + 1], added[at + 2] = z * velocity[1] / self._gravity, -z * velocity[0] / self._gravity
         return transition, added
 
-    def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> tuple[Array, float]:
-        """Return the mean centre of pressure on the ground in m, shape (3,), and the load in W."""
+    def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> Array:
+        """Return the mean centre of pressure on the ground in m, shape (3,)."""
         total, x, y = np.einsum("nfck,nk,n->c", level_rows(self._wrench_map, sole, rotation), force, dt)
-        T = float(dt.sum())
-        least = max(float(total), LEAST_LOAD * T)
-        return np.array([x / least, y / least, sole[:, :, 2].min(axis=1).mean()]), float(total) / T
+        least = max(float(total), LEAST_LOAD * float(dt.sum()))
+        return np.array([x / least, y / least, sole[:, :, 2].min(axis=1).mean()])
 
     def _of_channels(self, sole: Array, rotation: Array) -> Array:
         """Return the components of a unit of each channel, shape (n, C, K), of soles seen from o."""

@@ -143,14 +143,12 @@ class Step(NamedTuple):
     Attributes:
         belief: The modes' posteriors at its end; how likely they are is as before.
         likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
-        innovation: Of the mode that was likeliest before, shape (C,).
-        expected: Its covariance, shape (C, C).
+        nis: Innovation squared of the mode that was likeliest before, normalised.
     """
 
     belief: Belief
     likelihood: Array
-    innovation: Array
-    expected: Array
+    nis: float
 
 
 def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step:
@@ -164,7 +162,7 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
     """
     # The mean over a block of a random walk within it has a third of its variance at the end.
     variance = rows.variance + rows.walk / 3.0
-    means, covariances, likelihoods, seen = [], [], [], []
+    means, covariances, likelihoods, nis = [], [], [], []
     wrench = np.arange(columns.wrench.start, columns.wrench.stop)
     momentum = columns.momentum
     for i, mode in enumerate(MODES):
@@ -176,10 +174,8 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         covariance[wrench, wrench] += wrench_variance(mode, rows) * (1.0 - decay**2)
         innovation = rows.measured - rows.mean @ mean - rows.mean_rest
         expected = rows.mean @ covariance @ rows.mean.T + variance
-        likelihoods.append(
-            -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
-        )
-        seen.append((innovation, expected))
+        nis.append(float(innovation @ np.linalg.solve(expected, innovation)))
+        likelihoods.append(-0.5 * (nis[i] + np.linalg.slogdet(expected)[1]))
         # A load's weight is estimated; the robot's own is only considered (Schmidt, 1966),
         # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
@@ -197,7 +193,7 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         means.append(mean)
         covariances.append(0.5 * (covariance + covariance.T))
     learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
-    return Step(learnt, np.array(likelihoods), *seen[int(belief.chance.argmax())])
+    return Step(learnt, np.array(likelihoods), nis[int(belief.chance.argmax())])
 
 
 def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:

@@ -106,7 +106,7 @@ class Suspects:
         covariance: Array,
         others: Array,
         others_std: Array,
-    ) -> tuple[SuspectState, int | None, Leap | None]:
+    ) -> tuple[SuspectState, int | Leap | None]:
         """Hold all suspects against a block.
 
         Args:
@@ -118,7 +118,7 @@ class Suspects:
             others_std: How far that is off in W, shape (K,).
 
         Returns:
-            The state, the guilty suspect, and the leap.
+            The state, and the leap, or else the guilty suspect.
         """
         columns = self._columns
         H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
@@ -153,7 +153,7 @@ class Suspects:
         least = max(unknown + CONTRAST, each.max())
         leap = self._find_leap(state, S, reach, e_before, least) if unknown == innocent else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
-        return state, self._find_guilty(score), leap
+        return state, leap or self._find_guilty(score)
 
     def follow(self, state: SuspectState, force: Array, momentum: Array) -> SuspectState:
         """Note the measurement at a block's end, and the block's readings.

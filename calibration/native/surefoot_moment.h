@@ -613,7 +613,7 @@ SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf
 
 /* What a block taught: Step, but for the modes themselves. */
 typedef struct {
-    sf_real likelihood[SF_MODES], innovation[SF_COMPONENTS], expected[SF_COMPONENTS * SF_COMPONENTS];
+    sf_real likelihood[SF_MODES], nis;
 } sf_taught;
 
 /* x' S^-1 x, and the logarithm of the determinant of S; NaN where S is not positive definite. */
@@ -652,9 +652,9 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
                 expected[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N) +
                                       (rows->variance[r * C + k] + rows->walk[r * C + k] / 3);
         }
-        out->likelihood[j] = sf_normalised(innovation, expected, C, &size);
-        out->likelihood[j] = (sf_real)-0.5 * (out->likelihood[j] + size);
-        if (j == likeliest) sf_copy(out->innovation, innovation, C), sf_copy(out->expected, expected, C * C);
+        sf_real square = sf_normalised(innovation, expected, C, &size);
+        out->likelihood[j] = (sf_real)-0.5 * (square + size);
+        if (j == likeliest) out->nis = square;
         /* What a load weighs is estimated; what the robot itself weighs is only considered, and so is all but the
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
@@ -1714,7 +1714,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         sf_begin_momentum(c, m, rows, belief);
         good = sf_weigh(c, m, belief, w);
     } else {
-        sf_real before[SF_MODES], after[SF_MODES], size;
+        sf_real before[SF_MODES], after[SF_MODES];
         sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
         good = sf_weigh(c, m, &w->mixed, w);
@@ -1725,7 +1725,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
             after[j] = taught.likelihood[j] + w->compared[j].evidence - before[j];
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
         sf_weigh_modes(m, after, w->mixed.chance);
-        *nis = sf_normalised(taught.innovation, taught.expected, C, &size);
+        *nis = taught.nis;
         belief = &w->mixed;
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
     }
