@@ -1695,7 +1695,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
-    int C = m->components, N = sf_states(c, m), likeliest = 0, good, guilty;
+    int N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
