@@ -133,11 +133,10 @@ class Model:
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
-        # Chips have clocks of their own: each channel's change is an error of its own.
-        change = (
-            np.diff(force, axis=0, prepend=force[:1])
-            * (dt * self._ripple * _samples_per_reading(block.read))[:, None]
-        )
+        # Chips have clocks of their own: each channel's change is an error of its own, and the larger the
+        # more samples a reading stands for.
+        held = len(dt) / max(float(block.read.sum(axis=0).min()), 1.0)
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
@@ -226,8 +225,3 @@ def _heading(rotation: Array) -> Array:
     x, y = rotation[:, :, :2, 0].mean(axis=(0, 1)).tolist()
     norm = float(np.hypot(x, y)) or 1.0
     return np.array([[x, -y], [y, x]]) / norm
-
-
-def _samples_per_reading(read: Array) -> float:
-    """Return for how many samples a reading stands on the average: more than 1 where some are held."""
-    return len(read) / max(float(read.sum(axis=0).min()), 1.0)

@@ -85,17 +85,15 @@ def mix(belief: Belief, rows: Rows, columns: Columns, duration: float, mass_std:
     means, covariances = [], []
     for j in range(len(MODES)):
         parts = [
-            _turn_into(j, belief, i, rows, columns, mass_std) if i != j else _part(belief, i)
+            _turn_into(j, belief, i, rows, columns, mass_std)
+            if i != j
+            else (belief.mean[i], belief.covariance[i])
             for i in range(len(MODES))
         ]
         mean, covariance = combine(share[:, j], *(np.stack(part) for part in zip(*parts, strict=True)))
         means.append(mean)
         covariances.append(covariance)
     return Belief(np.stack(means), np.stack(covariances), chance)
-
-
-def _part(belief: Belief, i: int) -> tuple[Array, Array]:
-    return belief.mean[i], belief.covariance[i]
 
 
 def _turn_into(
