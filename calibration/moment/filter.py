@@ -31,7 +31,7 @@ from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
-from surefoot.calibration.moment.tare import NOISE_TIME, Tare
+from surefoot.calibration.moment.tare import FIRST_RATE, NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
@@ -150,7 +150,7 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
+            tare=TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,

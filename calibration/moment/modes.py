@@ -13,6 +13,7 @@ afterwards. Who changes mode begins with a w of its own.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.columns import Columns
@@ -179,9 +180,11 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         considered = columns.mass if mode.load == 0.0 else slice(0)
         if mode is HELD:
             considered = slice(0, columns.momentum.start)
+        mass, heavier = columns.mass.start, _heavier(mean, covariance, columns.mass.start)
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         if mode.load > 0.0:
-            mean = keep_heavier(mean, covariance, columns.mass.start)
+            likelihoods[i] += np.log(_heavier(mean, covariance, mass) / heavier)
+            mean = keep_heavier(mean, covariance, mass)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
         mean = forward @ mean
@@ -192,6 +195,12 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         covariances.append(0.5 * (covariance + covariance.T))
     learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
     return Step(learnt, np.array(likelihoods), nis[int(belief.chance.argmax())])
+
+
+def _heavier(mean: Array, covariance: Array, mass: int) -> float:
+    """Return the chance that a load is not negative, of which a block's likelihood is conditional."""
+    variance = float(covariance[mass, mass])
+    return max(float(ndtr(-mean[mass] / np.sqrt(variance))), LEAST_CHANCE) if variance > 0.0 else 1.0
 
 
 def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:

@@ -63,7 +63,9 @@ class Repairs:
         moved, added = moved[momentum, momentum], added[momentum]
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
         others, std = stand_in.others(state.faults.moments, state.faults.lost)
-        suspects, wrong = self.suspects.weigh(suspects, rows, known, covariance, others, std / self._weight)
+        suspects, wrong = self.suspects.weigh(
+            suspects, rows, known, covariance, others, std / self._weight, block.duration
+        )
         suspects = self.suspects.follow(suspects, block.force, rows.at_end)
         return state._replace(suspects=suspects), wrong
 

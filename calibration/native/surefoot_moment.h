@@ -54,7 +54,7 @@ typedef struct {
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
-    sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum, touch_load;
+    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
     sf_real most_load, least_row, reading_noise;
@@ -628,6 +628,11 @@ SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real 
     return sf_dot(x, y, n);
 }
 
+/* _heavier: the chance that a load is not negative, of which a block's likelihood is conditional. */
+SF_API sf_real sf_heavier(const sf_moment_config *m, sf_real mean, sf_real variance) {
+    return variance > 0 ? sf_max((sf_real)(0.5 * erfc(mean / sqrt(2.0 * variance))), m->least_chance) : 1;
+}
+
 /* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
 SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_modes *s, sf_moment_work *w, sf_taught *out) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m), wrench = at + C, likeliest = 0, good = 1;
@@ -659,11 +664,15 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
+        sf_real heavier = sf_heavier(m, mean[at - 2], P[(at - 2) * N + at - 2]);
         good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B) && good;
         sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
-        if (m->mode_load[j] > 0 && lighter > 0 && of_mass[at - 2] > 0) { /* keep_heavier */
-            sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
-            mean[at - 2] = 0;
+        if (m->mode_load[j] > 0) { /* keep_heavier */
+            out->likelihood[j] += sf_log(sf_heavier(m, lighter, of_mass[at - 2]) / heavier);
+            if (lighter > 0 && of_mass[at - 2] > 0) {
+                sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
+                mean[at - 2] = 0;
+            }
         }
         sf_multiply(end, rows->end, P, C, N, N);
         for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
@@ -1357,7 +1366,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
     s->time = s->age = s->drifted = 0;
     s->status = 0;
-    s->tare.rate = 1;
+    s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *P = s->belief.covariance + j * N * N, load = m->mode_load[j];
@@ -1551,7 +1560,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_suspected(c, both);
     sf_unexplained(c, m, rows, s->before, known, known, e);
@@ -1570,13 +1579,20 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         }
         S[r * C + r] += H[at + C + r] * H[at + C + r] * sf_wrench_variance(m, rows, 0, r);
     }
-    /* Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on the robot's body,
-       up to its height away from its centre of mass. */
+    /* Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as rarely as somebody
+       takes hold; a force as large as the weight acts on the robot's body, up to its height away from its
+       centre of mass. */
     sf_real size = sf_factor(m, S, reach, K, 0, sound);
     nothing = sf_evidence(m, sound, size, e);
     for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
     for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
     lasting = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far);
+    for (int r = 0; r < C; r++) {
+        sf_real span = rows->mean[r * N + at + C + r], decay = sf_exp(-rows->duration / m->mode_time[m->held]);
+        far[r] = e[r] - decay * s->error[r] * span;
+        other[r * C + r] += span * span * (1 - decay * decay) * sf_wrench_variance(m, rows, m->held, r);
+    }
+    changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + sf_log(m->rates[m->held] * rows->duration);
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
         weight[r] = rows->mean_rest[r];
@@ -1588,7 +1604,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         other[r * C + r] += arm * arm;
     }
     unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
-    innocent = sf_max(sf_max(nothing, lasting), unknown);
+    innocent = sf_max(sf_max(nothing, lasting), sf_max(changing, unknown));
     if (!sf_finite(innocent)) return -1;
     least = unknown + m->contrast;
     for (int suspect = 0; suspect < count; suspect++) {
