@@ -322,7 +322,9 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
     weight, first = 9.81 * one.mass, round(SETTLE / one.dt)
     kept: dict[str, list[float]] = {key: [] for key in COLUMNS}
     every = round(1.0 / one.dt)
+    accused = False
     for k, estimate in enumerate(play(one, method, **options)):
+        accused = accused or bool((estimate.flags & ACCUSED).any())
         if k < first:
             continue
         # Both maps on the same readings: how old these are is no error of a calibration.
@@ -360,23 +362,28 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
             kept["nees"].append(float(error @ np.linalg.pinv(estimate.covariance) @ error) / error.size)
         if estimate.nis is not None and np.isfinite(estimate.nis) and estimate.nis_rows > 0:
             kept["nis"].append(float(estimate.nis / estimate.nis_rows))
+    kept["accused"] = [100.0 * accused]
     return {
         key: (factor * np.sqrt(np.mean(values)) if factor else np.mean(values)) if values else np.nan
         for (key, factor), values in zip(COLUMNS.items(), kept.values(), strict=True)
     }
 
 
+ACCUSED = int(Flag.LOST | Flag.DEAD | Flag.STUCK | Flag.FLIPPED | Flag.SWAPPED)
+"""Flags of channels that are thought to be faulty."""
+
 COVERED = 0.5, 0.9, 0.95
 """Chances of ellipses of a foot's CoP."""
 
 COLUMNS = {
     "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
-    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0, "contact": 0.0,
+    **{f"in {share:.0%}": 0.0 for share in COVERED}, "nis": 0.0, "held": 0.0, "contact": 0.0, "accused": 0.0,
 }  # fmt: skip
 """Root mean squares: of a foot's CoP and of the common one in mm, of cells and of the vertical force in
 percent of the weight. Means (0): NEES a parameter and of a foot's CoP, how often that lies in the ellipses
 claimed in percent, NIS a row, share of time held, how often (percent) a foot that bears more than
-:data:`LOADED` or less than :data:`UNLOADED` is thought not to, or to, bear load."""
+:data:`LOADED` or less than :data:`UNLOADED` is thought not to, or to, bear load, and of how many runs
+(percent) a channel is accused, of which all are sound."""
 
 
 def _nees_foot(one: Stream, estimate: Any, k: int, foot: int, apart: Floats, load: float) -> float:

@@ -180,11 +180,12 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         considered = columns.mass if mode.load == 0.0 else slice(0)
         if mode is HELD:
             considered = slice(0, columns.momentum.start)
-        mass, heavier = columns.mass.start, _heavier(mean, covariance, columns.mass.start)
+        mass = columns.mass.start
+        before = chance_of_load(mean, covariance, mass)
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         if mode.load > 0.0:
-            likelihoods[i] += np.log(_heavier(mean, covariance, mass) / heavier)
-            mean = keep_heavier(mean, covariance, mass)
+            likelihoods[i] += np.log(chance_of_load(mean, covariance, mass) / before)
+            mean = keepchance_of_load(mean, covariance, mass)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
         mean = forward @ mean
@@ -197,13 +198,13 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
     return Step(learnt, np.array(likelihoods), nis[int(belief.chance.argmax())])
 
 
-def _heavier(mean: Array, covariance: Array, mass: int) -> float:
-    """Return the chance that a load is not negative, of which a block's likelihood is conditional."""
+def chance_of_load(mean: Array, covariance: Array, mass: int) -> float:
+    """Return the chance that a load is not negative: likelihoods are those of such loads alone."""
     variance = float(covariance[mass, mass])
     return max(float(ndtr(-mean[mass] / np.sqrt(variance))), LEAST_CHANCE) if variance > 0.0 else 1.0
 
 
-def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:
+def keepchance_of_load(mean: Array, covariance: Array, mass: int) -> Array:
     """Return the likeliest mean of which a load is not negative (Simon and Simon, 2006).
 
     Forces and weight together may shrink to nothing otherwise, which explains errors of any reading.

@@ -628,8 +628,8 @@ SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real 
     return sf_dot(x, y, n);
 }
 
-/* _heavier: the chance that a load is not negative, of which a block's likelihood is conditional. */
-SF_API sf_real sf_heavier(const sf_moment_config *m, sf_real mean, sf_real variance) {
+/* chance_of_load: the chance that a load is not negative: likelihoods are those of such loads alone. */
+SF_API sf_real sf_chance_of_load(const sf_moment_config *m, sf_real mean, sf_real variance) {
     return variance > 0 ? sf_max((sf_real)(0.5 * erfc(mean / sqrt(2.0 * variance))), m->least_chance) : 1;
 }
 
@@ -664,11 +664,11 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
-        sf_real heavier = sf_heavier(m, mean[at - 2], P[(at - 2) * N + at - 2]);
+        sf_real heavier = sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]);
         good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B) && good;
         sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
         if (m->mode_load[j] > 0) { /* keep_heavier */
-            out->likelihood[j] += sf_log(sf_heavier(m, lighter, of_mass[at - 2]) / heavier);
+            out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / heavier);
             if (lighter > 0 && of_mass[at - 2] > 0) {
                 sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
                 mean[at - 2] = 0;

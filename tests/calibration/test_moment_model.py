@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from _moment import move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
+from scipy.stats import norm
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
 from surefoot.calibration.moment.blocks import Block
@@ -14,6 +15,7 @@ from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     MODES,
+    chance_of_load,
     combine,
     keep_heavier,
     mix,
@@ -240,3 +242,19 @@ def test_a_load_is_never_negative_and_scales_do_not_shrink_for_it():
     kept = keep_heavier(np.array([1.0, 0.1]), covariance, 1)
     np.testing.assert_allclose(kept, (0.95, 0.0))
     np.testing.assert_array_equal(keep_heavier(np.array([1.0, -0.1]), covariance, 1), (1.0, -0.1))
+
+
+@pytest.mark.parametrize("reading", [-0.3, -0.02, 0.0, 0.02, 0.3])
+def test_the_likelihood_of_a_load_is_that_of_loads_that_are_not_negative(reading):
+    """A mass that is normal and cut at 0, seen with noise, against a sum over all masses."""
+    variance, noise = 0.01, 0.0004
+    mass, step = np.linspace(-1.0, 0.0, 200_001, retstep=True)
+    prior = 2.0 * norm.pdf(mass, 0.0, np.sqrt(variance))
+    exact = float((prior * norm.pdf(reading, mass, np.sqrt(noise))).sum() * step)
+    mean, covariance = update(
+        np.zeros(1), np.eye(1) * variance, np.eye(1), np.array([reading]), np.eye(1) * noise, slice(0)
+    )
+    whole = norm.pdf(reading, 0.0, np.sqrt(variance + noise))
+    ratio = chance_of_load(mean, covariance, 0) / chance_of_load(np.zeros(1), np.eye(1) * variance, 0)
+    # The least chance that a mode keeps stands for all that is less.
+    assert whole * ratio == pytest.approx(exact, rel=1e-3, abs=3e-6)
