@@ -35,9 +35,10 @@ from surefoot.calibration.moment.tare import FIRST_RATE, NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
-LEAP, LEAP_RATE = 0.25, 40.0
+LEAP, LEAP_RATE = 0.25, 75.0
 """Change of a cell's force from one sample to the next in body weights that no foot makes, and the same by
-the time between samples in body weights a second: a heel takes all of the weight within 25 ms."""
+the time between samples in body weights a second: a G1 by two policies lands with up to 1.5 weights on one
+corner within 20 ms."""
 
 LEAP_ALONE, LEAP_ALONE_RATE = 0.075, 12.0
 """The same of one cell of a foot that stands, or of a robot that lands on no cell alone. At 80 Hz 0.15: on
