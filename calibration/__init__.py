@@ -9,6 +9,7 @@ NumPy and SciPy; no simulator and no Gymnasium, so that it runs on a robot.
 """
 
 from surefoot.calibration.baselines import SwingTare
+from surefoot.calibration.bound import posterior_bound
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.foot_calibrator import FootCalibrator
@@ -23,7 +24,6 @@ from surefoot.calibration.in_situ import (
     plan_excitation,
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
-from surefoot.calibration.moment.bound import posterior_bound
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.online import METHODS, online_method, register_method
 from surefoot.calibration.parameters import Parameters

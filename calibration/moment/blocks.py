@@ -17,29 +17,6 @@ from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.setup import OnlineSetup
 
 
-class SampleColumns(NamedTuple):
-    """Where the parts of a sample stand in a row of the samples that wait; F feet.
-
-    The motion is in axes that do not turn; :class:`Block` lists the parts.
-    """
-
-    force: slice
-    read: slice
-    end: slice
-    com: slice
-    velocity: slice
-    spin: slice
-    sole: slice
-    rotation: slice
-    swing: slice
-    dt: slice
-
-    @classmethod
-    def of(cls, channels: int, feet: int) -> "SampleColumns":
-        """Return the columns of a robot."""
-        return cls(*in_a_row(channels, channels, 3, 3, 3, 3, 3 * feet, 9 * feet, feet, 1))
-
-
 class Block(NamedTuple):
     """n samples in a row; K channels, F feet.
 
@@ -68,19 +45,14 @@ class Block(NamedTuple):
     dt: Array
 
     @classmethod
-    def of(cls, before: Array, samples: Array, columns: SampleColumns, feet: int) -> "Block":
-        """Take a block out of the row before it, and its own rows."""
-        return cls(
-            force=samples[:, columns.force],
-            read=samples[:, columns.read],
-            end=samples[:, columns.end],
-            com=samples[:, columns.com],
-            velocity=samples[:, columns.velocity],
-            spin=samples[:, columns.spin],
-            sole=samples[:, columns.sole].reshape(-1, feet, 3),
-            rotation=samples[:, columns.rotation].reshape(-1, feet, 3, 3),
-            swing=np.vstack([before[columns.swing], samples[:, columns.swing]]),
-            dt=samples[:, columns.dt.start],
+    def of(cls, before: Array, samples: Array, columns: dict[str, slice], feet: int) -> "Block":
+        """Take a block out of the row before it, and its own rows; ``columns`` has the place of each part."""
+        parts = {name: samples[:, columns[name]] for name in cls._fields}
+        return cls(**parts)._replace(
+            sole=parts["sole"].reshape(-1, feet, 3),
+            rotation=parts["rotation"].reshape(-1, feet, 3, 3),
+            swing=np.vstack([before[columns["swing"]], parts["swing"]]),
+            dt=parts["dt"][:, 0],
         )
 
     @property
@@ -107,9 +79,11 @@ class Blocks:
         self._motions, self._duration = front_end.motions, duration
         self._feet = len(self._setup.layout.feet)
         self._faults = faults
-        self._columns = SampleColumns.of(self._setup.layout.channels, self._feet)
+        K, F = self._setup.layout.channels, self._feet
+        places = in_a_row(K, K, 3, 3, 3, 3, 3 * F, 9 * F, F, 1)
+        self._columns = dict(zip(Block._fields, places, strict=True))
         self.capacity = ceil(duration / self._setup.dt) + ceil(LONGEST_GAP)
-        self.width = int(self._columns.dt.stop)
+        self.width = int(self._columns["dt"].stop)
 
     def collect(self, state: MomentState, sample: Sample, momentum: bool, dt: float) -> MomentState:
         """Put a sample to those that wait.
@@ -143,7 +117,7 @@ class Blocks:
         pending[state.waiting] = row
         if state.waiting > 0:
             before = pending[state.waiting - 2] if state.waiting > 1 else state.before
-            at, width = state.waiting - 1, self._columns.read.stop
+            at, width = state.waiting - 1, self._columns["read"].stop
             pending[at, :width] = self._faults.smooth(before[:width], pending[at, :width], row[:width], 1.0)
         return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
 
@@ -155,7 +129,7 @@ class Blocks:
 
     def full(self, state: MomentState) -> bool:
         """Return whether a block is full."""
-        time = state.pending[: max(state.waiting - 1, 0), self._columns.dt.start].sum()
+        time = state.pending[: max(state.waiting - 1, 0), self._columns["dt"]].sum()
         enough = time >= self._duration - 0.5 * self._setup.dt or state.waiting == self.capacity
         return bool(state.waiting >= 2 and enough)
 

@@ -68,7 +68,7 @@ class Moment:
 
     velocity_noise: float = 0.01
     """Standard deviation of a block's mean level velocity in m/s, from block to block: that of velocity
-    increments which stance legs pull within a second. Rolling soles make it 1 to 2 cm/s; more is learnt."""
+    increments which stance legs pull within a second. Rolling soles make it 1 to 2 cm/s."""
 
     vertical_noise: float = 0.003
     """The same of the vertical velocity, which soles on level ground show better."""

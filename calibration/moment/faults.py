@@ -102,29 +102,6 @@ class ChannelState(NamedTuple):
     altered: int
 
 
-class ChannelConstants(NamedTuple):
-    """Constants of one setup, by their names in C.
-
-    Attributes:
-        leap: Change of a force in one sample in N that no foot makes.
-        leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
-            shape (K,).
-        landing_kept: Share of the count of landings that a sample keeps.
-        renewal: Share of how cells share loads that one block decides.
-        prior: How they do so at first, in body weights squared, shape (K, K).
-        cells: Channels that are cells under one plate (bool), shape (K,).
-        together: Whether two channels are cells of one plate (0 or 1), shape (K, K).
-    """
-
-    leap: float
-    leap_alone: Array
-    landing_kept: float
-    renewal: float
-    prior: Array
-    cells: Array
-    together: Array
-
-
 class ChannelFaults:
     """Finds faults for one setup.
 
@@ -133,32 +110,25 @@ class ChannelFaults:
         leap: Change of a force in one sample in body weights that no foot makes.
         leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone.
         memory: Blocks that shares of load are remembered for.
+
+    Attributes:
+        stand_in: How cells share loads.
+        leap: Change of a force in one sample in N that no foot makes.
+        leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
+            shape (K,).
+        landing_kept: Share of the count of landings that a sample keeps.
     """
 
     def __init__(self, setup: OnlineSetup, leap: float, leap_alone: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
-        self._leap = leap * setup.weight
-        self._landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
+        self.leap = leap * setup.weight
+        self.landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
         self._weight = setup.weight
         self._foot_of_channel = foot = setup.layout.foot_of_channel
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
         # A foot of one cell has none that could tell its landing from an error.
-        self._leap_alone = np.where(self._same_foot.any(axis=1), leap_alone, leap) * setup.weight
-
-    @property
-    def constants(self) -> ChannelConstants:
-        """Constants, by their names in C."""
-        stand_in = self.stand_in
-        return ChannelConstants(
-            self._leap,
-            self._leap_alone,
-            self._landing_kept,
-            stand_in.renewal,
-            stand_in.prior,
-            stand_in.cells,
-            stand_in.together,
-        )
+        self.leap_alone = np.where(self._same_foot.any(axis=1), leap_alone, leap) * setup.weight
 
     def init(self, resting: Array) -> ChannelState:
         """Return the state of sound channels, of which F0 is ``resting``; see :class:`ChannelState`."""
@@ -198,8 +168,8 @@ class ChannelFaults:
             force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
         step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
         stands = stance[self._foot_of_channel]
-        most = np.where(stands | (state.landed < _ONCE), self._leap_alone, self._leap)
-        state = state._replace(leapt=_BUMP_MEMORY * state.leapt, landed=self._landing_kept * state.landed)
+        most = np.where(stands | (state.landed < _ONCE), self.leap_alone, self.leap)
+        state = state._replace(leapt=_BUMP_MEMORY * state.leapt, landed=self.landing_kept * state.landed)
         leaping = step > most
         was_away = (state.leaps > 0) & (state.leaps <= LONGEST_LEAP)
         kind = state.kind | int(Flag.SPIKE) * (was_away & read & (step < _BACK * most))

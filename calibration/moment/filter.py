@@ -1,6 +1,6 @@
 """How the moment filter runs over a stream; its theory is in :mod:`surefoot.calibration.moment.config`."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,19 +12,14 @@ from surefoot.calibration.moment.columns import Columns, Spread, first_mean, fir
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.health import (
-    HealthConstants,
     contact_probability,
-    drift_on,
-    follow_noise,
     map_covariance,
-    normalise,
     uncertainty,
 )
 from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     FREE,
-    MODE_CONSTANTS,
     MODES,
     begin,
     begin_momentum,
@@ -32,17 +27,18 @@ from surefoot.calibration.moment.modes import (
     mix,
     weigh_modes,
 )
-from surefoot.calibration.moment.motion import MotionConstants, Track
+from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
-from surefoot.calibration.moment.tare import NOISE_TIME, Tare
+from surefoot.calibration.moment.tare import FIRST_RATE, NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
-LEAP, LEAP_RATE = 0.25, 40.0
+LEAP, LEAP_RATE = 0.25, 75.0
 """Change of a cell's force from one sample to the next in body weights that no foot makes, and the same by
-the time between samples in body weights a second: a heel takes all of the weight within 25 ms."""
+the time between samples in body weights a second: a G1 by two policies lands with up to 1.5 weights on one
+corner within 20 ms."""
 
 LEAP_ALONE, LEAP_ALONE_RATE = 0.075, 12.0
 """The same of one cell of a foot that stands, or of a robot that lands on no cell alone. At 80 Hz 0.15: on
@@ -74,34 +70,6 @@ HELD_CHANCE = 0.9
 """Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
 
 
-class FilterConstants(NamedTuple):
-    """Constants of the stream, by their names in C; options and module constants explain them.
-
-    Attributes:
-        components: Of momentum, C.
-        capacity: Most samples of a block.
-        first_variance: Variances at the start, shape (N,).
-        walk: As of :class:`~surefoot.calibration.moment.columns.Spread`, shape (2, K).
-        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
-        level: :data:`LEVEL`, or :data:`ANY_WAY`.
-    """
-
-    components: int
-    capacity: int
-    first_variance: Array
-    walk: Array
-    block: float
-    mass_std: float
-    ahead: float
-    level: float
-    kept_time: float = KEPT_TIME
-    longest_pause: float = LONGEST_PAUSE
-    product_time: float = PRODUCT_TIME
-    largest_error: float = LARGEST_ERROR
-    least_read: float = LEAST_READ
-    held_chance: float = HELD_CHANCE
-
-
 class MomentFilter:
     """The moment filter for one setup: pure functions that share constants.
 
@@ -113,6 +81,11 @@ class MomentFilter:
         setup: The same.
         config: The same.
         columns: The unknowns.
+        spread: How sure they are at the start, as stated.
+        first_variance: Variances at the start, shape (N,).
+        reading_noise: Standard deviation of a channel's reading in N.
+        ahead: Mean time in s from the readings that a map was learnt from to those that it is applied to.
+        level: :data:`LEVEL`, or :data:`ANY_WAY`.
         front_end: The way of a sample.
         faults: Finds faults of channels.
         repairs: Finds wrong readings by the robot's motion.
@@ -126,7 +99,7 @@ class MomentFilter:
         layout = setup.layout
         self._channels, self._feet = layout.channels, len(layout.feet)
         self.columns = columns = Columns.of(layout)
-        self._spread = spread = Spread.of(setup, config)
+        self.spread = spread = Spread.of(setup, config)
         self.front_end = FrontEnd(setup, imu=False, momentum=True)
         self.model = Model(setup, config, columns)
         self.tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
@@ -137,29 +110,11 @@ class MomentFilter:
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
         self.repairs = Repairs(layout, setup.weight, self.faults, columns)
         self.blocks = Blocks(self.front_end, config.block, self.faults)
-        self._first_mean, self._first_variance = first_mean(columns), first_variance(columns, spread, config)
-        self._reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
+        self._first_mean, self.first_variance = first_mean(columns), first_variance(columns, spread, config)
+        self.reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
         # A block is learnt from a sample after its end, of late readings, and its map holds for a block.
-        self._ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
-        self._level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
-
-    @property
-    def constants(self) -> tuple[NamedTuple, ...]:
-        """All constants as records, of which each field has the name that it has in C."""
-        config = self.config
-        own = FilterConstants(
-            self.columns.components,
-            self.blocks.capacity,
-            self._first_variance,
-            self._spread.walk,
-            config.block,
-            config.mass_std,
-            self._ahead,
-            self._level,
-        )
-        health = HealthConstants(reading_noise=self._reading_noise)
-        parts = self.model.constants, self.tare.constants, self._severity.constants
-        return own, *parts, health, MODE_CONSTANTS, MotionConstants(), self.repairs.constants
+        self.ahead = 0.5 * config.block + (setup.lag + 1) * setup.dt
+        self.level = LEVEL if all(foot.flat for foot in layout.feet) else ANY_WAY
 
     @property
     def limits(self) -> dict[str, tuple[Any, Any]]:
@@ -175,7 +130,7 @@ class MomentFilter:
         front, columns, feet = self.front_end.init(raw), self.columns, self._feet
         means, covariances = [], []
         for mode in MODES:
-            mean, covariance = self._first_mean.copy(), np.diag(self._first_variance)
+            mean, covariance = self._first_mean.copy(), np.diag(self.first_variance)
             if mode.load > 0.0:
                 begin(mean, covariance, columns.mass, np.array([self.config.mass_std**2 + mode.load**2]))
             means.append(mean)
@@ -196,8 +151,7 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            noise=np.ones(columns.components),
-            tare=TareState(zero, zero, np.full(feet, -1.0), 1.0, 0),
+            tare=TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
@@ -255,11 +209,11 @@ class MomentFilter:
     def _lies(self, sample: Sample) -> bool:
         """Return whether no sole is level enough to stand on."""
         _, rotation = self.front_end.motions.columns.soles(sample.motion)
-        return bool(sample.sound and rotation[:, 2, 2].max() < self._level)
+        return bool(sample.sound and rotation[:, 2, 2].max() < self.level)
 
     def _age(self, state: MomentState, duration: float) -> MomentState:
         """Let scales and zeros drift for a time in s."""
-        walked = self._spread.walk * state.tare.rate**2 * duration
+        walked = self.spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
         for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
@@ -311,14 +265,12 @@ class MomentFilter:
             weighed = self._weigh(belief, state.drifted)
         else:
             mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
-            step = learn(mixed, rows, state.noise, columns, block.duration)
+            step = learn(mixed, rows, columns, block.duration)
+            nis = step.nis
             before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
             belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
             after = step.likelihood + weighed.evidence
             belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
-            nis = normalise(step.innovation, step.stated)
-            noise = follow_noise(state.noise, step.innovation, step.expected, rows.variance, belief.chance[0])
-            state = state._replace(noise=noise)
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
@@ -368,10 +320,8 @@ class MomentFilter:
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""
-        walked = self._spread.walk * rate**2 * self._ahead
-        mean, columns, weight = published.mean, self.columns, self.setup.weight
-        learnt = map_covariance(mean, published.covariance, columns, weight)
-        return drift_on(learnt, mean, columns, weight, walked)
+        walked = self.spread.walk * rate**2 * self.ahead
+        return map_covariance(published.mean, published.covariance, self.columns, self.setup.weight, walked)
 
     def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""
@@ -398,7 +348,7 @@ class MomentFilter:
             undetermined=state.published.undetermined,
             contact_probability=contact_probability(
                 estimate.vgrf, sample.rows[:, 0], learnt, sample.force,
-                self._reading_noise, setup.weight,
+                self.reading_noise, setup.weight,
             ),
         )  # fmt: skip
 

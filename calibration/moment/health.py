@@ -1,7 +1,5 @@
 """How sure the estimates are: of forces, of the centre of pressure, of contact, and of the filter itself."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.special import ndtr
 
@@ -17,34 +15,17 @@ LEAST_ROW = 1e-6
 """Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
 
 
-NOISE_SHARE, LARGEST_NOISE, LARGEST_SURPRISE = 0.1, 100.0, 9.0
-"""How much of a row's learnt noise one block decides: a second of ten; up to which factor on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations)."""
-
-
-class HealthConstants(NamedTuple):
-    """Constants of estimates, by their names in C; module constants of such names explain them.
-
-    Attributes:
-        reading_noise: Standard deviation of a channel's reading in N.
-    """
-
-    reading_noise: float
-    most_load: float = MOST_LOAD
-    least_row: float = LEAST_ROW
-    noise_share: float = NOISE_SHARE
-    largest_noise: float = LARGEST_NOISE
-    largest_surprise: float = LARGEST_SURPRISE
-
-
-def map_covariance(published: Array, covariance: Array, columns: Columns, weight: float) -> Array:
-    """Return the covariance of (a, b) in F = a F0 + b, b in N, shape (2K, 2K).
+def map_covariance(
+    published: Array, covariance: Array, columns: Columns, weight: float, walked: Array
+) -> Array:
+    """Return the covariance of (a, b) in F = a F0 + b, b in N, that drift on, shape (2K, 2K).
 
     Args:
         published: Scales, offsets and drift, shape (M,).
         covariance: Theirs, shape (M, M).
         columns: The unknowns.
         weight: W in N.
+        walked: Variances that each scale, and each zero in W^2, drifts by until it is used, shape (2, K).
     """
     K = columns.scale.stop
     at = np.arange(K)
@@ -54,21 +35,7 @@ def map_covariance(published: Array, covariance: Array, columns: Columns, weight
     J[K + at, K + at] = weight
     J[K + at, 2 * K + at] = published[columns.scale] * weight
     learnt: Array = J @ covariance @ J.T
-    return 0.5 * (learnt + learnt.T)
-
-
-def drift_on(learnt: Array, published: Array, columns: Columns, weight: float, walked: Array) -> Array:
-    """Return the covariance of (a, b) after scales and zeros have drifted on.
-
-    Args:
-        learnt: That of (a, b), b in N, shape (2K, 2K).
-        published: Scales, offsets and drift, shape (M,).
-        columns: The unknowns.
-        weight: W in N.
-        walked: Variances that each scale, and each zero in W^2, drifts by, shape (2, K).
-    """
-    K = columns.scale.stop
-    at, learnt = np.arange(K), learnt.copy()
+    learnt = 0.5 * (learnt + learnt.T)
     a, u = published[columns.scale] * weight, published[columns.drift] * weight
     learnt[at, at] += walked[0]
     learnt[at, K + at] += walked[0] * u
@@ -126,27 +93,6 @@ def contact_probability(
     without = np.where(load <= 0.0, np.maximum(without, 1.0 / most), without)
     found: Array = with_load / (with_load + without)
     return found
-
-
-def normalise(innovation: Array, covariance: Array) -> float:
-    """Return the normalised innovation squared."""
-    return float(innovation @ np.linalg.solve(covariance, innovation))
-
-
-def follow_noise(noise: Array, innovation: Array, expected: Array, stated: Array, free: float) -> Array:
-    """Return by how many times rows' variances are larger than stated, learnt upwards only.
-
-    Args:
-        noise: By how many times they were thought to be, shape (C,).
-        innovation: Of a block, shape (C,).
-        expected: Its covariance, shape (C, C).
-        stated: Of the rows, shape (C, C).
-        free: Chance that nobody holds the robot.
-    """
-    variance = np.diagonal(expected)
-    share = np.diagonal(stated) * noise / variance
-    surprise = np.minimum(innovation**2 / variance, LARGEST_SURPRISE) - 1.0
-    return np.clip(noise * (1.0 + NOISE_SHARE * free * share * surprise), 1.0, LARGEST_NOISE)
 
 
 def variances(row: Array, covariance: Array) -> Array:

@@ -13,7 +13,6 @@ measurement by the force that acted, and the centre of mass by its velocity.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.cop import level_rows
@@ -45,7 +44,6 @@ class Rows(NamedTuple):
         crossed: The block's mean momentum by each channel's place and each channel's F0, shape (C, K, K).
         lasting: Variance of errors that last longer than a block, as an outside wrench does, shape (C,).
         point: o in m, shape (3,).
-        load: Mean vertical force in W as published.
         height: Of the centre of mass over o in m.
     """
 
@@ -60,30 +58,7 @@ class Rows(NamedTuple):
     crossed: Array
     lasting: Array
     point: Array
-    load: float
     height: float
-
-
-class ModelConstants(NamedTuple):
-    """Constants of the rows, by their names in C.
-
-    Attributes:
-        velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
-        spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
-        ripple: As of :class:`~surefoot.calibration.moment.config.Moment`.
-        least_load: :data:`LEAST_LOAD`.
-        talks: Number of pairs of channels that may talk across, T.
-        talk_to: Channels that may show a vertical force, shape (T,).
-        talk_from: The channels of these forces, shape (T,).
-    """
-
-    velocity_variance: Array
-    spin_variance: float
-    ripple: float
-    least_load: float
-    talks: int
-    talk_to: NDArray[np.int64]
-    talk_from: NDArray[np.int64]
 
 
 class Model:
@@ -93,22 +68,24 @@ class Model:
         setup: The robot.
         config: Options.
         columns: The unknowns.
+
+    Attributes:
+        velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
+        spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
+        talk_to: Channels that may show a vertical force, shape (T,).
+        talk_from: The channels of these forces, shape (T,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns) -> None:
         self._columns, self._wrench_map, self._gravity = columns, setup.layout.wrench_map, setup.gravity
         self._shear = columns.components == SHEAR
         self._order = _ORDER[int(self._shear)]
-        self._velocity = np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
-        self._spin = config.momentum_noise**2
+        self.velocity_variance = (
+            np.array([config.velocity_noise, config.velocity_noise, config.vertical_noise]) ** 2
+        )
+        self.spin_variance = config.momentum_noise**2
         self._ripple = config.ripple
-        self._talk_to, self._talk_from = find_talks(setup.layout)
-
-    @property
-    def constants(self) -> ModelConstants:
-        """Constants, by their names in C."""
-        talks = len(self._talk_to), self._talk_to, self._talk_from
-        return ModelConstants(self._velocity, self._spin, self._ripple, LEAST_LOAD, *talks)
+        self.talk_to, self.talk_from = find_talks(setup.layout)
 
     def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
         """Write the rows of a block.
@@ -125,7 +102,7 @@ class Model:
         com, sole, rotation = block.com, block.sole, block.rotation
         felt = block.force + u
         force = a * felt + b
-        point, load = self._point(force, sole, rotation, dt)
+        point = self._point(force, sole, rotation, dt)
         unit = self._of_channels(sole - point, rotation)
         gravity, along = self._weigh(com - point)
         heading = _heading(rotation)
@@ -140,8 +117,8 @@ class Model:
             reach = weighted.sum(axis=0)
             H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
             H[:, columns.offset], H[:, columns.drift] = reach, reach * a
-            shown = block.force[:, self._talk_from]
-            H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self._talk_to], shown)
+            shown = block.force[:, self.talk_from]
+            H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self.talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
             pulled = share @ gravity
             H[:, columns.mass] = (share @ summed)[:, None]
@@ -156,11 +133,10 @@ class Model:
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
-        # Chips have clocks of their own: each channel's change is an error of its own.
-        change = (
-            np.diff(force, axis=0, prepend=force[:1])
-            * (dt * self._ripple * _samples_per_reading(block.read))[:, None]
-        )
+        # Chips have clocks of their own: each channel's change is an error of its own, and the larger the
+        # more samples a reading stands for.
+        held = len(dt) / max(float(block.read.sum(axis=0).min()), 1.0)
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
@@ -174,7 +150,6 @@ class Model:
             crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
             lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
             point=point,
-            load=load,
             height=float((com[:, 2] - point[2]).mean()),
         )
 
@@ -200,12 +175,11 @@ class Model:
             added[at + 1], added[at + 2] = z * velocity[1] / self._gravity, -z * velocity[0] / self._gravity
         return transition, added
 
-    def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> tuple[Array, float]:
-        """Return the mean centre of pressure on the ground in m, shape (3,), and the load in W."""
+    def _point(self, force: Array, sole: Array, rotation: Array, dt: Array) -> Array:
+        """Return the mean centre of pressure on the ground in m, shape (3,)."""
         total, x, y = np.einsum("nfck,nk,n->c", level_rows(self._wrench_map, sole, rotation), force, dt)
-        T = float(dt.sum())
-        least = max(float(total), LEAST_LOAD * T)
-        return np.array([x / least, y / least, sole[:, :, 2].min(axis=1).mean()]), float(total) / T
+        least = max(float(total), LEAST_LOAD * float(dt.sum()))
+        return np.array([x / least, y / least, sole[:, :, 2].min(axis=1).mean()])
 
     def _of_channels(self, sole: Array, rotation: Array) -> Array:
         """Return the components of a unit of each channel, shape (n, C, K), of soles seen from o."""
@@ -233,10 +207,10 @@ class Model:
         components = np.concatenate([velocity, block.spin + np.cross(arm, velocity)], axis=1) / self._gravity
         turned = skew(arm.mean(axis=0))
         noise = np.zeros((6, 6))
-        noise[:3, :3] = np.diag(self._velocity)
-        noise[3:, :3] = turned * self._velocity
+        noise[:3, :3] = np.diag(self.velocity_variance)
+        noise[3:, :3] = turned * self.velocity_variance
         noise[:3, 3:] = noise[3:, :3].T
-        noise[3:, 3:] = (turned * self._velocity) @ turned.T + self._spin * np.eye(3)
+        noise[3:, 3:] = (turned * self.velocity_variance) @ turned.T + self.spin_variance * np.eye(3)
         order = self._order
         return components[:, order], noise[np.ix_(order, order)] / self._gravity**2
 
@@ -251,8 +225,3 @@ def _heading(rotation: Array) -> Array:
     x, y = rotation[:, :, :2, 0].mean(axis=(0, 1)).tolist()
     norm = float(np.hypot(x, y)) or 1.0
     return np.array([[x, -y], [y, x]]) / norm
-
-
-def _samples_per_reading(read: Array) -> float:
-    """Return for how many samples a reading stands on the average: more than 1 where some are held."""
-    return len(read) / max(float(read.sum(axis=0).min()), 1.0)

@@ -13,6 +13,7 @@ afterwards. Who changes mode begins with a w of its own.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.columns import Columns
@@ -60,48 +61,6 @@ FIRST_CHANCE = np.array([0.977, 0.02, 0.003])
 LEAST_CHANCE = 1e-6
 """Chance that a mode keeps: who was free for an hour is believed to be held within two blocks."""
 
-GATE = 3.0
-"""Standard deviations beyond which an innovation pulls no harder: a false alarm in 370."""
-
-
-class ModeConstants(NamedTuple):
-    """Constants of the modes, by their names in C; J modes.
-
-    Attributes:
-        mode_time, mode_force, mode_torque, mode_load, mode_shift: As of :class:`Mode`, shape (J,) each.
-        held: Which of them is the one that is held.
-        rates: :data:`RATES`, shape (J, J).
-        first_chance: :data:`FIRST_CHANCE`, shape (J,).
-        least_chance: :data:`LEAST_CHANCE`.
-        gate: :data:`GATE`.
-    """
-
-    mode_time: Array
-    mode_force: Array
-    mode_torque: Array
-    mode_load: Array
-    mode_shift: Array
-    held: int
-    rates: Array
-    first_chance: Array
-    least_chance: float
-    gate: float
-
-
-MODE_CONSTANTS = ModeConstants(
-    mode_time=np.array([mode.time for mode in MODES]),
-    mode_force=np.array([mode.force for mode in MODES]),
-    mode_torque=np.array([mode.torque for mode in MODES]),
-    mode_load=np.array([mode.load for mode in MODES]),
-    mode_shift=np.array([mode.shift for mode in MODES]),
-    held=MODES.index(HELD),
-    rates=RATES,
-    first_chance=FIRST_CHANCE,
-    least_chance=LEAST_CHANCE,
-    gate=GATE,
-)
-"""Those of here."""
-
 
 def wrench_variance(mode: Mode, rows: Rows) -> Array:
     """Return the variances of an outside wrench, and of errors that act like one, shape (C,)."""
@@ -127,17 +86,15 @@ def mix(belief: Belief, rows: Rows, columns: Columns, duration: float, mass_std:
     means, covariances = [], []
     for j in range(len(MODES)):
         parts = [
-            _turn_into(j, belief, i, rows, columns, mass_std) if i != j else _part(belief, i)
+            _turn_into(j, belief, i, rows, columns, mass_std)
+            if i != j
+            else (belief.mean[i], belief.covariance[i])
             for i in range(len(MODES))
         ]
         mean, covariance = combine(share[:, j], *(np.stack(part) for part in zip(*parts, strict=True)))
         means.append(mean)
         covariances.append(covariance)
     return Belief(np.stack(means), np.stack(covariances), chance)
-
-
-def _part(belief: Belief, i: int) -> tuple[Array, Array]:
-    return belief.mean[i], belief.covariance[i]
 
 
 def _turn_into(
@@ -185,33 +142,26 @@ class Step(NamedTuple):
     Attributes:
         belief: The modes' posteriors at its end; how likely they are is as before.
         likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
-        innovation: Of the mode that was likeliest before, shape (C,).
-        expected: Its covariance with variances as they were used, shape (C, C).
-        stated: Its covariance with variances as stated, shape (C, C).
+        nis: Innovation squared of the mode that was likeliest before, normalised.
     """
 
     belief: Belief
     likelihood: Array
-    innovation: Array
-    expected: Array
-    stated: Array
+    nis: float
 
 
-def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: float) -> Step:
+def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step:
     """Predict the block's mean momentum in each mode, measure it, and go on to the block's end.
 
     Args:
         belief: The modes' posteriors about the block's point o.
         rows: The block.
-        noise: By how many times rows' variances are larger than stated, shape (C,).
         columns: The unknowns.
         duration: Of the block in s.
     """
-    larger = np.sqrt(noise)
     # The mean over a block of a random walk within it has a third of its variance at the end.
-    stated = rows.variance + rows.walk / 3.0
-    variance = rows.variance * np.outer(larger, larger) + rows.walk / 3.0
-    means, covariances, likelihoods, seen = [], [], [], []
+    variance = rows.variance + rows.walk / 3.0
+    means, covariances, likelihoods, nis = [], [], [], []
     wrench = np.arange(columns.wrench.start, columns.wrench.stop)
     momentum = columns.momentum
     for i, mode in enumerate(MODES):
@@ -222,20 +172,20 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         covariance[:, wrench] *= decay
         covariance[wrench, wrench] += wrench_variance(mode, rows) * (1.0 - decay**2)
         innovation = rows.measured - rows.mean @ mean - rows.mean_rest
-        prior = rows.mean @ covariance @ rows.mean.T
-        expected = prior + variance
-        likelihoods.append(
-            -0.5 * (innovation @ np.linalg.solve(expected, innovation) + np.linalg.slogdet(expected)[1])
-        )
-        seen.append((innovation, expected, prior + stated))
+        expected = rows.mean @ covariance @ rows.mean.T + variance
+        nis.append(float(innovation @ np.linalg.solve(expected, innovation)))
+        likelihoods.append(-0.5 * (nis[i] + np.linalg.slogdet(expected)[1]))
         # A load's weight is estimated; the robot's own is only considered (Schmidt, 1966),
         # and so is all but the momentum while somebody holds it.
         considered = columns.mass if mode.load == 0.0 else slice(0)
         if mode is HELD:
             considered = slice(0, columns.momentum.start)
+        mass = columns.mass.start
+        before = chance_of_load(mean, covariance, mass)
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         if mode.load > 0.0:
-            mean = keep_heavier(mean, covariance, columns.mass.start)
+            likelihoods[i] += np.log(chance_of_load(mean, covariance, mass) / before)
+            mean = keepchance_of_load(mean, covariance, mass)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
         mean = forward @ mean
@@ -245,10 +195,16 @@ def learn(belief: Belief, rows: Rows, noise: Array, columns: Columns, duration: 
         means.append(mean)
         covariances.append(0.5 * (covariance + covariance.T))
     learnt = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
-    return Step(learnt, np.array(likelihoods), *seen[int(belief.chance.argmax())])
+    return Step(learnt, np.array(likelihoods), nis[int(belief.chance.argmax())])
 
 
-def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:
+def chance_of_load(mean: Array, covariance: Array, mass: int) -> float:
+    """Return the chance that a load is not negative: likelihoods are those of such loads alone."""
+    variance = float(covariance[mass, mass])
+    return max(float(ndtr(-mean[mass] / np.sqrt(variance))), LEAST_CHANCE) if variance > 0.0 else 1.0
+
+
+def keepchance_of_load(mean: Array, covariance: Array, mass: int) -> Array:
     """Return the likeliest mean of which a load is not negative (Simon and Simon, 2006).
 
     Forces and weight together may shrink to nothing otherwise, which explains errors of any reading.
@@ -272,7 +228,7 @@ def weigh_modes(chance: Array, evidence: Array) -> Array:
 def update(
     mean: Array, covariance: Array, H: Array, innovation: Array, variance: Array, considered: slice
 ) -> tuple[Array, Array]:
-    """Take in rows by Joseph's form; one beyond the gate pulls no harder than at it.
+    """Take in rows by Joseph's form.
 
     Args:
         mean: Shape (N,).
@@ -283,10 +239,7 @@ def update(
         considered: Unknowns that are considered and not estimated (Schmidt, 1966).
     """
     predicted = H @ covariance
-    S = predicted @ H.T + variance
-    excess = np.diag(np.maximum((innovation / GATE) ** 2 - np.diagonal(S), 0.0))
-    variance = variance + excess
-    gain = np.linalg.solve(S + excess, predicted).T
+    gain = np.linalg.solve(predicted @ H.T + variance, predicted).T
     gain[considered] = 0.0
     keep = np.eye(len(mean)) - gain @ H
     joseph = keep @ covariance @ keep.T + gain @ variance @ gain.T

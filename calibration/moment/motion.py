@@ -35,15 +35,6 @@ FASTEST = 20.0
 """Velocity in m/s, and angular momentum by the mass in m^2/s, that no robot on feet has."""
 
 
-class MotionConstants(NamedTuple):
-    """Constants of the motion, by their names in C; module constants of the same names explain them."""
-
-    leg_time: float = LEG_TIME
-    spin_time: float = SPIN_TIME
-    first_speed: float = FIRST_SPEED
-    fastest: float = FASTEST
-
-
 class Track(NamedTuple):
     """Where the axes of the last sample lie, and the sums so far; F feet.
 

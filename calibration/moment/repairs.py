@@ -5,8 +5,6 @@ together is taken off the readings. The last seconds' learning came from wrong r
 filter goes back before it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from surefoot.calibration.arrays import Array
@@ -16,19 +14,7 @@ from surefoot.calibration.moment.columns import Columns
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.model import Rows
 from surefoot.calibration.moment.state import Belief, MomentState
-from surefoot.calibration.moment.suspects import Leap, SuspectConstants, Suspects
-
-
-class Finding(NamedTuple):
-    """A fault of the readings.
-
-    Attributes:
-        guilty: A suspect of :class:`~surefoot.calibration.moment.suspects.Suspects`, or ``None``.
-        leap: Leap of all zeros, or of those of a foot; or ``None``.
-    """
-
-    guilty: int | None
-    leap: Leap | None
+from surefoot.calibration.moment.suspects import Leap, Suspects
 
 
 class Repairs:
@@ -42,18 +28,16 @@ class Repairs:
 
     Attributes:
         suspects: Who may be guilty.
-        constants: Constants, by their names in C.
     """
 
     def __init__(self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns) -> None:
         self._weight, self._faults, self._columns = weight, faults, columns
         self.suspects = Suspects(layout, faults.stand_in.cells, columns)
-        self.constants = SuspectConstants()
 
     def weigh(
         self, state: MomentState, block: Block, rows: Rows, published: Array, belief: Belief, moved: Array,
         added: Array,
-    ) -> tuple[MomentState, Finding | None]:  # fmt: skip
+    ) -> tuple[MomentState, int | Leap | None]:  # fmt: skip
         """Hold all suspects against a block.
 
         Args:
@@ -64,6 +48,10 @@ class Repairs:
             belief: The modes' posteriors before the block, about its point o.
             moved: Transition of the unknowns to that point, shape (N, N).
             added: Constant that it adds, shape (N,).
+
+        Returns:
+            The state, and what is wrong: a suspect of
+            :class:`~surefoot.calibration.moment.suspects.Suspects`, or zeros that have leapt.
         """
         columns, stand_in, suspects = self._columns, self._faults.stand_in, state.suspects
         momentum, likeliest = columns.momentum, belief.chance.argmax()
@@ -75,28 +63,26 @@ class Repairs:
         moved, added = moved[momentum, momentum], added[momentum]
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
         others, std = stand_in.others(state.faults.moments, state.faults.lost)
-        suspects, guilty, leap = self.suspects.weigh(
-            suspects, rows, known, covariance, others, std / self._weight
+        suspects, wrong = self.suspects.weigh(
+            suspects, rows, known, covariance, others, std / self._weight, block.duration
         )
         suspects = self.suspects.follow(suspects, block.force, rows.at_end)
-        found = None if guilty is None and leap is None else Finding(guilty, leap)
-        return state._replace(suspects=suspects), found
+        return state._replace(suspects=suspects), wrong
 
-    def repair(self, state: MomentState, found: Finding) -> MomentState:
+    def repair(self, state: MomentState, wrong: int | Leap) -> MomentState:
         """Repair a fault, and let suspicions start again.
 
         Args:
             state: The filter's state before the fault.
-            found: The fault; a leap comes first.
+            wrong: As :meth:`weigh` returns it.
         """
         cleared = state.suspects._replace(score=np.zeros(self.suspects.count))
         state = state._replace(suspects=cleared)
-        if found.leap is not None:
-            return self._shift(state, found.leap)
-        assert found.guilty is not None
-        if found.guilty < self.suspects.out.stop:
-            return state._replace(faults=self._faults.lose(state.faults, found.guilty))
-        turned, kind = self.suspects.rewire(found.guilty)
+        if isinstance(wrong, Leap):
+            return self._shift(state, wrong)
+        if wrong < self.suspects.out.stop:
+            return state._replace(faults=self._faults.lose(state.faults, wrong))
+        turned, kind = self.suspects.rewire(wrong)
         return state._replace(
             faults=self._faults.rewire(state.faults, turned, kind), shift=turned @ state.shift
         )

@@ -54,23 +54,6 @@ class Weighed(NamedTuple):
         return Publication(mean, covariance, np.clip(chance @ self.undetermined, 0.0, 1.0))
 
 
-class SeverityConstants(NamedTuple):
-    """Constants of priors, by their names in C; module constants of such names explain them.
-
-    Attributes:
-        spread_scale, spread_offset, unit: As of
-            :class:`~surefoot.calibration.moment.columns.Spread`.
-    """
-
-    spread_scale: Array
-    spread_offset: Array
-    unit: Array
-    severities: tuple[float, ...] = SEVERITIES
-    likely: tuple[float, ...] = LIKELY
-    wide: float = WIDE
-    least_share: float = LEAST_SHARE
-
-
 class Severity:
     """Weighs priors for one setup.
 
@@ -103,12 +86,6 @@ class Severity:
         spread = self._spread
         parts = scale[:, None] * (spread.scale + drifted), offset[:, None] * spread.offset
         return np.concatenate(parts, axis=1)
-
-    @property
-    def constants(self) -> SeverityConstants:
-        """Constants, by their names in C."""
-        spread = self._spread
-        return SeverityConstants(spread.scale, spread.offset, spread.unit)
 
     def evidence(self, mean: Array, covariance: Array, drifted: float) -> Array:
         """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""

@@ -108,7 +108,6 @@ class MomentState(NamedTuple):
         time: Time in s since the start.
         belief: The modes' posteriors.
         drifted: Variance that scales have drifted by since the start.
-        noise: By how many times rows' variances are larger than stated, shape (C,).
         tare: Results of tares.
         suspects: Evidence against the readings.
         shift: By how much zeros have leapt together in N, which is taken off the readings, shape (K,).
@@ -129,7 +128,6 @@ class MomentState(NamedTuple):
     time: float
     belief: Belief
     drifted: float
-    noise: Array
     tare: TareState
     suspects: SuspectState
     shift: Array

@@ -1,9 +1,9 @@
 r"""Faults of the readings themselves, held against each other by evidence.
 
 Channels may be out, turned, or exchanged. Each of these suspects changes the forces of a block by what is
-known, so each has a likelihood of its own. It is compared with the best of three innocent causes (nothing is
-wrong, what acted in the last block still acts, something unknown acts) and summed up from where it began to
-be better (Page's test, 1954),
+known, so each has a likelihood of its own. It is compared with the best of four innocent causes (nothing is
+wrong, what acted in the last block still acts, a hand changes what it does, something unknown acts) and
+summed up from where it began to be better (Page's test, 1954),
 
     S <- max(0, S + log p(block | suspect) - log p(block | innocent))
 
@@ -24,7 +24,7 @@ from surefoot.calibration.estimate import Flag
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.columns import Columns, first_mean
 from surefoot.calibration.moment.model import Rows, force_and_wrench
-from surefoot.calibration.moment.modes import FREE, wrench_variance
+from surefoot.calibration.moment.modes import FREE, HELD, MODES, RATES, wrench_variance
 from surefoot.calibration.moment.state import SuspectState
 
 SURE = 21.0
@@ -45,18 +45,6 @@ ten times the errors of the model of a robot that nobody touches."""
 SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 """How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
 is believed; and the squared surprise of which more counts no more (three standard deviations)."""
-
-
-class SuspectConstants(NamedTuple):
-    """Constants of suspects, by their names in C; module constants of such names explain them."""
-
-    sure: float = SURE
-    contrast: float = CONTRAST
-    alike: float = ALIKE
-    least_error: float = LEAST_ERROR
-    suspect_share: float = SUSPECT_SHARE
-    suspect_noise: tuple[float, float] = SUSPECT_NOISE
-    suspect_surprise: float = SUSPECT_SURPRISE
 
 
 class Leap(NamedTuple):
@@ -118,7 +106,8 @@ class Suspects:
         covariance: Array,
         others: Array,
         others_std: Array,
-    ) -> tuple[SuspectState, int | None, Leap | None]:
+        duration: float,
+    ) -> tuple[SuspectState, int | Leap | None]:
         """Hold all suspects against a block.
 
         Args:
@@ -128,9 +117,10 @@ class Suspects:
             covariance: Theirs, shape (M, M).
             others: How each force follows from the others of its foot, shape (K, K).
             others_std: How far that is off in W, shape (K,).
+            duration: Of the block in s.
 
         Returns:
-            The state, the guilty suspect, and the leap.
+            The state, and the leap, or else the guilty suspect.
         """
         columns = self._columns
         H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
@@ -145,16 +135,21 @@ class Suspects:
         for k in np.flatnonzero(self._possible[self.out]):
             extra = np.outer(reach[:, k], reach[:, k]) * others_std[k] ** 2
             each[k] = _evidence(S + extra, off[:, [k]])[0]
-        # Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on
-        # the robot's body, up to its height away from its centre of mass.
+        # Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as
+        # rarely as somebody takes hold; a force as large as the weight acts on the robot's body, up to its
+        # height away from its centre of mass.
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
         arm[0] = 0.0
         weight = (rows.mean_rest + reach @ (known[columns.scale] * known[columns.drift]))[:, None]
         nothing = _evidence(S, e[:, None])[0]
         lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
+        decay = np.exp(-duration / HELD.time)
+        hand = np.diag(span**2 * wrench_variance(HELD, rows) * (1.0 - decay**2))
+        changing = _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
+        changing += np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration)
         unknown = _evidence(S + weight @ weight.T + np.diag(arm**2), e[:, None])[0]
-        innocent = max(nothing, lasting, unknown)
+        innocent = max(nothing, lasting, changing, unknown)
         gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
         score = np.maximum(state.score + gain, 0.0)
         noise, before = state.noise, state.known
@@ -165,7 +160,7 @@ class Suspects:
         least = max(unknown + CONTRAST, each.max())
         leap = self._find_leap(state, S, reach, e_before, least) if unknown == innocent else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
-        return state, self._find_guilty(score), leap
+        return state, leap or self._find_guilty(score)
 
     def follow(self, state: SuspectState, force: Array, momentum: Array) -> SuspectState:
         """Note the measurement at a block's end, and the block's readings.

@@ -6,7 +6,6 @@ From tare to tare the readings show how fast zeros drift, and scales are thought
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import update
+from surefoot.calibration.moment.severity import LIKELY, SEVERITIES
 from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
 
@@ -34,8 +34,11 @@ RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
 that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
 of which more counts no more (three standard deviations)."""
 
+FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
+"""The rate to start from, in stated ones: the root of the mean square over how bad sensors may be."""
+
 STATED_RATE = 2.0
-"""Tares that the stated rate of drift counts for."""
+"""Tares that the rate to start from counts for."""
 
 LEAP = 5.0
 """Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
@@ -52,27 +55,6 @@ least but one of a block's samples, whichever is less: no sole's own inertia com
 lands on soft ground before its plan passes it within a sample or two."""
 
 
-class TareConstants(NamedTuple):
-    """Constants of tares, by their names in C; module constants of such names explain them.
-
-    Attributes:
-        tare_variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
-    """
-
-    tare_variance: Array
-    tare_share: float = LEAST_SHARE
-    least_apart: float = LEAST_APART
-    rate_share: float = RATE_SHARE
-    smallest_rate: float = SMALLEST_RATE
-    largest_rate: float = LARGEST_RATE
-    tare_surprise: float = LARGEST_SURPRISE
-    stated_rate: float = STATED_RATE
-    tare_leap: float = LEAP
-    largest_load: float = LARGEST_LOAD
-    largest_sum: float = LARGEST_SUM
-    touch_load: float = TOUCH
-
-
 class Tare:
     """The tares of one setup.
 
@@ -81,18 +63,16 @@ class Tare:
         config: Options.
         columns: The unknowns.
         spread: How sure they are at the start.
+
+    Attributes:
+        variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns, spread: Spread) -> None:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._foot_of_channel = setup.layout.foot_of_channel
-        self._noise = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
+        self.variance = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
         self._drift = spread.walk[1]
-
-    @property
-    def constants(self) -> TareConstants:
-        """Constants, by their names in C."""
-        return TareConstants(self._noise)
 
     def take(
         self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
@@ -133,7 +113,7 @@ class Tare:
         found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
         for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf)):
             found.append(self._write(at, -b[at] / a[at], a[at]))
-            variance.append(a[at] ** 2 * self._noise[at] / seconds)
+            variance.append(a[at] ** 2 * self.variance[at] / seconds)
         return np.vstack(found), np.diag(np.concatenate(variance))
 
     def _hanging(
@@ -194,7 +174,7 @@ class Tare:
         at = channels
         scale, drift = at + columns.scale.start, at + columns.drift.start
         a, last = published[scale], float(state.time[foot])
-        noise = self._noise[channels] / seconds
+        noise = self.variance[channels] / seconds
         centre = reading + published[drift] if last < 0.0 else state.centre[channels]
 
         walked = noise * 2.0

@@ -1,6 +1,5 @@
 """The constants of one robot, as the library wants them."""
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +9,11 @@ from surefoot.calibration.baselines import SwingTare, tare
 from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
+from surefoot.calibration.moment import columns, health, model, modes, motion, severity, suspects
+from surefoot.calibration.moment import filter as stream
+from surefoot.calibration.moment import tare as tares
 from surefoot.calibration.moment.config import Moment
-from surefoot.calibration.moment.faults import ChannelConstants, ChannelFaults
+from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
@@ -77,7 +79,7 @@ def constants_of(
     if method == "moment":
         moment = MomentFilter(setup, Moment(**options))
         front, like, faults = moment.front_end, moment.init(raw), moment.faults
-        own, covariance = _side_by_side(moment.constants), "covariance"
+        own, covariance = moment_constants(moment), "covariance"
     elif number == 1:
         window = SlidingWindow(setup, Window(**options), quasi_static=method == "quasi-static")
         front, like, own = window.front_end, window.init(raw), _window(window)
@@ -138,22 +140,87 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     return c_header("surefoot_window.h", sizes, records)
 
 
-def _side_by_side(parts: Iterable[NamedTuple]) -> dict[str, Any]:
-    """Return the fields of records together, each of which has a name of its own."""
-    found: dict[str, Any] = {}
-    for part in parts:
-        twice = found.keys() & part._asdict().keys()
-        assert not twice, f"{twice} would be written twice"
-        found |= part._asdict()
-    return found
+def moment_constants(core: MomentFilter) -> dict[str, Any]:
+    """Return the constants of a moment filter by their names in ``sf_moment_config``."""
+    config, spread, rows = core.config, core.spread, core.model
+    of_modes = {f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields}
+    return {
+        **of_modes,
+        "components": core.columns.components,
+        "capacity": core.blocks.capacity,
+        "held": modes.MODES.index(modes.HELD),
+        "talks": len(rows.talk_to),
+        "talk_to": rows.talk_to,
+        "talk_from": rows.talk_from,
+        "first_variance": core.first_variance,
+        "walk": spread.walk,
+        "block": config.block,
+        "mass_std": config.mass_std,
+        "ahead": core.ahead,
+        "kept_time": stream.KEPT_TIME,
+        "longest_pause": stream.LONGEST_PAUSE,
+        "product_time": stream.PRODUCT_TIME,
+        "largest_error": stream.LARGEST_ERROR,
+        "level": core.level,
+        "least_read": stream.LEAST_READ,
+        "held_chance": stream.HELD_CHANCE,
+        "velocity_variance": rows.velocity_variance,
+        "spin_variance": rows.spin_variance,
+        "ripple": config.ripple,
+        "least_load": model.LEAST_LOAD,
+        "tare_variance": core.tare.variance,
+        "tare_share": tares.LEAST_SHARE,
+        "least_apart": tares.LEAST_APART,
+        "rate_share": tares.RATE_SHARE,
+        "smallest_rate": tares.SMALLEST_RATE,
+        "largest_rate": tares.LARGEST_RATE,
+        "tare_surprise": tares.LARGEST_SURPRISE,
+        "stated_rate": tares.STATED_RATE,
+        "first_rate": tares.FIRST_RATE,
+        "tare_leap": tares.LEAP,
+        "largest_load": tares.LARGEST_LOAD,
+        "largest_sum": tares.LARGEST_SUM,
+        "touch_load": tares.TOUCH,
+        "spread_scale": spread.scale,
+        "spread_offset": spread.offset,
+        "unit": spread.unit,
+        "severities": severity.SEVERITIES,
+        "likely": severity.LIKELY,
+        "wide": columns.WIDE,
+        "least_share": severity.LEAST_SHARE,
+        "most_load": health.MOST_LOAD,
+        "least_row": health.LEAST_ROW,
+        "reading_noise": core.reading_noise,
+        "rates": modes.RATES,
+        "first_chance": modes.FIRST_CHANCE,
+        "least_chance": modes.LEAST_CHANCE,
+        "leg_time": motion.LEG_TIME,
+        "spin_time": motion.SPIN_TIME,
+        "first_speed": motion.FIRST_SPEED,
+        "fastest": motion.FASTEST,
+        "sure": suspects.SURE,
+        "contrast": suspects.CONTRAST,
+        "alike": suspects.ALIKE,
+        "least_error": suspects.LEAST_ERROR,
+        "suspect_share": suspects.SUSPECT_SHARE,
+        "suspect_noise": suspects.SUSPECT_NOISE,
+        "suspect_surprise": suspects.SUSPECT_SURPRISE,
+    }
 
 
 def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
     """Return a robot's constants by the names in ``sf_config``."""
     setup, layout = front.setup, front.setup.layout
-    unused = ChannelConstants(0.0, np.zeros(0), 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+    none = np.zeros(0)
+    shares = faults and faults.stand_in
     return {
-        **(unused if faults is None else faults.constants)._asdict(),
+        "leap": faults.leap if faults else 0.0,
+        "leap_alone": faults.leap_alone if faults else none,
+        "landing_kept": faults.landing_kept if faults else 0.0,
+        "renewal": shares.renewal if shares else 0.0,
+        "prior": shares.prior if shares else none,
+        "cells": shares.cells if shares else none,
+        "together": shares.together if shares else none,
         "channels": layout.channels,
         "feet": len(layout.feet),
         "lag": setup.lag,

@@ -51,15 +51,15 @@ typedef struct {
     int components, capacity, held, talks;
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
     sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
-    sf_real largest_error, level, noise_share, largest_noise, largest_surprise, least_read, held_chance;
+    sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
-    sf_real largest_rate, tare_surprise, stated_rate, tare_leap, largest_load, largest_sum, touch_load;
+    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
-    sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, gate;
+    sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance;
     sf_real leg_time, spin_time, first_speed, fastest;
     sf_real sure, contrast, alike, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
@@ -110,7 +110,7 @@ typedef struct {
     sf_channel_faults faults;
     sf_real pending[SF_BLOCK * SF_WAITING], before[SF_WAITING];
     sf_whole waiting, linked;
-    sf_real point[3], time, drifted, noise[SF_COMPONENTS];
+    sf_real point[3], time, drifted;
     sf_tares tare;
     sf_suspects suspects;
     sf_real shift[SF_CHANNELS];
@@ -584,24 +584,19 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
     }
 }
 
-/* update: take in rows, of which `predicted` is H P, by Joseph's form; one beyond the gate pulls no harder than at it.
-   `first` to `last`: unknowns that are considered and not estimated. S: what the innovation is expected to be. */
+/* update: take in rows, of which `predicted` is H P, by Joseph's form. `first` to `last`: unknowns that are considered
+   and not estimated. S: what the innovation is expected to be. */
 SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
-                              const sf_real *S, sf_real gate, int first, int last, sf_real *room) {
-    sf_real L[SF_AT_ONCE * SF_AT_ONCE], V[SF_AT_ONCE * SF_AT_ONCE], *gain = room, *rest = room + rows * N;
-    sf_copy(V, S, rows * rows);
-    for (int r = 0; r < rows; r++) {
-        sf_real beyond = innovation[r] / gate;
-        V[r * rows + r] += sf_max(beyond * beyond - S[r * rows + r], 0);
-    }
-    sf_copy(L, V, rows * rows);
+                              const sf_real *S, int first, int last, sf_real *room) {
+    sf_real L[SF_AT_ONCE * SF_AT_ONCE], *gain = room, *rest = room + rows * N;
+    sf_copy(L, S, rows * rows);
     if (!sf_cholesky(L, rows)) return 0;
     sf_copy(gain, predicted, rows * N);
     sf_solve(L, rows, gain, N);
     for (int r = 0; r < rows; r++)
         for (int i = first; i < last; i++) gain[r * N + i] = 0;
-    /* P - G A - A' G' + G V G', with A = H P: as it is symmetric, its lower half. */
-    sf_multiply(rest, V, gain, rows, rows, N);
+    /* P - G A - A' G' + G S G', with A = H P: as it is symmetric, its lower half. */
+    sf_multiply(rest, S, gain, rows, rows, N);
     for (int i = 0; i < rows * N; i++) rest[i] -= predicted[i];
     for (int i = 0; i < N; i++) {
         sf_real *row = P + i * N;
@@ -618,8 +613,7 @@ SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf
 
 /* What a block taught: Step, but for the modes themselves. */
 typedef struct {
-    sf_real likelihood[SF_MODES], innovation[SF_COMPONENTS];
-    sf_real expected[SF_COMPONENTS * SF_COMPONENTS], stated[SF_COMPONENTS * SF_COMPONENTS];
+    sf_real likelihood[SF_MODES], nis;
 } sf_taught;
 
 /* x' S^-1 x, and the logarithm of the determinant of S; NaN where S is not positive definite. */
@@ -634,9 +628,13 @@ SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real 
     return sf_dot(x, y, n);
 }
 
+/* chance_of_load: the chance that a load is not negative: likelihoods are those of such loads alone. */
+SF_API sf_real sf_chance_of_load(const sf_moment_config *m, sf_real mean, sf_real variance) {
+    return variance > 0 ? sf_max((sf_real)(0.5 * erfc(mean / sqrt(2.0 * variance))), m->least_chance) : 1;
+}
+
 /* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
-SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const sf_real *noise, sf_modes *s,
-                             sf_moment_work *w, sf_taught *out) {
+SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_modes *s, sf_moment_work *w, sf_taught *out) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m), wrench = at + C, likeliest = 0, good = 1;
     const sf_moment_rows *rows = &w->rows;
     for (int j = 1; j < SF_MODES; j++)
@@ -644,7 +642,7 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const 
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N, *predicted = w->A, *end = w->B;
         sf_real decay = sf_exp(-rows->duration / m->mode_time[j]), innovation[SF_COMPONENTS], size;
-        sf_real expected[SF_COMPONENTS * SF_COMPONENTS], prior[SF_COMPONENTS * SF_COMPONENTS], moved[SF_COMPONENTS];
+        sf_real expected[SF_COMPONENTS * SF_COMPONENTS], moved[SF_COMPONENTS];
         for (int k = wrench; k < N; k++) {
             mean[k] *= decay;
             for (int i = 0; i < N; i++) P[k * N + i] *= decay;
@@ -654,27 +652,27 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, const 
         sf_multiply(predicted, rows->mean, P, C, N, N);
         for (int r = 0; r < C; r++) {
             innovation[r] = rows->measured[r] - sf_dot(rows->mean + r * N, mean, N) - rows->mean_rest[r];
-            for (int k = 0; k < C; k++) prior[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N);
+            /* The mean over a block of what walks within it has a third of its variance at the end. */
+            for (int k = 0; k < C; k++)
+                expected[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N) +
+                                      (rows->variance[r * C + k] + rows->walk[r * C + k] / 3);
         }
-        for (int r = 0; r < C; r++)
-            for (int k = 0; k < C; k++) {
-                int i = r * C + k;
-                /* The mean over a block of what walks within it has a third of its variance at the end. */
-                expected[i] = prior[i] + rows->variance[i] * (sf_sqrt(noise[r]) * sf_sqrt(noise[k])) + rows->walk[i] / 3;
-                if (j == likeliest) out->stated[i] = prior[i] + (rows->variance[i] + rows->walk[i] / 3);
-            }
-        out->likelihood[j] = sf_normalised(innovation, expected, C, &size);
-        out->likelihood[j] = (sf_real)-0.5 * (out->likelihood[j] + size);
-        if (j == likeliest) sf_copy(out->innovation, innovation, C), sf_copy(out->expected, expected, C * C);
+        sf_real square = sf_normalised(innovation, expected, C, &size);
+        out->likelihood[j] = (sf_real)-0.5 * (square + size);
+        if (j == likeliest) out->nis = square;
         /* What a load weighs is estimated; what the robot itself weighs is only considered, and so is all but the
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
-        good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, m->gate, first, last, w->B) && good;
+        sf_real heavier = sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]);
+        good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B) && good;
         sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
-        if (m->mode_load[j] > 0 && lighter > 0 && of_mass[at - 2] > 0) { /* keep_heavier */
-            sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
-            mean[at - 2] = 0;
+        if (m->mode_load[j] > 0) { /* keep_heavier */
+            out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / heavier);
+            if (lighter > 0 && of_mass[at - 2] > 0) {
+                sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
+                mean[at - 2] = 0;
+            }
         }
         sf_multiply(end, rows->end, P, C, N, N);
         for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
@@ -1276,7 +1274,7 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
                     S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * published[i];
                     if (k == l) S[k * count + l] += published[i] * published[i] * noise[k];
                 }
-            good = sf_moment_update(mean, P, N, count, predicted, innovation, S, m->gate, mass, mass + 1, w->B) && good;
+            good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
         }
         for (int k = 0; k < count; k++) {
             int i = channels[k];
@@ -1368,9 +1366,8 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
     s->time = s->age = s->drifted = 0;
     s->status = 0;
-    s->tare.rate = 1;
+    s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
-    for (int r = 0; r < m->components; r++) s->noise[r] = 1;
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *P = s->belief.covariance + j * N * N, load = m->mode_load[j];
         for (int i = 0; i < N; i++) P[i * N + i] = m->first_variance[i];
@@ -1425,18 +1422,6 @@ SF_API void sf_begin_momentum(const sf_config *c, const sf_moment_config *m, con
             P[(at + C + r) * N + at + C + r] = sf_wrench_variance(m, rows, j, r);
             sf_copy(P + (at + r) * N + at, rows->variance + r * C, C);
         }
-    }
-}
-
-/* MomentFilter._follow_noise: by how many times rows' variances are larger than stated, learnt upwards only. */
-SF_API void sf_follow_noise(const sf_moment_config *m, const sf_moment_rows *rows, const sf_taught *step, sf_real free,
-                            sf_real *noise) {
-    int C = m->components;
-    for (int r = 0; r < C; r++) {
-        sf_real variance = step->expected[r * C + r], share = rows->variance[r * C + r] * noise[r] / variance;
-        sf_real square = step->innovation[r] * step->innovation[r] / variance;
-        sf_real surprise = sf_min(square, m->largest_surprise) - 1;
-        noise[r] = sf_clip(noise[r] * (1 + m->noise_share * free * share * surprise), 1, m->largest_noise);
     }
 }
 
@@ -1575,7 +1560,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_suspected(c, both);
     sf_unexplained(c, m, rows, s->before, known, known, e);
@@ -1594,13 +1579,20 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         }
         S[r * C + r] += H[at + C + r] * H[at + C + r] * sf_wrench_variance(m, rows, 0, r);
     }
-    /* Nothing is wrong; what acted in the last block still acts; a force as large as the weight acts on the robot's body,
-       up to its height away from its centre of mass. */
+    /* Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as rarely as somebody
+       takes hold; a force as large as the weight acts on the robot's body, up to its height away from its
+       centre of mass. */
     sf_real size = sf_factor(m, S, reach, K, 0, sound);
     nothing = sf_evidence(m, sound, size, e);
     for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
     for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
     lasting = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far);
+    for (int r = 0; r < C; r++) {
+        sf_real span = rows->mean[r * N + at + C + r], decay = sf_exp(-rows->duration / m->mode_time[m->held]);
+        far[r] = e[r] - decay * s->error[r] * span;
+        other[r * C + r] += span * span * (1 - decay * decay) * sf_wrench_variance(m, rows, m->held, r);
+    }
+    changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + sf_log(m->rates[m->held] * rows->duration);
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
         weight[r] = rows->mean_rest[r];
@@ -1612,7 +1604,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         other[r * C + r] += arm * arm;
     }
     unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
-    innocent = sf_max(sf_max(nothing, lasting), unknown);
+    innocent = sf_max(sf_max(nothing, lasting), sf_max(changing, unknown));
     if (!sf_finite(innocent)) return -1;
     least = unknown + m->contrast;
     for (int suspect = 0; suspect < count; suspect++) {
@@ -1719,7 +1711,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
-    int C = m->components, N = sf_states(c, m), likeliest = 0, good, guilty;
+    int N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
@@ -1738,21 +1730,20 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         sf_begin_momentum(c, m, rows, belief);
         good = sf_weigh(c, m, belief, w);
     } else {
-        sf_real before[SF_MODES], after[SF_MODES], size;
+        sf_real before[SF_MODES], after[SF_MODES];
         sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
         good = sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; j < SF_MODES; j++) before[j] = w->compared[j].evidence;
-        good = good && sf_moment_learn(c, m, s->noise, &w->mixed, w, &taught);
+        good = good && sf_moment_learn(c, m, &w->mixed, w, &taught);
         good = good && sf_weigh(c, m, &w->mixed, w);
         for (int j = 0; good && j < SF_MODES; j++)
             after[j] = taught.likelihood[j] + w->compared[j].evidence - before[j];
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
         sf_weigh_modes(m, after, w->mixed.chance);
-        *nis = sf_normalised(taught.innovation, taught.stated, C, &size);
+        *nis = taught.nis;
         belief = &w->mixed;
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
-        if (good) sf_follow_noise(m, rows, &taught, belief->chance[0], s->noise);
     }
     if (!good) return SF_SINGULAR;
     if (!s->linked) sf_follow_suspects(c, m, &s->suspects, s->pending, n, rows->at_end);

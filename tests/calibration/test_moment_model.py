@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from _moment import move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
+from scipy.stats import norm
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
 from surefoot.calibration.moment.blocks import Block
@@ -14,6 +15,7 @@ from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     MODES,
+    chance_of_load,
     combine,
     keep_heavier,
     mix,
@@ -209,17 +211,12 @@ def test_modes_keep_their_chance_and_what_they_know():
     assert mixed.covariance[2, at, at] > 20.0 * mixed.covariance[0, at, at]
 
 
-def test_a_row_beyond_the_gate_pulls_no_harder():
-    mean, covariance, H = np.zeros(2), np.eye(2), np.array([[1.0, 0.0]])
-    pulls = []
-    for innovation in (1.0, 4.2, 50.0, 500.0):
-        found, after = update(mean, covariance, H, np.array([innovation]), np.eye(1), slice(1, 2))
-        pulls.append(found[0])
-        assert (np.linalg.eigvalsh(after) > 0.0).all()
-        assert found[1] == 0.0
-    assert pulls[0] == pytest.approx(0.5)
-    assert pulls[1] == pytest.approx(2.1)
-    assert pulls[3] < pulls[2] < pulls[1]
+def test_a_row_is_taken_in_and_what_is_considered_stays():
+    """The mean of two normal distributions; a considered unknown keeps its mean and its variance."""
+    mean, covariance, H = np.zeros(2), np.array([[1.0, 0.3], [0.3, 1.0]]), np.array([[1.0, 0.0]])
+    found, after = update(mean, covariance, H, np.array([4.2]), np.eye(1), slice(1, 2))
+    np.testing.assert_allclose(found, (2.1, 0.0))
+    np.testing.assert_allclose(after, [[0.5, 0.15], [0.15, 1.0]])
 
 
 def test_contact_is_likelier_the_more_a_foot_bears():
@@ -245,3 +242,19 @@ def test_a_load_is_never_negative_and_scales_do_not_shrink_for_it():
     kept = keep_heavier(np.array([1.0, 0.1]), covariance, 1)
     np.testing.assert_allclose(kept, (0.95, 0.0))
     np.testing.assert_array_equal(keep_heavier(np.array([1.0, -0.1]), covariance, 1), (1.0, -0.1))
+
+
+@pytest.mark.parametrize("reading", [-0.3, -0.02, 0.0, 0.02, 0.3])
+def test_the_likelihood_of_a_load_is_that_of_loads_that_are_not_negative(reading):
+    """A mass that is normal and cut at 0, seen with noise, against a sum over all masses."""
+    variance, noise = 0.01, 0.0004
+    mass, step = np.linspace(-1.0, 0.0, 200_001, retstep=True)
+    prior = 2.0 * norm.pdf(mass, 0.0, np.sqrt(variance))
+    exact = float((prior * norm.pdf(reading, mass, np.sqrt(noise))).sum() * step)
+    mean, covariance = update(
+        np.zeros(1), np.eye(1) * variance, np.eye(1), np.array([reading]), np.eye(1) * noise, slice(0)
+    )
+    whole = norm.pdf(reading, 0.0, np.sqrt(variance + noise))
+    ratio = chance_of_load(mean, covariance, 0) / chance_of_load(np.zeros(1), np.eye(1) * variance, 0)
+    # The least chance that a mode keeps stands for all that is less.
+    assert whole * ratio == pytest.approx(exact, rel=1e-3, abs=3e-6)

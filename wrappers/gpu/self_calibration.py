@@ -45,8 +45,9 @@ _HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_window"
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
     """Return how large the moment filter's arrays are, besides those of any method."""
-    own, rows, *_ = (part._asdict() for part in MomentFilter(setup, Moment(**options)).constants)
-    return {"COMPONENTS": own["components"], "BLOCK": own["capacity"], "TALKS": rows["talks"]}
+    core = MomentFilter(setup, Moment(**options))
+    talks = len(core.model.talk_to)
+    return {"COMPONENTS": core.columns.components, "BLOCK": core.blocks.capacity, "TALKS": talks}
 
 
 class _Steps(NamedTuple):

@@ -161,7 +161,13 @@ class LogPassages:
     def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
         """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
         part, weight = self._columns.map, self._setup.weight
-        learnt: Floats = map_covariance(self._path[sample], covariance[part, part], self._columns, weight)
+        learnt: Floats = map_covariance(
+            self._path[sample],
+            covariance[part, part],
+            self._columns,
+            weight,
+            np.zeros_like(self._spread.walk),
+        )
         return learnt
 
     def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
