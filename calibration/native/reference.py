@@ -9,8 +9,8 @@ from surefoot.calibration.reference import MomentumReference, Reference, referen
 from surefoot.native import Library, Record
 
 _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
-    Reference: ("belief", ()),
-    MomentumReference: ("momentum_belief", ("momentum",)),
+    Reference: ("belief", ("known",)),
+    MomentumReference: ("momentum_belief", ("known", "momentum")),
 }
 """Names of the records of both kinds, and fields that they have besides."""
 
@@ -72,6 +72,17 @@ class ReferenceRecord:
         """Take over its values."""
         for name, part in reference._asdict().items():
             self._record.now[name] = part
+        self._record.now["known"] = not np.isnan(reference.com[0])
+
+    @property
+    def known(self) -> bool:
+        """Whether it is anything."""
+        return bool(self._record.now["known"])
+
+    @property
+    def standing(self) -> bool:
+        """Whether a foot surely stood."""
+        return any(self._record.now["stance"].tolist())
 
     def reference(self) -> Any:
         """Return a copy, of its kind."""
