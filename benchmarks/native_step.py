@@ -4,7 +4,7 @@
     python benchmarks/native_step.py --steps 600 --robots 1 4096 --rounds 1
     python benchmarks/native_step.py --write
 
-The last one writes the table of docs/speed.md anew, on a machine with nothing else to do.
+The last one writes the table of docs/speed.md again, on a machine with nothing else to do.
 
 A walk is recorded once through the wrappers: the inputs of the native step, and the forces that it makes of
 that. A small program is compiled with the headers and the robot's constants, with arrays as large as this
@@ -13,8 +13,8 @@ other moments so that their blocks do not fill together. First it must make the 
 
 Told are microseconds of a robot's step: means over 16 steps, two blocks of the filter, of which the middle
 one counts, as others use the machine as well; median and 99th percentile of single steps of one robot; and
-means of the parts, which are timed in runs of their own. *Swept* is with 8 MB of data and 64 kB of code touched
-before each step, as between two steps of a simulation. No test asserts these figures.
+means of the parts, which are timed in runs of their own. *Swept* is with 8 MB of data and 64 kB of code
+touched before each step, as between two steps of a simulation. No test asserts these figures.
 """
 
 import argparse

@@ -7,7 +7,7 @@
     python benchmarks/step.py --robots NaoBalance --launchers
     python benchmarks/step.py --write
 
-The last one, on a machine with nothing else to do, writes the tables of docs/speed.md anew, in some twenty
+The last one, on a machine with nothing else to do, writes the tables of docs/speed.md again, in some twenty
 minutes.
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
