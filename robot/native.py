@@ -119,7 +119,7 @@ class NativeSample:
     def goes_on(self, beliefs: Any, calibrator: FootCalibrator) -> bool:
         """Return whether it is for these beliefs, and for a calibrator in the state that it goes on with."""
         own, state, revision = self._of
-        return beliefs is own and own.model.revision == revision and calibrator.is_in(state)
+        return beliefs is own and own.model.revision == revision and calibrator.held is state
 
     def put(self, raw: NDArray[np.float64], command: Any, hold: bool) -> int:
         """Put a sample where the library finds it; return how it is asked, as :class:`Sample` has it.
@@ -201,14 +201,16 @@ class ManySamples:
 
     Args:
         robots: The library's objects of each of them, one at least and all of one kind.
+        parts: The parts of each robot that its samples go on with; with others this object is of no use.
 
     Attributes:
         robots: The same.
+        parts: The same.
         sampled: Whether each of them has taken in any sample, shape (N,).
     """
 
-    def __init__(self, robots: Sequence[NativeSample]) -> None:
-        self.robots, self._many = list(robots), robots[0].many
+    def __init__(self, robots: Sequence[NativeSample], parts: list[Any]) -> None:
+        self.robots, self.parts, self._many = robots, parts, robots[0].many
         self.sampled = np.array([robot.sampled for robot in robots])
         self._at = np.array([robot.address for robot in robots], dtype=np.uintp)
         self._memory = np.zeros((len(robots), len(robots[0].memory)), np.uint8)

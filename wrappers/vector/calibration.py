@@ -1,6 +1,7 @@
 """Calibrates the feet of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from os import PathLike
 from typing import Any
 
@@ -14,6 +15,9 @@ from surefoot.robot.native import KNOWN, STANDING, ManySamples, Samples
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
+
+_PARTS = attrgetter("beliefs", "beliefs.model.revision", "calibrator.held")
+"""Parts of a robot that its samples go on with."""
 
 
 class BatchCalibration:
@@ -131,9 +135,10 @@ class BatchCalibration:
 
     def _gather(self) -> ManySamples | None:
         """Return the library for samples of all robots; ``None`` where Python does any of them."""
-        natives = [robot.by_library() for robot in self.robots]
-        if self._together is None or self._together.robots != natives:
-            self._together = ManySamples([own for own in natives if own]) if None not in natives else None
+        if self._together is None or self._together.parts != list(map(_PARTS, self.robots)):
+            natives = [own for robot in self.robots if (own := robot.by_library())]
+            parts = list(map(_PARTS, self.robots))
+            self._together = ManySamples(natives, parts) if len(natives) == len(parts) else None
         return self._together
 
 
