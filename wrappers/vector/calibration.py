@@ -116,7 +116,7 @@ class BatchCalibration:
     def _sample(self, which: NDArray[np.intp]) -> None:
         """Take in one sample of some robots."""
         sensors, count = self._sensors, len(self.robots)
-        readers, natives = sensors.together(), self._gather()
+        readers, natives = sensors.together, self._gather()
         # What was shown of a robot that has other records since then stands in `shown` alone.
         if readers and natives and (len(which) == count or natives.sampled.all()):
             robots, now = [self.robots[i] for i in which.tolist()], sensors.time[which]

@@ -73,6 +73,7 @@ class BatchSensors:
         listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
         time: The hosts' times since their resets in s, shape (N,).
+        together: The library's reader of all robots; ``None`` where it has not read the last step of each.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -103,7 +104,7 @@ class BatchSensors:
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
-        self._together: ManySensing | None = None
+        self.together: ManySensing | None = None
         self.threads = cores()
         self._put_side_by_side()
 
@@ -148,7 +149,8 @@ class BatchSensors:
                 self.robots[i].reset(truth, dt)
             else:
                 self.robots[i].step(truth)
-        self._count_packets(left)
+        if left:
+            self._gather(left)
         if starting is not None:
             self._note_conditions()
         for listener in self.listeners:
@@ -175,7 +177,7 @@ class BatchSensors:
         for i in which:
             truth = read_rows(substeps[i], self._key)
             self.robots[i].reset(truth, self._meaning.dt, seeds[i], asked.get("sensors"))
-        self._count_packets(which)
+        self._gather(which)
         self._note_conditions()
         for listener in self.listeners:
             listener.begin(mask, seeds, asked.get("calibration"))
@@ -285,7 +287,7 @@ class BatchSensors:
         Returns:
             Robots that are left to read, shape (N,).
         """
-        together, left = self.together(), np.ones(len(steps), dtype=bool)
+        together, left = self._gather(), np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
             which, dt = np.flatnonzero(steps), self._meaning.dt
             read = together.step(which, truth, self.time[which] + dt, self.threads)
@@ -293,18 +295,14 @@ class BatchSensors:
             left[read] = False
         return left
 
-    def together(self) -> ManySensing | None:
-        """Return the library's reader of all robots; ``None`` where it has not read the last step of each."""
+    def _gather(self, alone: Sequence[int] = ()) -> ManySensing | None:
+        """Return the library's reader of all robots, after some were read alone."""
         readers = [robot.sensing for robot in self.robots]
-        if self._together is None or self._together.robots != readers:
-            self._together = ManySensing([one for one in readers if one]) if None not in readers else None
-        return self._together
-
-    def _count_packets(self, which: list[int]) -> None:
-        """Note the packets of robots that were read one by one."""
-        together = self.together() if which else None
-        if together is not None:
-            together.count_packets(which)
+        if self.together is None or self.together.robots != readers:
+            self.together = ManySensing([one for one in readers if one]) if None not in readers else None
+        elif alone:
+            self.together.count_packets(alone)
+        return self.together
 
     def _put_side_by_side(self) -> None:
         """Keep what hosts have of their sensors in arrays with the robots in front."""
