@@ -173,7 +173,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         drawn = normal(rng, (drawn_per_step, *load.shape)) if drawn_per_step else np.zeros(0)
-        error, thermal = errors.wander(error, thermal, drawn, dt)
+        error, thermal = errors.drift(error, thermal, drawn, dt)
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
@@ -215,7 +215,7 @@ class _Errors:
         tempco = drawn[1::2] * [[config.scale_tempco], [config.offset_tempco]]
         return error, np.concatenate([tempco, np.zeros((1, *shape))])
 
-    def wander(self, error: Array, thermal: Array, drawn: Array, dt: float) -> tuple[Array, Array]:
+    def drift(self, error: Array, thermal: Array, drawn: Array, dt: float) -> tuple[Array, Array]:
         """Return both after dt, of normal numbers for the errors that walk, in front of ``drawn``."""
         config, walking = self._config, self.walking
         if len(walking):
