@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -121,8 +122,11 @@ def measure(program: str, target: tuple[str, ...]) -> list[int]:
 
 
 def main() -> None:
-    six = {"position_sensor_sole": (0.01, 0.0, 0.06)}
-    ankles = FeetLayout(tuple(FootLayout.force_torque(name, **six) for name in ("left", "right")))
+    if find_spec("ziglang") is None:
+        raise SystemExit("This needs ziglang, which compiles for other processors: pip install ziglang")
+    place = 0.01, 0.0, 0.06
+    feet = (FootLayout.force_torque(name, position_sensor_sole=place) for name in ("left", "right"))
+    ankles = FeetLayout(tuple(feet))
     programs = {
         "filter, eight load cells": of_robot(nao_shoe_layout()),
         "filter, two ankle sensors": of_robot(ankles),

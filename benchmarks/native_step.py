@@ -2,16 +2,19 @@
 
     python benchmarks/native_step.py
     python benchmarks/native_step.py --steps 600 --robots 1 4096 --rounds 1
+    python benchmarks/native_step.py --write
+
+The last one writes the table of docs/speed.md again, on a machine with nothing else to do.
 
 A walk is recorded once through the wrappers: the inputs of the native step, and the forces that it makes of
 that. A small program is compiled with the headers and the robot's constants, with arrays as large as this
 robot needs. It steps N robots over the recording, each with a state and random numbers of its own, started at
 other moments so that their blocks do not fill together. First it must make the forces of the recording.
 
-Told are microseconds of a robot's step: means over 16 steps, one block of the filter, of which the middle one
-counts, as others use the machine as well; median and 99th percentile of single steps of one robot; and means
-of the parts, which are timed in runs of their own. *Swept* is with 8 MB of data and 64 kB of code touched
-before each step, as between two steps of a simulation. No test asserts these figures.
+Told are microseconds of a robot's step: means over 16 steps, two blocks of the filter, of which the middle
+one counts, as others use the machine as well; median and 99th percentile of single steps of one robot; and
+means of the parts, which are timed in runs of their own. *Swept* is with 8 MB of data and 64 kB of code
+touched before each step, as between two steps of a simulation. No test asserts these figures.
 """
 
 import argparse
@@ -23,6 +26,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from step import DATA, save
 
 import surefoot  # noqa: F401
 from surefoot.calibration.native import NATIVE as CALIBRATION
@@ -177,12 +181,12 @@ int main(int argc, char **argv) {
 def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     """Record a walk: the robot's constants in C, the inputs of the native step, and its forces."""
     require(installed())
-    options = {"speed": 0.04, "duration": steps / 80.0 + 5.0, "disable_env_checker": True}
-    env: Any = gym.make("surefoot/NaoWalk-v0", **options)
+    duration = steps / 80.0 + 5.0
+    env: Any = gym.make("surefoot/NaoWalk-v0", disable_env_checker=True, speed=0.04, duration=duration)
     env = SelfCalibration(FootSensors(env, "hx711-load-cells"), "moment")
     env.reset(seed=0)
     sensors, beliefs = env._sensors.robot, env.beliefs
-    sensing = sensors._sensing
+    sensing = sensors.sensing
     rows, forces = [], []
     for _ in range(steps):
         arrays = sensing._arrays
@@ -245,43 +249,54 @@ def check(program: Path, data: Path, forces: NDArray[np.float64]) -> None:
         )
 
 
+def measure(program: Path, data: Path, length: int, robots: int, swept: bool, steps: int) -> list[float]:
+    """Return the time of a robot's step in us: its mean, median and 99th percentile, and the parts' means."""
+    # The walk goes on, and 512 moments hold all phases of a block and many of a stride.
+    before, moments = length // 5, min(512, length // 4)
+    steps = min(length - before - moments, steps)
+    told: list[float] = []
+    for parts in (0, 1):
+        words = length, robots, int(swept), parts, before, moments, steps
+        done = subprocess.run([program, data, *map(str, words)], check=True, stdout=subprocess.PIPE)
+        times = np.frombuffer(done.stdout).reshape(steps, -1) / robots
+        blocks = times[: steps // 16 * 16].reshape(-1, 16, times.shape[1]).mean(axis=1)
+        told += np.median(blocks, axis=0).tolist()
+        if not parts:
+            told += np.percentile(times, (50, 99)).tolist() if robots == 1 else [np.nan] * 2
+    return told
+
+
 def main(given: list[str] | None = None) -> None:
-    """Print the table."""
+    """Print the table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=2000, help="of the recording")
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 64, 1024, 4096])
     parser.add_argument("--rounds", type=int, default=3, help="in turns, of which the middle is told")
+    folder = "folder for the table; by default docs/data/native-step"
+    parser.add_argument("--write", type=Path, nargs="?", const=DATA / "native-step", help=folder)
     arguments = parser.parse_args(given)
     source, rows, forces = walk(arguments.steps)
+    cases = [(robots, swept) for robots in arguments.robots for swept in (True, False)[robots > 1 :]]
     with TemporaryDirectory() as name:
-        folder = Path(name)
-        data = folder / "walk"
+        data = Path(name) / "walk"
         rows.tofile(data)
-        program = compile_program(source, folder)
+        program = compile_program(source, Path(name))
         check(program, data, forces)
-        # The walk goes on, and 512 moments hold all phases of a block and many of a stride.
-        before, moments = arguments.steps // 5, min(512, arguments.steps // 4)
-        cases = [(robots, swept) for robots in arguments.robots for swept in (True, False)[robots > 1 :]]
-        taken: dict[Any, list[Any]] = {}
-        for _ in range(arguments.rounds):
-            for robots, swept in cases:
-                steps = min(arguments.steps - before - moments, max(48, 100_000 // robots // 16 * 16))
-                for parts in (0, 1):
-                    words = robots, int(swept), parts, before, moments, steps
-                    command = [program, data, str(len(rows)), *map(str, words)]
-                    done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-                    times = np.frombuffer(done.stdout).reshape(steps, -1) / robots
-                    blocks = times[: steps // 16 * 16].reshape(-1, 16, times.shape[1]).mean(axis=1)
-                    told = list(np.median(blocks, axis=0))
-                    if not parts:
-                        told += list(np.percentile(times, (50, 99))) if robots == 1 else [np.nan] * 2
-                    taken.setdefault((robots, swept, parts), []).append(told)
-    print("| robots | mean | median | 99 % | " + " | ".join(PARTS) + " |")
-    print("|---" * (4 + len(PARTS)) + "|")
-    for robots, swept in cases:
-        numbers = (np.median(taken[robots, swept, parts], axis=0) for parts in (0, 1))
-        words = ("" if np.isnan(one) else f"{one:.2f}" for one in np.concatenate([*numbers]))
-        print(f"| {robots}{', swept' * swept} | " + " | ".join(words) + " |")
+        taken = [
+            [
+                measure(program, data, len(rows), robots, swept, max(48, 100_000 // robots // 16 * 16))
+                for robots, swept in cases
+            ]
+            for _ in range(arguments.rounds)
+        ]
+    heads, lines = ["robots", "mean, µs", "median", "99 %", *PARTS], []
+    for (robots, swept), times in zip(cases, np.median(taken, axis=0).tolist(), strict=True):
+        words = ["" if np.isnan(one) else f"{one:.2f}" for one in times]
+        lines.append([f"{robots:,}{', swept' * swept}", *words])
+    for line in (heads, ["---"] * len(heads), *lines):
+        print("| " + " | ".join(line) + " |")
+    if arguments.write:
+        save(arguments.write, "step", heads, lines)
 
 
 if __name__ == "__main__":

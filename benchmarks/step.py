@@ -5,9 +5,10 @@
     python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
     python benchmarks/step.py --robots NaoBalance --launchers
-    python benchmarks/step.py --write out/results/speed/tables && python docs/study_tables.py out/results
+    python benchmarks/step.py --write
 
-The last one, on a machine with nothing else to do, makes the tables of docs/speed.md, in some ten minutes.
+The last one, on a machine with nothing else to do, writes the tables of docs/speed.md again, in some twenty
+minutes.
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
@@ -74,6 +75,7 @@ ROBOTS = {
     "Humanoid": Robot("Humanoid-v5", {}, ANKLES),
     "G1": Robot("surefoot/Exercise-v0", {"robot": "g1"}, None),
 }
+DATA = Path(__file__).parents[1] / "docs" / "data"
 RESETS = 40
 """How many of them are timed."""
 
@@ -275,12 +277,12 @@ def memory_of(name: str, count: int) -> float:
 
 
 def save(folder: Path, name: str, heads: list[str], rows: list[list[str]]) -> None:
-    """Write a table that docs/study_tables.py takes, and how it was made."""
+    """Write a table of a page of docs, and how it was made."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([heads, *rows])
     made = {
-        "command": shlex.join(["python", *sys.argv]),
+        "command": shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]),
         "software": f"surefoot {surefoot.__version__}, {cores()} cores, {processor()}, load {LOAD:.1f}",
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
     }
@@ -327,7 +329,8 @@ def main() -> None:
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--launchers", action="store_true", help="also Gymnasium's, of many robots alone")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
-    parser.add_argument("--write", type=Path, help="folder for tables, of 64, 256, 1024 and 4096 robots")
+    tables = "folder for tables, of 64, 256, 1024 and 4096 robots; by default docs/data/speed"
+    parser.add_argument("--write", type=Path, nargs="?", const=DATA / "speed", help=tables)
     arguments = parser.parse_args()
     counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
     all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})

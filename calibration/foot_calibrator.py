@@ -101,7 +101,7 @@ class FootCalibrator:
             raise ValueError(
                 f"'curves' are of {len(self._curves.knots)} channels, and the layout has {layout.channels}."
             )
-        self._state: Any = None
+        self.held: Any = None
         self._begin()
 
     def _begin(self) -> None:
@@ -112,7 +112,7 @@ class FootCalibrator:
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_native")}
-        return {**kept, "_state": self.state}
+        return {**kept, "held": self.state}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
@@ -121,13 +121,13 @@ class FootCalibrator:
     @property
     def state(self) -> Any:
         """The state, a value that can be kept and given back; ``None`` before the first sample."""
-        if isinstance(self._state, NativeState) and self._native is not None:
-            return self._native.unpack(self._state)
-        return self._state
+        if isinstance(self.held, NativeState) and self._native is not None:
+            return self._native.unpack(self.held)
+        return self.held
 
     @state.setter
     def state(self, kept: Any) -> None:
-        self._state = kept
+        self.held = kept
 
     @property
     def limits(self) -> Mapping[str, tuple[Any, Any]]:
@@ -168,8 +168,8 @@ class FootCalibrator:
         dt = as_number("dt", dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
-        state = self._fresh_state(raw) if self._state is None else self.state
-        self._state, estimate = self._pure.update(state, raw, reference, dt)
+        state = self._fresh_state(raw) if self.held is None else self.state
+        self.held, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
     @property
@@ -185,19 +185,15 @@ class FootCalibrator:
         return None if self._curves is not None else self._in_library()
 
     def _in_library(self) -> tuple[NativeFilter, NativeState] | None:
-        native, state = self._native, self._state
+        native, state = self._native, self.held
         if native is None:
             return None
         if type(state) is not NativeState:
             state = native.state(state)
             if state is None:
                 return None
-            self._state = state
+            self.held = state
         return native, state
-
-    def is_in(self, state: NativeState) -> bool:
-        """Return whether this state, and no copy of it, is the one it goes on with."""
-        return self._state is state
 
     def retract(self) -> None:
         """Take back the learning of the last seconds, for a robot that has fallen or was seized.
@@ -205,14 +201,14 @@ class FootCalibrator:
         Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
         new before it has learnt for 1.5 s again; other methods go on as they are.
         """
-        if isinstance(self._state, NativeState) and self._native is not None:
-            self._native.retract(self._state)
-        elif self._state is not None:
-            self._state = self._pure.retract(self.state)
+        if isinstance(self.held, NativeState) and self._native is not None:
+            self._native.retract(self.held)
+        elif self.held is not None:
+            self.held = self._pure.retract(self.state)
 
     def reset(self) -> None:
         """Drop all that was learnt: the next sample begins from the starting map."""
-        self._state = None
+        self.held = None
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write everything that was learnt to a file, an ``.npz`` without pickles.
@@ -222,7 +218,7 @@ class FootCalibrator:
             ValueError: If the state holds values that :meth:`load` would refuse, or something else than a
                 regular file bears the name; the old file is left as it is.
         """
-        if self._state is None:
+        if self.held is None:
             raise RuntimeError("There is nothing to save before the first update().")
         save_state(path, self.state, self.limits, **self._notes())
 
@@ -235,7 +231,7 @@ class FootCalibrator:
                 impossible values; the calibration stays as it was.
         """
         fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
-        self._state = load_state(path, fresh, self.limits, **self._notes())
+        self.held = load_state(path, fresh, self.limits, **self._notes())
 
     def _fresh_state(self, raw: NDArray[np.float64]) -> Any:
         """Return a state in which nothing was learnt."""

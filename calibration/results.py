@@ -1,12 +1,9 @@
 """The result of an offline fit besides its value, and the error if there is none."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["CalibrationRefused", "FitResult", "FitStats", "accepting"]
+__all__ = ["CalibrationRefused", "FitResult", "FitStats"]
 
 
 class FitResult(StrEnum):
@@ -45,28 +42,6 @@ class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error 
 
     def __str__(self) -> str:
         return f"{self.reason} {self.cure}"
-
-    def unless_accepted(self) -> None:
-        """Raise it, or note it and go on within :func:`accepting`."""
-        passed = _passed.get()
-        if passed is None:
-            raise self
-        if self.args not in [refusal.args for refusal in passed]:
-            passed.append(self)
-
-
-_passed: ContextVar[list[CalibrationRefused] | None] = ContextVar("passed", default=None)
-
-
-@contextmanager
-def accepting() -> Iterator[list[CalibrationRefused]]:
-    """Pass refusals after which a fit can go on, and yield the list of them."""
-    passed: list[CalibrationRefused] = []
-    token = _passed.set(passed)
-    try:
-        yield passed
-    finally:
-        _passed.reset(token)
 
 
 @dataclass(frozen=True)

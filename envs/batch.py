@@ -157,7 +157,9 @@ class BatchVectorEnv(SyncVectorEnv):
         starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
         stepping = ~starting
         residual = task.check_action(actions, (self.num_envs,))
-        prepares = np.array([env.prelude.playing for env in self.envs])
+        prepares = np.zeros(self.num_envs, dtype=bool)
+        if self._task.prelude.duration:
+            prepares[:] = [env.prelude.playing for env in self.envs]
         residual[(state.tick < task.quiet_ticks) & ~prepares] = 0.0
         state.tick[...] += ~prepares
         self._set_commands(..., task.command_at(state.plan, state.tick))

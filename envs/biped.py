@@ -7,6 +7,7 @@ A task is a few functions of a robot's :class:`State`, which change nothing: :me
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from math import inf
 from os import PathLike
 from typing import Any, NamedTuple, Self
 
@@ -216,8 +217,11 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
 
         A term is 0 where a simulation that blew up makes it no number.
         """
-        own = Seen(*seen)
-        terms = {name: term if abs(term) < np.inf else 0.0 for name, term in self.reward(own).items()}
+        own = Seen._make(seen)
+        terms = self.reward(own)
+        for name, term in terms.items():
+            if not abs(term) < inf:
+                terms[name] = 0.0
         return terms, self.fallen(own)
 
     def reset(

@@ -265,9 +265,9 @@ class RobotCalibration:
         rows, packets = arrived or NOTHING
         return Sample(rows, packets, self.reference_time, sensors.time, how)
 
-    def note(self) -> None:
-        """Count the last sample for the chances to learn."""
-        self._chances.add(self.beliefs.known, self.beliefs.standing)
+    def note(self, known: bool, standing: bool) -> None:
+        """Count the last sample, of which a reference was known, and in which a foot surely stood, or not."""
+        self._chances.add(known, standing)
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
@@ -277,7 +277,7 @@ class RobotCalibration:
         else:
             beliefs.update(self._sensors.packets)
         fell = beliefs.sample(self.reference_time, command, hold)
-        self.note()
+        self.note(beliefs.known, beliefs.standing)
         return fell
 
     def sample(self, command: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -285,7 +285,7 @@ class RobotCalibration:
         native = self.by_library()
         if native is not None:
             native.feed(self.put(native, command))
-            self.note()
+            self.note(self.beliefs.known, self.beliefs.standing)
             shown, told = native.outputs()
         else:
             if self.believe(command):

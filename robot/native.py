@@ -22,6 +22,10 @@ _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 NOTHING = None, 0
 """No packets: neither a place of rows nor a number of them."""
 
+KNOWN, STANDING, PUBLISHED = 2, 4, 1 + 8
+"""Bits of what the library tells of a sample: its reference is known, a foot surely stood, the robot fell or
+something new is handed out."""
+
 
 class Sample(NamedTuple):
     """The request to the library for one sample.
@@ -42,7 +46,7 @@ class Sample(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """The same for several robots, whose readings and plans the library takes where they lie.
+    """The same for n robots, whose readings and plans the library takes where they lie.
 
     Attributes:
         rows: Addresses of rows of packets.
@@ -54,9 +58,9 @@ class Samples(NamedTuple):
         hold: Where nothing is learnt.
     """
 
-    rows: list[int]
-    packets: list[int]
-    raw: list[int]
+    rows: NDArray[np.uintp]
+    packets: NDArray[np.int32]
+    raw: NDArray[np.uintp]
     planned: NDArray[np.bool_] | None
     then: NDArray[np.float64]
     now: NDArray[np.float64]
@@ -76,6 +80,8 @@ class NativeSample:
     Attributes:
         sampled: Whether it has taken in any sample.
         many: The library's function of several robots.
+        address: Where the library finds its records.
+        memory: What the library tells of a sample, in bytes.
     """
 
     def __init__(
@@ -86,9 +92,7 @@ class NativeSample:
         self._filter, self._raw, self.sampled = native, native.raw, False
         config = view_record(library, view)
         told = _output_dtype(library, beliefs, native, view)
-        self._dtype, self._memory = told, np.zeros(library.places["told"][""][2], np.uint8)
-        # What comes after the last number is room that this robot has no use for.
-        self._part = self._memory[: told.itemsize]
+        self._dtype, self.memory = told, np.zeros(library.places["told"][""][2], np.uint8)
         self._parts, self._believed = view.parts, ("known", *beliefs.believed.kind._fields)
         self._fields = itemgetter(*(told.names or ()))
         records = library.record_of(
@@ -99,13 +103,13 @@ class NativeSample:
                 "state": state.address,
                 "view": config.ctypes.data,
                 "held": view.held.ctypes.data,
-                "told": self._memory.ctypes.data,
+                "told": self.memory.ctypes.data,
                 "dt": dt,
             },
         )
         assert records is not None
-        self._kept = config, view.held, records
-        self._sample, self._at = library.functions.surefoot_sample, records.ctypes.data
+        self._kept, self._records = (config, view.held), records
+        self._sample, self.address = library.functions.surefoot_sample, records.ctypes.data
         self.many = library.functions.surefoot_sample_many
 
     def __reduce__(self) -> Any:
@@ -115,7 +119,7 @@ class NativeSample:
     def goes_on(self, beliefs: Any, calibrator: FootCalibrator) -> bool:
         """Return whether it is for these beliefs, and for a calibrator in the state that it goes on with."""
         own, state, revision = self._of
-        return beliefs is own and own.model.revision == revision and calibrator.is_in(state)
+        return beliefs is own and own.model.revision == revision and calibrator.held is state
 
     def put(self, raw: NDArray[np.float64], command: Any, hold: bool) -> int:
         """Put a sample where the library finds it; return how it is asked, as :class:`Sample` has it.
@@ -130,15 +134,18 @@ class NativeSample:
 
     def feed(self, sample: Sample) -> None:
         """Take in one sample that was :meth:`put`."""
-        self.tell(self._sample(self._at, *sample))
-
-    def tell(self, found: int) -> None:
-        """Take over the library's results of a sample."""
-        beliefs, state, _ = self._of
-        beliefs.tell(found)
         self.sampled = True
-        if found & 9:
-            state.drop_published()
+        if self._sample(self.address, *sample) & PUBLISHED:
+            self.drop_published()
+
+    def drop_published(self) -> None:
+        """Forget what was handed out before the last sample."""
+        self._of[1].drop_published()
+
+    def keep_in(self, memory: NDArray[np.uint8]) -> None:
+        """Keep :attr:`memory` elsewhere from here on."""
+        memory[...] = self.memory
+        self.memory, self._records["told"] = memory, memory.ctypes.data
 
     def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the observation of the last sample, and the ``info`` of the estimate.
@@ -146,16 +153,23 @@ class NativeSample:
         All arrays are fresh.
         """
         beliefs = self._of[0]
-        shown, told = self._read(np.ndarray((), self._dtype, self._part.copy()), True)
+        # What comes after the last number is room that this robot has no use for.
+        memory = self.memory[: self._dtype.itemsize].copy()
+        shown, told = self._read(np.ndarray((), self._dtype, memory), True)
         if not beliefs.known:
             told["reference"] = beliefs.info()
         return shown, told
 
-    def outputs_of(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the same of robots of this one's kind, with the robots in front of each array."""
-        memory = np.array([robot._part for robot in robots])
-        shown, told = self._read(np.ndarray(len(robots), self._dtype, memory), np.ones(len(robots), bool))
-        if not all(robot._of[0].known for robot in robots):
+    def outputs_of(self, memory: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the same of N robots of this one's kind, with these in front of each array.
+
+        Args:
+            memory: As :attr:`memory`, of each of them, shape (N, bytes).
+        """
+        memory = memory[:, : self._dtype.itemsize].copy()
+        known = np.ones(len(memory), bool)
+        shown, told = self._read(np.ndarray(len(memory), self._dtype, memory), known)
+        if np.isnan(told["reference"]["com"]).any():
             del told["reference"]["known"]
             told["reference"] = reference_info(self._of[0].believed.kind(**told["reference"]))
         return shown, told
@@ -182,35 +196,62 @@ class NativeSample:
         return self._filter.read(self._of[1])
 
 
-def feed_many(natives: Sequence[NativeSample], samples: Samples, threads: int) -> None:
-    """Take in a sample of each of several robots, in one call of the library.
+class ManySamples:
+    """Samples of many robots in one call of the library.
 
     Args:
-        natives: The robots, one at least.
-        samples: One a robot.
-        threads: As of :func:`~surefoot.native.call_for_many`.
+        robots: The library's objects of each of them, one at least and all of one kind.
+        parts: The parts of each robot that its samples go on with; with others this object is of no use.
+
+    Attributes:
+        robots: The same.
+        parts: The same.
+        sampled: Whether each of them has taken in any sample, shape (N,).
     """
-    at = np.array([native._at for native in natives], dtype=np.uintp)
-    found, plans = np.zeros(len(natives), dtype=np.int32), np.zeros(len(natives), dtype=np.uintp)
-    how = 2 * np.array(samples.hold, dtype=np.int32)
-    if samples.planned is not None:
-        planned = np.ascontiguousarray(samples.planned)
-        how, plans = how + np.int32(1), plans + planned.ctypes.data
-        plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
-    arguments = (
-        at,
-        np.array(samples.rows, dtype=np.uintp),
-        np.array(samples.packets, dtype=np.int32),
-        np.array(samples.raw, dtype=np.uintp),
-        plans,
-        samples.then,
-        samples.now,
-        how,
-        found,
-    )
-    call_for_many(natives[0].many, arguments, threads)
-    for native, told in zip(natives, found.tolist(), strict=True):
-        native.tell(told)
+
+    def __init__(self, robots: Sequence[NativeSample], parts: list[Any]) -> None:
+        self.robots, self.parts, self._many = robots, parts, robots[0].many
+        self.sampled = np.array([robot.sampled for robot in robots])
+        self._at = np.array([robot.address for robot in robots], dtype=np.uintp)
+        self._memory = np.zeros((len(robots), len(robots[0].memory)), np.uint8)
+        for robot, memory in zip(robots, self._memory, strict=True):
+            robot.keep_in(memory)
+
+    def __reduce__(self) -> Any:
+        # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
+        return type(None), ()
+
+    def feed(self, which: NDArray[np.intp], samples: Samples, threads: int) -> NDArray[np.int32]:
+        """Take in a sample of each of some robots.
+
+        Args:
+            which: Their numbers, shape (n,).
+            samples: One of each.
+            threads: As of :func:`~surefoot.native.call_for_many`.
+
+        Returns:
+            What the library tells of each: :data:`KNOWN`, :data:`STANDING` and others, added, shape (n,).
+        """
+        found, plans = np.zeros(len(which), dtype=np.int32), np.zeros(len(which), dtype=np.uintp)
+        how = 2 * np.array(samples.hold, dtype=np.int32)
+        if samples.planned is not None:
+            planned = np.ascontiguousarray(samples.planned)
+            how, plans = how + np.int32(1), plans + planned.ctypes.data
+            plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
+        rows, packets, raw, _, then, now, _ = samples
+        arguments = self._at[which], rows, packets, raw, plans, then, now, how, found
+        call_for_many(self._many, arguments, threads)
+        if not self.sampled.all():
+            self.sampled[which] = True
+            for i in which.tolist():
+                self.robots[i].sampled = True
+        for i in which[found & PUBLISHED > 0].tolist():
+            self.robots[i].drop_published()
+        return found
+
+    def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return observations and ``info`` of all, as :meth:`NativeSample.outputs_of` does."""
+        return self.robots[0].outputs_of(self._memory)
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:

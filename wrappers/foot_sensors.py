@@ -14,7 +14,7 @@ from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
+from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
 
@@ -102,7 +102,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
                 f"environment that it reads, and one is enough; got {self.env}."
             )
         layout = getattr(source, "state_layout", None) if measure_state else None
-        self._view = RawView(shown, self.instruments.space, layout, TelemetryLayout(len(joints)))
+        self._view = RawView(shown, self.instruments.space, layout, equipment.packet)
         self.observation_space = self._view.space
         self.robot = RobotSensors(equipment, self._view.measures, self._view)
         self._clock: float | None = None

@@ -1,7 +1,6 @@
 """The calibrator of one robot by the library: the same states, the same estimates, to rounding."""
 
-from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,44 +8,10 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native.config import Constants, constants_of
-from surefoot.calibration.native.reference import ReferenceRecord, reference_dtype
+from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.native import Library, Record, leaves_of, rebuilt
-
-_SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
-
-
-class _Given(NamedTuple):
-    """References of one kind that are handed over, and how their fields have to be."""
-
-    record: NDArray[Any]
-    places: tuple[NDArray[Any], ...]
-    arrays: tuple[type, ...]
-    dtypes: tuple[np.dtype[Any], ...]
-    shapes: tuple[tuple[int, ...], ...]
-    address: int
-
-    @classmethod
-    def of(cls, library: Library, kind: type[Any], constants: Constants) -> "_Given | None":
-        """Return that of a kind; ``None`` if the library has no room for it."""
-        motions, fields = constants.front.motions, kind._fields
-        dtype = reference_dtype(library, kind, motions.shapes)
-        if dtype is None:
-            return None
-        record, contacts = np.zeros((), dtype), np.dtype(np.bool_)
-        if kind is MomentumReference:
-            record["momentum"] = True
-        # The IMU is last, which a method may leave out.
-        used = fields if motions.imu or kind is MomentumReference else fields[:-2]
-        return cls(
-            record,
-            tuple(record[field] for field in used),
-            (np.ndarray,) * len(fields),
-            tuple(contacts if field in ("stance", "swing") else library.real for field in fields),
-            tuple(motions.shapes[field] for field in fields),
-            record.ctypes.data,
-        )
 
 
 class NativeState:
@@ -86,7 +51,7 @@ class NativeFilter:
         certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: Its readings, shape (K,).
-        references: Records of the robot's beliefs, one for each kind of reference that is taken.
+        references: Records that references are put in, one for each kind that is taken.
         estimate: The record of the last estimate.
         addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
     """
@@ -108,13 +73,14 @@ class NativeFilter:
         }  # fmt: skip
         leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
         state = library.record(constants.state, leaves)
-        given = {kind: _Given.of(library, kind, constants) for kind in constants.front.motions.taken}
         estimate = library.record("estimate", shapes)
-        if state is None or estimate is None or None in given.values():
+        if state is None or estimate is None:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
         self._dtype = state
-        self._given = {kind: one for kind, one in given.items() if one is not None}
-        self.references = {kind: one.record for kind, one in self._given.items()}
+        taken = constants.front.motions.taken
+        self.references: dict[Any, ReferenceRecord] = {
+            kind: ReferenceRecord(library, kind, F) for kind in taken
+        }
         self.estimate = Record(estimate)
         self._filter = constants.filter(library)
         self.addresses = {
@@ -175,15 +141,10 @@ class NativeFilter:
             return (
                 reference.feet == self._feet
                 and reference.real == self._real
-                and reference.kind in self._given
+                and reference.kind in self.references
             )
-        given = self._given.get(type(reference))
-        return (
-            given is not None
-            and tuple(map(type, reference)) == given.arrays
-            and tuple(map(_DTYPE, reference)) == given.dtypes
-            and tuple(map(_SHAPE, reference)) == given.shapes
-        )
+        record = self.references.get(type(reference))
+        return record is not None and record.takes(reference)
 
     def update(
         self,
@@ -196,13 +157,11 @@ class NativeFilter:
         self.raw[...] = raw
         filter_at, reading, out = self._addresses
         if isinstance(reference, ReferenceRecord):
-            beliefs = reference.address
+            record = reference
         else:
-            given = self._given[type(reference)]
-            beliefs = given.address
-            for place, part in zip(given.places, reference, strict=False):
-                place[...] = part
-        if self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out):
+            record = self.references[type(reference)]
+            record.fill(reference)
+        if self._functions.surefoot_step(filter_at, state.address, reading, record.address, dt, out):
             state.drop_published()
         return self.read(state)
 

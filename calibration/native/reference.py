@@ -1,6 +1,7 @@
 """A reference as the library holds it, which a calibrator takes as it is."""
 
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,11 @@ import numpy as np
 from surefoot.calibration.reference import MomentumReference, Reference, reference_shapes
 from surefoot.native import Library, Record
 
+_DTYPE, _SHAPE = attrgetter("dtype"), attrgetter("shape")
+
 _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
-    Reference: ("belief", ()),
-    MomentumReference: ("momentum_belief", ("momentum",)),
+    Reference: ("belief", ("known",)),
+    MomentumReference: ("momentum_belief", ("known", "momentum")),
 }
 """Names of the records of both kinds, and fields that they have besides."""
 
@@ -52,6 +55,7 @@ class ReferenceRecord:
         feet: The same.
         address: Where the library finds it.
         dtype: Its layout.
+        now: Its values, shape ().
         real: The dtype of its numbers.
 
     Raises:
@@ -64,14 +68,36 @@ class ReferenceRecord:
             raise ValueError(feet_beyond(library, feet))
         self.library, self.real = library, library.real
         self.kind, self.feet, self.dtype = kind, feet, dtype
-        self._record = Record(dtype)
-        self._nothing = Record(dtype)
-        self.address = self._record.address
+        self._record, self._nothing = Record(dtype), Record(dtype)
+        self.address, self.now = self._record.address, self._record.now
+        self._places = [self.now[name] for name in kind._fields]
+        self._dtypes, self._shapes = list(map(_DTYPE, self._places)), list(map(_SHAPE, self._places))
+        if kind is MomentumReference:
+            self.now["momentum"] = True
+
+    def takes(self, reference: Reference | MomentumReference) -> bool:
+        """Return whether the arrays of a reference of its kind are as it wants them."""
+        return (
+            list(map(type, reference)) == [np.ndarray] * len(self._places)
+            and list(map(_DTYPE, reference)) == self._dtypes
+            and list(map(_SHAPE, reference)) == self._shapes
+        )
 
     def fill(self, reference: Reference | MomentumReference) -> None:
         """Take over its values."""
-        for name, part in reference._asdict().items():
-            self._record.now[name] = part
+        for place, part in zip(self._places, reference, strict=True):
+            place[...] = part
+        self.now["known"] = reference.com[0] == reference.com[0]
+
+    @property
+    def known(self) -> bool:
+        """Whether it is anything."""
+        return bool(self.now["known"])
+
+    @property
+    def standing(self) -> bool:
+        """Whether a foot surely stood."""
+        return any(self.now["stance"].tolist())
 
     def reference(self) -> Any:
         """Return a copy, of its kind."""

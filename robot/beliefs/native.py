@@ -38,8 +38,6 @@ class NativeBeliefs:
 
     Attributes:
         believed: The result of the last :meth:`sample`; the next one overwrites it.
-        known: Whether it is anything.
-        standing: Whether a foot surely stood.
 
     Raises:
         ValueError: If the library is not made for such a robot; docs/native.md has its limits.
@@ -86,7 +84,6 @@ class NativeBeliefs:
             self._state["moved"] = momentum.ring
             self._put(momentum.strapdown, _STRAPDOWN, "strapdown_")
         self.believed.fill(believed.believed)
-        self.known, self.standing = believed.known, believed.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
 
@@ -94,7 +91,6 @@ class NativeBeliefs:
         """Go on at an episode's start; as :meth:`Beliefs.begin_episode`, but in place."""
         self._functions.surefoot_beliefs_init(self._momentum, self._addresses[1])
         self.believed.fill(unknown(self.feet) if self._momentum else nothing(self.feet))
-        self.known = self.standing = False
         return self
 
     def _keep_up(self) -> None:
@@ -156,7 +152,6 @@ class NativeBeliefs:
         found = self._functions.surefoot_beliefs_sample(
             timing, self._momentum, state, time, plan, hold, self.believed.address
         )
-        self.tell(found)
         return bool(found & 1)
 
     def addresses(self) -> dict[str, int]:
@@ -179,9 +174,15 @@ class NativeBeliefs:
         self._stance[...], self._swing[...] = command.stance, command.swing
         return True
 
-    def tell(self, found: int) -> None:
-        """Take over the library's results of a sample."""
-        self.known, self.standing = found & 2 > 0, found & 4 > 0
+    @property
+    def known(self) -> bool:
+        """Whether anything is believed."""
+        return self.believed.known
+
+    @property
+    def standing(self) -> bool:
+        """Whether a foot surely stood."""
+        return self.believed.standing
 
     def info(self) -> dict[str, Any]:
         """As :meth:`Beliefs.info`."""

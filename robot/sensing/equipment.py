@@ -22,7 +22,7 @@ from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.faults.channels import FaultState
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
-from surefoot.sensors.telemetry.computer import Telemetry, timely_link
+from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout, timely_link
 from surefoot.sensors.telemetry.native import telemetry_of
 from surefoot.sensors.transport.wire import check_wire
 
@@ -68,6 +68,7 @@ class Equipment:
         seldom: The same.
         instruments: The instruments under the feet.
         drawing: The robot.
+        packet: Columns of a packet of its telemetry.
         fresh: Whether every reset draws fresh sensors.
         conditions: The distribution of a robot's condition.
         fitted: The instruments under a robot's feet before anything is drawn.
@@ -89,7 +90,7 @@ class Equipment:
     ) -> None:
         check_stream(owner, given.stream)
         self.seldom = seldom
-        self.drawing, self._joint_names = drawing, joint_names
+        self.drawing, self._joint_names, self.packet = drawing, joint_names, TelemetryLayout(len(joint_names))
         config = usual_cells(drawing) if given.config is None else given.config
         feet = len(drawing.feet)
         self._devices = [device_for_feet(part, feet) for part in (config, given.ankles) if part is not None]

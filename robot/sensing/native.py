@@ -1,6 +1,6 @@
 """All sensors of one robot by the library: a step or an episode's start in one call, with the observation."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -69,8 +69,8 @@ class NativeSensing:
         telemetry_state: The telemetry's state, which goes on in place.
         address: Where the library finds its records.
         raw_address: Where the last reading lies.
+        shape: Of the rows of truth that it takes.
         rows_address: Where rows of packets lie.
-        count: How many of these have arrived in the last step.
     """
 
     telemetry_state: Any
@@ -92,7 +92,7 @@ class NativeSensing:
         self.telemetry_state = None
         if telemetry is not None:
             self._telemetry, self.telemetry_state = telemetry
-        self._view, self.count = view, 0
+        self._view = view
         numbers = _sizes(instruments, truth, dt)
         if len(instruments.parts) > 1:
             self._order = instruments.order.astype(np.int32)
@@ -104,7 +104,7 @@ class NativeSensing:
         self._observed = observed if len(observed) else None
         self._seen = Record(_reading_dtype(instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        self._shape = truth.rows.shape
+        self.shape = truth.rows.shape
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
             "newest": kept[0],
@@ -134,7 +134,7 @@ class NativeSensing:
                 "telemetry_state": self.telemetry_state.address,
                 "values": self._telemetry.layout.size,
             }
-        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0}
+        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0, "packets": 0}
         numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
         records = library.record_of(
             "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
@@ -172,7 +172,7 @@ class NativeSensing:
             fresh: Whether IMU and encoders are drawn.
             observation: The environment's observation.
         """
-        if truth.rows.shape != self._shape:
+        if truth.rows.shape != self.shape:
             return None
         for part, now in zip(self._map, self._cell_map(truth), strict=True):
             part[...] = now
@@ -194,22 +194,14 @@ class NativeSensing:
             time: The host's at its end in s.
             observation: The environment's observation.
         """
-        return self._read(truth, time, 0, observation) if self.takes(truth.rows.shape) else None
+        return self._read(truth, time, 0, observation) if truth.rows.shape == self.shape else None
 
-    def takes(self, shape: tuple[int, ...]) -> bool:
-        """Return whether there is room for the next control step, of rows of truth of this shape."""
-        return shape == self._shape and not (self._telemetry and self.telemetry_state.coming < 0)
-
-    def tell(self, told: int) -> None:
-        """Take over the library's counts of a step: packets that have arrived, and packets on their way."""
-        if self._telemetry is not None:
-            self.telemetry_state.coming, self.count = (told >> 16) - 1, told & 0xFFFF
-
-    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
+    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen | None:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        self.tell(self._sense(self.address, rows.ctypes.data, time, begins))
+        if self._sense(self.address, rows.ctypes.data, time, begins) < 0:
+            return None
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
@@ -217,11 +209,11 @@ class NativeSensing:
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
-        return None if self._telemetry is None else (self._telemetry.arrived_address, self.count)
+        return None if self._telemetry is None else (self.rows_address, int(self._records["packets"]))
 
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
-        return () if self._telemetry is None else self._telemetry.packets(self.count)
+        return () if self._telemetry is None else self._telemetry.packets(int(self._records["packets"]))
 
 
 class ManySensing:
@@ -232,21 +224,33 @@ class ManySensing:
 
     Attributes:
         robots: The same.
+        raw: Addresses of their readings, shape (N,).
+        rows: Addresses of rows of packets, shape (N,).
+        packets: How many packets have arrived of each, shape (N,).
     """
 
     def __init__(self, robots: Sequence[NativeSensing]) -> None:
         library = installed()
         assert library is not None
-        self.robots, self._sense = tuple(robots), library.functions.surefoot_sense_many
-        self._at = np.array([robot.address for robot in robots], dtype=np.uintp)
+        self.robots, self._sense = list(robots), library.functions.surefoot_sense_many
+        places = [(robot.address, robot.raw_address, robot.rows_address) for robot in robots]
+        self._at, self.raw, self.rows = np.array(places, dtype=np.uintp).T.copy()
+        self.packets = np.zeros(len(robots), dtype=np.int32)
+        self.count_packets(range(len(robots)))
+        self._shapes = {robot.shape for robot in robots}
 
     def __reduce__(self) -> Any:
         # Addresses are of no use elsewhere: a copy of the sensors makes its own.
         return type(None), ()
 
+    def count_packets(self, which: Iterable[int]) -> None:
+        """Note the packets of robots that were read one by one."""
+        for i in which:
+            _, self.packets[i] = self.robots[i].packet_rows() or (0, 0)
+
     def step(
         self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
-    ) -> None:
+    ) -> NDArray[np.intp]:
         """Read a control step.
 
         Args:
@@ -254,14 +258,19 @@ class ManySensing:
             truth: Of all robots, shape (N, S, columns).
             time: The hosts' clocks at its end in s, of those that are read.
             threads: As of :func:`~surefoot.native.call_for_many`.
+
+        Returns:
+            Numbers of those that were read; the others' steps are left to the caller.
         """
+        if self._shapes != {truth.shape[1:]}:
+            return which[:0]
         if truth.dtype != np.float64 or not truth[0].flags.c_contiguous:
             truth = np.ascontiguousarray(truth, dtype=np.float64)
-        told = np.zeros(len(which), dtype=np.int32)
+        packets = np.zeros(len(which), dtype=np.int32)
         rows = (truth.ctypes.data + which * truth.strides[0]).astype(np.uintp)
-        call_for_many(self._sense, (self._at[which], rows, time, told), threads)
-        for robot, packets in zip(which.tolist(), told.tolist(), strict=True):
-            self.robots[robot].tell(packets)
+        call_for_many(self._sense, (self._at[which], rows, time, packets), threads)
+        self.packets[which] = packets
+        return which if (packets >= 0).all() else which[packets >= 0]
 
 
 def native_sensing(

@@ -17,7 +17,7 @@ from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import InstrumentsState
-from surefoot.robot.sensing.native import NativeSensing, Seen, native_sensing
+from surefoot.robot.sensing.native import NativeSensing, native_sensing
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.streams import wants_fresh
 from surefoot.sensors.telemetry.computer import Telemetry
@@ -57,7 +57,8 @@ class RobotSensors:
         conditions: The distribution of its condition: its severity with fresh sensors, faults by chance at
             each reset. They may be changed, for the next one.
         listening: Whether telemetry is sent from the next reset on.
-        time: The host's time since the reset in s.
+        clock: The host's time since the reset in s, shape (1,).
+        sensing: The library's reader, if it has read the last step.
         sensors_fresh: Whether the last reset drew fresh sensors.
         held: The last reading of each channel that has arrived in counts, shape (K,).
         newest: Values of the newest packet that has arrived.
@@ -66,17 +67,17 @@ class RobotSensors:
     def __init__(self, equipment: Equipment, listening: bool, view: RawView | None = None) -> None:
         self.equipment, self.listening, self._view = equipment, listening, view
         self.conditions, self._fitted = equipment.conditions, equipment.fitted
-        self.sensors_fresh, self.time = True, 0.0
+        self.sensors_fresh, self.clock = True, np.zeros(1)
         self.held = equipment.instruments.zero_code.astype(np.float32)
-        self.newest: NDArray[np.float64] = np.zeros(0)
+        self.newest: NDArray[np.float64] = np.zeros(equipment.packet.size)
         self._streams: dict[str, Any] = equipment.streams(None)
         self._hardware: HardwareState | None = None
         self._telemetry: Telemetry | None = None
         self._telemetry_state: Any = None
-        self._sensing: NativeSensing | None = None
+        self.sensing: NativeSensing | None = None
         self._sends = listening
         self._raw: NDArray[np.float64] | None = None
-        self._packets: Packets | None = ()
+        self._packets: Packets = ()
 
     def reset(
         self,
@@ -105,16 +106,17 @@ class RobotSensors:
             self._sends = self.listening
         if self._telemetry is None or self._telemetry.dt != dt:
             self._telemetry = self.equipment.telemetry(dt, len(truth.time))
-            self.newest = np.zeros(self._telemetry.layout.size)
+            self.newest[:] = 0.0
         self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
-        self.time, draws = 0.0, self.sensors_fresh or self._telemetry_state is None
+        self.clock[0], draws = 0.0, self.sensors_fresh or self._telemetry_state is None
         self._renew(self.sensors_fresh)
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
         at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
         sensing = self._by_library(truth)
         read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
         if read is not None:
-            return self._take_over(read)
+            self._raw, seen = read
+            return seen
         self._leave_library()
         self._begin(truth, at_rest, draws)
         return None
@@ -129,11 +131,12 @@ class RobotSensors:
         Returns:
             The observation; ``None`` where the view is left to the caller.
         """
-        self.time += self.telemetry.dt
-        sensing = self._sensing or self._by_library(truth)
+        self.clock += self.telemetry.dt
+        sensing = self.sensing or self._by_library(truth)
         read = None if sensing is None else sensing.step(truth, self.time, observation)
         if read is not None:
-            return self._take_over(read)
+            self._raw, seen = read
+            return seen
         self._leave_library()
         self._read(truth, self.telemetry.dt)
         if self._telemetry_state is not None:
@@ -147,34 +150,27 @@ class RobotSensors:
         self._note()
         return None
 
-    def reader(self, shape: tuple[int, ...]) -> NativeSensing | None:
-        """Return the library's reader of the next control step; ``None`` where :meth:`step` has to.
-
-        Args:
-            shape: Of its rows of truth.
-        """
-        sensing = self._sensing
-        return sensing if sensing is not None and sensing.takes(shape) else None
-
     @property
-    def sensing(self) -> NativeSensing | None:
-        """The library's reader, if it has read the last step."""
-        return self._sensing
-
-    def follow(self, time: float) -> None:
-        """Take over a control step that ends at a time of the host's, which :meth:`reader` has read."""
-        self.time, self._packets = time, None
+    def time(self) -> float:
+        """The host's time since the reset in s."""
+        return self.clock.item()
 
     @property
     def packets(self) -> Packets:
         """Telemetry that arrived during the last step, in order; only while somebody listens."""
-        if self._packets is None:
-            self._packets = () if self._sensing is None else self._sensing.packets()
-        return self._packets
+        return self._packets if self.sensing is None else self.sensing.packets()
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
-        return None if self._packets is not None or self._sensing is None else self._sensing.packet_rows()
+        return None if self.sensing is None else self.sensing.packet_rows()
+
+    def keep_in(
+        self, held: NDArray[np.float32], newest: NDArray[np.float64], clock: NDArray[np.float64]
+    ) -> None:
+        """Keep :attr:`held`, :attr:`newest` and :attr:`clock` in other arrays from here on."""
+        self._leave_library()
+        held[...], newest[...], clock[...] = self.held, self.newest, self.clock
+        self.held, self.newest, self.clock = held, newest, clock
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -255,13 +251,13 @@ class RobotSensors:
         """The instruments under the feet and their faults, as the Python has them."""
         if self._hardware is None:
             raise RuntimeError("There are no sensors before the first reset(), which draws them.")
-        return self._hardware if self._sensing is None else HardwareState(*self._sensing.python(), None)
+        return self._hardware if self.sensing is None else HardwareState(*self.sensing.python(), None)
 
     def _by_library(self, truth: Any) -> NativeSensing | None:
         """Let the library read from here on; ``None`` where it cannot, and Python does."""
-        if self._sensing is None:
+        if self.sensing is None:
             hardware, telemetry = self._devices, self.telemetry
-            self._sensing = native_sensing(
+            self.sensing = native_sensing(
                 truth,
                 self._fitted.instruments,
                 self._fitted.native,
@@ -271,28 +267,23 @@ class RobotSensors:
                 (self.newest, self.held),
                 self._view,
             )
-            if self._sensing is not None:
-                self._telemetry_state = self._sensing.telemetry_state
-                self._sensing.take(*hardware[:2])
-        if self._sensing is not None:
-            self._sensing.draw_from(self._streams)
-        return self._sensing
+            if self.sensing is not None:
+                self._telemetry_state = self.sensing.telemetry_state
+                self.sensing.take(*hardware[:2])
+        if self.sensing is not None:
+            self.sensing.draw_from(self._streams)
+        return self.sensing
 
     def _leave_library(self) -> None:
         """Let Python read from here on."""
-        if self._sensing is not None:
-            self._packets, self._hardware, self._sensing = self.packets, self._devices, None
-
-    def _take_over(self, read: Seen) -> dict[str, Any] | None:
-        self._packets = None  # made of the library's rows when somebody asks
-        self._raw, seen = read
-        return seen
+        if self.sensing is not None:
+            self._packets, self._hardware, self.sensing = self.packets, self._devices, None
 
     def __getstate__(self) -> dict[str, Any]:
         # The library's records and rows stay behind.
-        if self._sensing is None:
+        if self.sensing is None:
             return vars(self)
-        return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "_sensing": None}
+        return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "sensing": None}
 
     def _renew(self, fresh: bool) -> None:
         """Draw the hardware of an episode's start; sensors of the telemetry are drawn as that begins."""
@@ -310,8 +301,8 @@ class RobotSensors:
         faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
         drawn = instruments.init(streams) if fresh else self._devices.instruments
         self._hardware = HardwareState(drawn, faults, None)
-        if self._sensing is not None:
-            self._sensing.take(*self._hardware[:2])
+        if self.sensing is not None:
+            self.sensing.take(*self._hardware[:2])
         if fresh:
             self.held[:] = instruments.zero_code
 

@@ -132,14 +132,8 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     low, high = config.code_range
     zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
     averaged = config.averaged
-    noise = config.noise_counts
-    walks = np.array([[config.scale_drift], [config.offset_drift]])
-    walking = np.flatnonzero(walks > 0.0)
-    drawn_per_step = len(walking) + (noise > 0.0)
-    slope = config.slope
-    initial_std = np.array([[config.initial_scale_std], [config.initial_offset_std]])
-    warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
-    tempco_std = np.array([[config.scale_tempco], [config.offset_tempco]])
+    noise, slope, errors = config.noise_counts, config.slope, _Errors(config)
+    drawn_per_step = len(errors.walking) + (noise > 0.0)
     settling = config.settling
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
@@ -156,11 +150,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if settling > 1:
             window = average.init(shape, rng) if rate is None else init_window(settling, shape)
         felt = element.init(shape, rng) if element else ()
-        # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
-        drawn = normal(rng, (4 if warms else 2, *shape))
-        error, thermal = drawn[:: 2 if warms else 1] * initial_std, np.zeros(0)
-        if warms:
-            thermal = np.concatenate([drawn[1::2] * tempco_std, nothing[None]])
+        error, thermal = errors.init(shape, rng)
         brought = way.init(shape, rng) if way else ()
         return LoadCellState(
             period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought, shares
@@ -183,14 +173,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         drawn = normal(rng, (drawn_per_step, *load.shape)) if drawn_per_step else np.zeros(0)
-        if len(walking):
-            error = error.copy()
-            error[walking] += dt**0.5 * walks[walking] * drawn[: len(walking)]
-        if warms:
-            tempco, before = thermal[:RISE], thermal[RISE]
-            temperature = temperature_rise(before, ramp, rise, dt)
-            error = error + tempco * (temperature - before)
-            thermal = np.concatenate([tempco, temperature[None]])
+        error, thermal = errors.drift(error, thermal, drawn, dt)
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
@@ -207,6 +190,43 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought, shares)
 
     return Corruption(init, apply)
+
+
+class _Errors:
+    """The drifting errors of cells: they walk at random, and follow the temperature of cells that warm up.
+
+    Attributes:
+        walking: Rows of errors that walk.
+    """
+
+    def __init__(self, config: LoadCells) -> None:
+        self._config = config
+        self._walks = np.array([[config.scale_drift], [config.offset_drift]])
+        self.walking = np.flatnonzero(self._walks > 0.0)
+
+    def init(self, shape: tuple[int, ...], rng: Rng) -> tuple[Array, Array]:
+        """Draw ``error`` and ``thermal`` of :class:`LoadCellState`."""
+        config, warms = self._config, self._config.warms
+        # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
+        drawn = normal(rng, (4 if warms else 2, *shape))
+        error = drawn[:: 2 if warms else 1] * [[config.initial_scale_std], [config.initial_offset_std]]
+        if not warms:
+            return error, np.zeros(0)
+        tempco = drawn[1::2] * [[config.scale_tempco], [config.offset_tempco]]
+        return error, np.concatenate([tempco, np.zeros((1, *shape))])
+
+    def drift(self, error: Array, thermal: Array, drawn: Array, dt: float) -> tuple[Array, Array]:
+        """Return both after dt, of normal numbers for the errors that walk, in front of ``drawn``."""
+        config, walking = self._config, self.walking
+        if len(walking):
+            error = error.copy()
+            error[walking] += dt**0.5 * self._walks[walking] * drawn[: len(walking)]
+        if config.warms:
+            tempco, before = thermal[:RISE], thermal[RISE]
+            temperature = temperature_rise(before, config.temperature_ramp, config.temperature_rise, dt)
+            error = error + tempco * (temperature - before)
+            thermal = np.concatenate([tempco, temperature[None]])
+        return error, thermal
 
 
 def static_counts(

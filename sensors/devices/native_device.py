@@ -74,17 +74,21 @@ class NativeDevice:
         kind: Its kind.
         config: The instrument.
         constants: Its constants, as the library has them.
+        python: The same device in Python.
 
     Attributes:
         kind: Its kind.
         constants: Its constants.
+        python: The same device in Python.
         layout: Of its states' records.
     """
 
-    def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
-        self.kind, self._config, self.constants = kind, config, constants
+    def __init__(
+        self, library: Library, kind: Kind, config: Any, constants: NDArray[Any], python: Corruption[Any]
+    ) -> None:
+        self.kind, self._config, self.constants, self.python = kind, config, constants, python
         self._felt = kind.count_loads(config)
-        self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
+        self._template = python.init((config.channels,), np.random.default_rng(0))
         leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
         dtype = library.record(kind.name, leaves)
         assert dtype is not None
@@ -142,14 +146,19 @@ class NativeDevice:
 
 
 def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDevice | None:
-    """Return the device of one robot by a library; ``None`` for one that it is not made for."""
+    """Return the device of one robot by a library; ``None`` for one that it is not made for.
+
+    Raises:
+        ValueError: If there can be no such device at all.
+    """
     if library is None:
         return None
+    python = kind.build(config)
     record = library.record_of(f"{kind.name}_config", kind.constants(config))
     fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
     if record is None or not fits(record.ctypes.data):
         return None
-    return NativeDevice(library, kind, config, record)
+    return NativeDevice(library, kind, config, record, python)
 
 
 def native_here(kind: Kind, config: Any) -> NativeDevice | None:

@@ -51,7 +51,8 @@ typedef struct {
 /* The same of what is under one robot's feet, of its telemetry, if anybody listens, and of what is seen. Each of `rows`
    of truth has `columns`, in which joints, IMU, ankles and cells begin at at_... and feet are `stride` apart. The load
    is felt @ map + preload, with `readings` felt; with `soles`, these are wrenches that are made of so many feet first.
-   Of `numbers` of the observation `shares` are measured, and the number from[i] of the newest packet is at to[i]. */
+   Of `numbers` of the observation `shares` are measured, and the number from[i] of the newest packet is at to[i].
+   `packets` have arrived in the last step. */
 typedef struct {
     sf_feet feet;
     const sf_real *map, *preload;
@@ -64,7 +65,7 @@ typedef struct {
     float *shown, *held, *counts;
     const int32_t *from, *to;
     int rows, columns, at_joints, at_inertial, at_ankles, at_cells, stride, readings, soles, channels, values, numbers,
-        shares, averaged;
+        shares, averaged, packets;
 } sf_sense_records;
 
 /* clang-format off */
@@ -128,7 +129,7 @@ static const place places[] = {
     R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
     R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(columns),
     R_INT(at_joints), R_INT(at_inertial), R_INT(at_ankles), R_INT(at_cells), R_INT(stride), R_INT(readings),
-    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares), R_INT(averaged),
+    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares), R_INT(averaged), R_INT(packets),
 };
 /* clang-format on */
 
@@ -176,24 +177,14 @@ EXPORTED void surefoot_faults_step(const sf_faults_config *config, sf_faults *fa
 }
 
 EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }
-EXPORTED int surefoot_telemetry_coming(const sf_telemetry_config *config, const sf_telemetry *state) {
-    return sf_telemetry_coming(config, state);
-}
-/* Both return how many packets have arrived, and 2^16 times one more than how many the next step sends. */
-static int with_coming(const telemetry_arrays *at, const sf_telemetry *state, int arrived) {
-    return arrived < 0 ? -1 : arrived + 65536 * (sf_telemetry_coming(at->config, state) + 1);
-}
+/* Both return how many packets have arrived; -1, with nothing done, if there is no room for those of the step. */
 EXPORTED int surefoot_telemetry_init(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
                                      int fresh) {
-    return with_coming(at, state,
-                       sf_telemetry_init(at->config, state, at->position, at->inertial, fresh, stream,
-                                         at->arrived));
+    return sf_telemetry_init(at->config, state, at->position, at->inertial, fresh, stream, at->arrived);
 }
 EXPORTED int surefoot_telemetry_advance(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
                                         double time) {
-    return with_coming(at, state,
-                       sf_telemetry_advance(at->config, state, at->position, at->inertial, time, stream,
-                                            at->arrived));
+    return sf_telemetry_advance(at->config, state, at->position, at->inertial, time, stream, at->arrived);
 }
 
 /* RawView.show: the newest packet in place of what is measured, and counts, of which the last ones are held. */
@@ -267,11 +258,12 @@ static void find_motion(const sf_sense_records *at, const sf_real *truth) {
     }
 }
 
-/* A control step of one robot, for whose packets there is room, or the start of an episode, for which 1 keeps the
-   telemetry's sensors and 2 draws them, at rest as the first row of position and inertial says; and what is seen of it.
-   truth is what the simulator reads in each substep. Returns what surefoot_telemetry_advance does. */
-EXPORTED int surefoot_sense(const sf_sense_records *at, const sf_real *truth, double time, int begins) {
-    int told = 0;
+/* A control step of one robot, or the start of an episode, for which 1 keeps the telemetry's sensors and 2 draws them,
+   at rest as the first row of position and inertial says; and what is seen of it. truth is what the simulator reads in
+   each substep. Returns what surefoot_telemetry_advance does. */
+EXPORTED int surefoot_sense(sf_sense_records *at, const sf_real *truth, double time, int begins) {
+    at->packets = 0;
+    if (!begins && at->telemetry && sf_telemetry_coming(at->telemetry->config, at->telemetry_state) < 0) return -1;
     if (at->feet.cells_config) find_load(at, truth);
     if (at->feet.force_torque_config) find_wrenches(at, truth);
     if (begins)
@@ -279,22 +271,22 @@ EXPORTED int surefoot_sense(const sf_sense_records *at, const sf_real *truth, do
     else
         sf_feet_step(&at->feet, at->load, at->rows, at->wrench, at->raw);
     if (at->telemetry && begins)
-        told = surefoot_telemetry_init(at->telemetry, at->telemetry_state, at->telemetry_stream, begins - 1);
+        at->packets = surefoot_telemetry_init(at->telemetry, at->telemetry_state, at->telemetry_stream, begins - 1);
     else if (at->telemetry) {
         find_motion(at, truth);
-        told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
+        at->packets = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
     }
-    int arrived = told & 0xFFFF;
-    if (told >= 0 && arrived > 0) {
-        const sf_real *last = at->telemetry->arrived + (arrived - 1) * (2 + at->values);
+    if (at->packets > 0) {
+        const sf_real *last = at->telemetry->arrived + (at->packets - 1) * (2 + at->values);
         memcpy(at->newest, last + 2, (size_t)at->values * sizeof(sf_real));
     }
     show_raw(at);
-    return told;
+    return at->packets;
 }
 
-/* A control step of many robots, each argument with a number of each; told[i] is what surefoot_sense returns of it. */
-EXPORTED void surefoot_sense_many(const sf_sense_records *const *at, const sf_real *const *truth, const double *time,
-                                  int *told, int count) {
-    for (int i = 0; i < count; i++) told[i] = surefoot_sense(at[i], truth[i], time[i], 0);
+/* A control step of many robots, each argument with a number of each; packets[i] is what surefoot_sense returns of it.
+ */
+EXPORTED void surefoot_sense_many(sf_sense_records *const *at, const sf_real *const *truth, const double *time,
+                                  int *packets, int count) {
+    for (int i = 0; i < count; i++) packets[i] = surefoot_sense(at[i], truth[i], time[i], 0);
 }

@@ -19,7 +19,6 @@ NATIVE = Native(
             for device in _DEVICES
         },
         "surefoot_telemetry_fits": (ctypes.c_int, (ADDRESS,)),
-        "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_telemetry_init": (ctypes.c_int, (*(ADDRESS,) * 3, ctypes.c_int)),
         "surefoot_sense": (ctypes.c_int, (ADDRESS, ADDRESS, ctypes.c_double, ctypes.c_int)),
         "surefoot_sense_many": (None, (*(ADDRESS,) * 4, ctypes.c_int)),

@@ -26,29 +26,6 @@ def white_noise(std: float) -> Corruption[tuple[()]]:
     return stateless(add)
 
 
-def noise_density(density: float) -> Corruption[tuple[()]]:
-    """Add white noise given by its density, as data sheets of inertial sensors do.
-
-    A sample that stands for a time dt has a standard deviation of density / sqrt(dt). The noise is white up
-    to half the sampling rate, and an average over a given time spreads alike at any rate.
-
-    Args:
-        density: In the unit of the readings per square root of Hz.
-
-    Raises:
-        ValueError: If it is negative.
-    """
-    check_not_negative(density=density)
-
-    def add(reading: Array, rng: Rng, dt: float) -> Array:
-        if density == 0.0:
-            return reading + 0.0
-        noisy: Array = reading + density / dt**0.5 * normal(rng, reading.shape)
-        return noisy
-
-    return stateless(add)
-
-
 def saturate(low: float, high: float) -> Corruption[tuple[()]]:
     """Clip readings to a range.
 

@@ -24,14 +24,13 @@ class NativeTelemetryState:
 
     Args:
         record: All numbers, shape ().
-        coming: How many packets the next step sends; -1 if there is no room for them.
     """
 
-    def __init__(self, record: NDArray[Any], coming: int) -> None:
-        self.record, self.address, self.coming = record, record.ctypes.data, coming
+    def __init__(self, record: NDArray[Any]) -> None:
+        self.record, self.address = record, record.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return NativeTelemetryState, (self.record.copy(), self.coming)
+        return NativeTelemetryState, (self.record.copy(),)
 
 
 class NativeTelemetry(Telemetry):
@@ -96,7 +95,6 @@ class NativeTelemetry(Telemetry):
         self._room = room
         self._skewed = bool(self.config["skewed"])
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
-        self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
         self._heads = self._arrived.data  # which hands out plain floats
@@ -119,27 +117,24 @@ class NativeTelemetry(Telemetry):
         if hardware is not None:
             self._put(state, hardware)
         self._position[0], self._inertial[0] = position, inertial
-        told = self._init(self.address, state.address, rng.address, hardware is None)
-        state.coming = (told >> 16) - 1
-        return self.packets(told & 0xFFFF), state
+        return self.packets(self._init(self.address, state.address, rng.address, hardware is None)), state
 
     def advance(
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
         native = state if type(state) is NativeTelemetryState else self.pack(state)
-        other = position.shape != self._shape
-        if native is None or native.coming < 0 or other or type(rng) is not Stream:
-            # More packets are under way than the library has room for, or a step is not as long as others.
-            return super().advance(position, inertial, time, self.unpack(state), rng)
-        self._position[...], self._inertial[...] = position, inertial
-        told = self._advance(self.address, native.address, rng.address, time)
-        native.coming = (told >> 16) - 1
-        return self.packets(told & 0xFFFF), native
+        if native is not None and position.shape == self._shape and type(rng) is Stream:
+            self._position[...], self._inertial[...] = position, inertial
+            count = self._advance(self.address, native.address, rng.address, time)
+            if count >= 0:
+                return self.packets(count), native
+        # More packets are under way than the library has room for, or a step is not as long as others.
+        return super().advance(position, inertial, time, self.unpack(state), rng)
 
     def empty(self) -> NativeTelemetryState:
         """Return room for a state, before an episode."""
-        return NativeTelemetryState(np.zeros((), self._record), 0)
+        return NativeTelemetryState(np.zeros((), self._record))
 
     def packets(self, count: int) -> Packets:
         """Return the packets that the last step has delivered, so many."""
@@ -158,7 +153,7 @@ class NativeTelemetry(Telemetry):
         """Return a state that goes on with another IMU and other encoders."""
         if type(state) is not NativeTelemetryState:
             return super().with_hardware(state, hardware)
-        after = NativeTelemetryState(state.record.copy(), state.coming)
+        after = NativeTelemetryState(state.record.copy())
         self._put(after, hardware)
         return after
 
@@ -183,7 +178,6 @@ class NativeTelemetry(Telemetry):
         for place, packet in enumerate(under_way):
             record["arrival"][place] = packet.arrival
             record["ring"][place] = (packet.number, packet.arrival, *packet.values)
-        native.coming = self._coming(self.config.ctypes.data, native.address)
         return native
 
     def unpack(self, state: TelemetryState | NativeTelemetryState) -> TelemetryState:

@@ -45,7 +45,7 @@ def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path)
     for k in range(400):
         for calibrator in calibrators:
             calibrator.update(log.force[k], log.row(k))
-    assert isinstance(by_library._state, NativeState)
+    assert isinstance(by_library.held, NativeState)
     kept = by_library.state
     by_library.save(tmp_path / "feet.npz")
     others = [copy.deepcopy(by_library), pickle.loads(pickle.dumps(by_library)), *calibrators]
@@ -73,9 +73,9 @@ def test_a_calibrator_goes_on_in_python_where_it_must(calibrators):
     by_library, _ = calibrators
     by_library.update(log.force[0], log.row(0))
     by_library.update(log.force[1], log.row(1), 1)  # a whole number of seconds
-    assert not isinstance(by_library._state, NativeState)
+    assert not isinstance(by_library.held, NativeState)
     by_library.update(log.force[2], log.row(2))
-    assert isinstance(by_library._state, NativeState)
+    assert isinstance(by_library.held, NativeState)
     assert by_library.state.waiting == 0
     by_library.reset()
     single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.row(0)))

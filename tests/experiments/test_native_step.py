@@ -13,6 +13,7 @@ pytestmark = pytest.mark.skipif(compiler() is None or installed() is None, reaso
 
 @pytest.fixture(scope="module")
 def script(benchmark_script):
+    benchmark_script("step")  # which it imports
     found = benchmark_script("native_step")
     found.FLAGS = ("-std=c99", "-O0", "-ffp-contract=off")  # compiles in a second
     return found

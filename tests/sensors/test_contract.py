@@ -39,7 +39,6 @@ from surefoot.sensors.corruption import stateless
 from surefoot.sensors.devices.load_cells import load_cell_chain
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.clock import sample_and_hold
-from surefoot.sensors.stages.converter import noise_density
 from surefoot.sensors.stages.creep import creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import mechanics
@@ -127,7 +126,6 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "drift": (lambda: drift(1.5, 0.1), 8, False),
     "scale drift": (lambda: scale_drift(0.1, 0.01), 8, False),
     "white noise": (lambda: white_noise(0.2), 8, False),
-    "noise density": (lambda: noise_density(0.02), 8, False),
     "saturate": (lambda: saturate(-1.0, 1.0), 8, False),
     "quantize": (lambda: quantize(0.25), 8, False),
     "latency": (lambda: latency(0.02, 0.004), 8, False),
@@ -200,7 +198,6 @@ NULL = {
     "drift": (drift, False),
     "scale drift": (scale_drift, False),
     "white noise": (lambda: white_noise(0.0), False),
-    "noise density": (lambda: noise_density(0.0), False),
     "quantize": (lambda: quantize(0.0), False),
     "latency": (lambda: latency(0.0), False),
     "empty chain": (chain, False),

@@ -5,7 +5,6 @@ import pytest
 
 from surefoot.sensors import chain, drift, offset, quantize, saturate, scale, scale_drift, white_noise
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
-from surefoot.sensors.stages.converter import noise_density
 
 MANY = 20_000
 
@@ -60,17 +59,6 @@ def test_white_noise_has_its_spread_and_no_memory() -> None:
     assert abs(np.corrcoef(first, second)[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.001])
-def test_a_noise_density_averages_alike_at_any_rate(dt: float) -> None:
-    rng = np.random.default_rng(4)
-    stage = noise_density(2e-3)
-    total = np.zeros(MANY)
-    for _ in range(round(0.1 / dt)):
-        reading, _ = stage.apply(np.zeros(MANY), (), rng, dt)
-        total += reading
-    assert (total / round(0.1 / dt)).std() == pytest.approx(2e-3 / 0.1**0.5, rel=0.03)
-
-
 def test_saturation_clips_and_rounding_rounds() -> None:
     rng = np.random.default_rng(5)
     stage = chain(saturate(-2.0, 1.0), quantize(0.25))
@@ -93,7 +81,6 @@ def test_stages_act_in_their_order() -> None:
         (lambda: drift(0.0, float("nan")), "'density' must be finite and not negative, got nan"),
         (lambda: scale_drift(density=-0.1), "'density' must be finite and not negative, got -0.1"),
         (lambda: white_noise(float("inf")), "'std' must be finite and not negative, got inf"),
-        (lambda: noise_density(-1e-3), "'density' must be finite and not negative, got -0.001"),
         (lambda: quantize(-1.0), "'resolution' must be finite and not negative, got -1.0"),
         (lambda: saturate(1.0, 1.0), r"'low' must be below 'high', got \[1.0, 1.0\]"),
     ],

@@ -291,7 +291,7 @@ def test_faults_begin_when_they_should():
 def test_faults_begin_when_they_should_after_hours(dtype):
     late = [Fault("dead", 3, start=7201.0)]
     feet = make(robots=1, dtype=dtype, dt=0.005, faults=late, severity=0.0)
-    (_, _), (faults, _) = feet._parts(feet._usual[0])
+    _, faults = feet._parts(feet._usual[0])
     views(feet._faults, faults.layout)["time"].fill_(7200.0)
     force = torch.full((1, 8), 10.0)
     read = [abs(float(feet.newtons(feet(force))[0, 3])) < 0.1 for _ in range(203)]

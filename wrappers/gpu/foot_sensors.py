@@ -228,8 +228,9 @@ class FootSensorsModule(BatchModule):
             kept = [self._sensors, self._faults, self._streams]
             if chance:
                 kept += [self._config, self._faults_config, self._severity]
-            for record, new in zip(kept[not fresh :], drawn[not fresh :], strict=False):
-                record[those] = new.to(self.device)
+            for record, new in zip(kept, drawn, strict=False):
+                if len(new):
+                    record[those] = new.to(self.device)
 
     def newtons(self, counts: Tensor) -> Tensor:
         """Return counts in N (and N m) by the data sheet, as a robot without a calibrator believes them."""
@@ -302,12 +303,11 @@ class FootSensorsModule(BatchModule):
             )
         return device
 
-    def _parts(self, condition: Condition) -> tuple[tuple[NativeDevice, Any], ...]:
-        """Return the instrument and the faults of robots in a condition, as records and as the Python."""
+    def _parts(self, condition: Condition, instrument: NativeDevice | None = None) -> list[NativeDevice]:
+        """Return the instrument, if there is none yet, and the faults of robots in a condition."""
         config = scaled(self._drawn, condition.severity)
-        each = (_DEVICES[self._blocks][0], config), (FAULTS, Broken(condition.faults, config))
-        python = [kind.build(of) for kind, of in each]  # which refuse faults that cannot happen
-        return tuple((self._device(*of), made) for of, made in zip(each, python, strict=True))
+        faults = self._device(FAULTS, Broken(condition.faults, config))
+        return [instrument or self._device(_DEVICES[self._blocks][0], config), faults]
 
     def _draw(
         self, before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
@@ -320,8 +320,8 @@ class FootSensorsModule(BatchModule):
             fresh: Whether sensors are fresh.
 
         Returns:
-            Sensors, which are drawn if they are to be fresh, faults, streams, the constants of both and
-            severities.
+            Sensors, faults, streams, the constants of both and severities; no sensors and no constants of
+            theirs if they are not fresh.
         """
         found: list[list[Any]] = [[] for _ in range(6)]
         usual, same = self._usual
@@ -329,13 +329,15 @@ class FootSensorsModule(BatchModule):
             condition = Condition(severity, usual.faults)
             if self._conditions.by_chance:
                 condition = self._conditions.draw(condition, fresh, self.channels, of_condition)
-            parts = same if condition == usual else self._parts(condition)
-            (device, sensors), (broken, faults) = parts
+            device, broken = same
+            if condition != usual:
+                known = not fresh or condition.severity == usual.severity
+                device, broken = self._parts(condition, device if known else None)
             if fresh:
-                found[0].append(device.pack(sensors.init((self.channels,), own)).record)
-            found[1].append(broken.pack(faults.init((self.channels,), of_faults)).record)
+                found[0].append(device.pack(device.python.init((self.channels,), own)).record)
+                found[3].append(device.constants)
+            found[1].append(broken.pack(broken.python.init((self.channels,), of_faults)).record)
             found[2].append(np.stack([stream.record for stream in (own, of_faults, of_condition)]))
-            found[3].append(device.constants)
             found[4].append(broken.constants)
             found[5].append(condition.severity)
         *records, severities = found

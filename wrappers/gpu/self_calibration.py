@@ -209,7 +209,7 @@ class SelfCalibrationModule(BatchModule):
         size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
         self._work = self._nothing(self._workers, size)
         given = native.references
-        self._beliefs = {kind: self._record(record, num_envs) for kind, record in given.items()}
+        self._beliefs = {kind: self._record(record.now, num_envs) for kind, record in given.items()}
         estimate = self._nothing(num_envs, library.places["estimate"][""][2])
         self._state = self._register("state", self._fresh.expand(num_envs, -1))
         self._estimate = self._register("estimate", estimate)

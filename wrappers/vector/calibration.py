@@ -1,6 +1,7 @@
 """Calibrates the feet of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from os import PathLike
 from typing import Any
 
@@ -10,10 +11,13 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
-from surefoot.robot.native import Samples, feed_many
+from surefoot.robot.native import KNOWN, STANDING, ManySamples, Samples
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
+
+_PARTS = attrgetter("beliefs", "beliefs.model.revision", "calibrator.held")
+"""Parts of a robot that its samples go on with."""
 
 
 class BatchCalibration:
@@ -46,6 +50,7 @@ class BatchCalibration:
         self.setup = setup = CalibrationSetup(owner, sensors.equipment, method, **options)
         self.robots = [RobotCalibration(setup, robot) for robot in sensors.robots]
         self._judged = False
+        self._together: ManySamples | None = None
         self.shown: dict[str, NDArray[Any]] = {}
         self.ended = self.shown
         self.told: dict[str, Any] = {}
@@ -55,15 +60,15 @@ class BatchCalibration:
         """Calibrate by one sample, after the sensors stepped; as of :class:`Listener`."""
         if starting is not None:
             self._begin(np.flatnonzero(starting).tolist(), [None] * len(starting), None)
-        self._sample(list(range(len(self.robots))))
+        self._sample(np.arange(len(self.robots)))
         for i in [] if fell is None else np.flatnonzero(fell).tolist():
             self.robots[i].retract()
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
         """Take in robots that were reset, after their sensors; as of :class:`Listener`."""
-        which = np.flatnonzero(mask).tolist()
+        which = np.flatnonzero(mask)
         self.ended = self.shown
-        self._begin(which, seeds, choice)
+        self._begin(which.tolist(), seeds, choice)
         self._sample(which)
 
     def around(self, observed: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,34 +113,33 @@ class BatchCalibration:
             self._judged = self._judged or robot.judge()
             robot.reset(seeds[i], choice)
 
-    def _sample(self, which: list[int]) -> None:
+    def _sample(self, which: NDArray[np.intp]) -> None:
         """Take in one sample of some robots."""
         sensors, count = self._sensors, len(self.robots)
-        readers = [robot.sensing for robot in sensors.robots]
-        natives = [own for robot in self.robots if (own := robot.by_library())]
+        readers, natives = sensors.together, self._gather()
         # What was shown of a robot that has other records since then stands in `shown` alone.
-        known = len(which) == count or all(native.sampled for native in natives)
-        if len(natives) == count and known and None not in readers:
-            read, robots = [one for i in which if (one := readers[i])], [self.robots[i] for i in which]
-            now = np.array([sensors.robots[i].time for i in which])
-            samples = Samples(
-                [one.rows_address for one in read],
-                [one.count for one in read],
-                [one.raw_address for one in read],
-                None if sensors.plans is None else sensors.plans[which],
-                self.robots[0].reference_time_at(now),
-                now,
-                [robot.next_sample() for robot in robots],
-            )
-            if which:
-                feed_many([natives[i] for i in which], samples, sensors.threads)
-            for robot in robots:
-                robot.note()
-            self.shown, self.told = natives[0].outputs_of(natives)
+        if readers and natives and (len(which) == count or natives.sampled.all()):
+            robots, now = [self.robots[i] for i in which.tolist()], sensors.time[which]
+            plans = None if sensors.plans is None else sensors.plans[which]
+            hold, then = [robot.next_sample() for robot in robots], self.robots[0].reference_time_at(now)
+            places = readers.rows[which], readers.packets[which], readers.raw[which]
+            found = natives.feed(which, Samples(*places, plans, then, now, hold), sensors.threads)
+            for robot, told in zip(robots, found.tolist(), strict=True):
+                robot.note(told & KNOWN > 0, told & STANDING > 0)
+            self.shown, self.told = natives.outputs()
         else:
-            shown, told = zip(*(self.robots[i].sample(sensors.plan_of(i)) for i in which), strict=True)
-            self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)
+            each = which.tolist()
+            shown, told = zip(*(self.robots[i].sample(sensors.plan_of(i)) for i in each), strict=True)
+            self.shown, self.told = _put(shown, each, self.shown), _put(told, each, self.told)
         self.told["lag"] = np.full(count, self.robots[0].late)
+
+    def _gather(self) -> ManySamples | None:
+        """Return the library for samples of all robots; ``None`` where Python does any of them."""
+        if self._together is None or self._together.parts != list(map(_PARTS, self.robots)):
+            natives = [own for robot in self.robots if (own := robot.by_library())]
+            parts = list(map(_PARTS, self.robots))
+            self._together = ManySamples(natives, parts) if len(natives) == len(parts) else None
+        return self._together
 
 
 class CalibrationFace:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
-from operator import is_not
 from os import PathLike
 from typing import Any, NamedTuple, Protocol
 
@@ -20,7 +19,6 @@ from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
 
 Floats = NDArray[np.float64]
@@ -74,6 +72,8 @@ class BatchSensors:
         plans: Feet planned to stand, then to swing, shape (N, 2 F); ``None`` where nobody plans.
         listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
+        time: The hosts' times since their resets in s, shape (N,).
+        together: The library's reader of all robots; ``None`` where it has not read the last step of each.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -96,7 +96,7 @@ class BatchSensors:
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
-        readings, packet = self.equipment.instruments.space, TelemetryLayout(len(joints))
+        readings, packet = self.equipment.instruments.space, self.equipment.packet
         self.view = RawView(space, readings, state if state and measure_state else None, packet)
         self.robots = [RobotSensors(self.equipment, self.view.measures) for _ in range(count)]
         self.plans: NDArray[np.bool_] | None = None
@@ -104,8 +104,9 @@ class BatchSensors:
         self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
-        self._together: ManySensing | None = None
+        self.together: ManySensing | None = None
         self.threads = cores()
+        self._put_side_by_side()
 
     def listen(self, listener: Listener) -> None:
         """Send telemetry from the next reset on, and tell of every step and reset."""
@@ -141,12 +142,15 @@ class BatchSensors:
         """
         substeps, dt = self._look(rows), self._meaning.dt
         begins = np.zeros(len(rows), dtype=bool) if starting is None else np.asarray(starting)
-        for i in np.flatnonzero(~self._read_together(substeps, ~begins)).tolist():
+        left = np.flatnonzero(self._read_together(substeps, ~begins)).tolist()
+        for i in left:
             truth = read_rows(substeps[i], self._key)
             if begins[i]:
                 self.robots[i].reset(truth, dt)
             else:
                 self.robots[i].step(truth)
+        if left:
+            self._gather(left)
         if starting is not None:
             self._note_conditions()
         for listener in self.listeners:
@@ -169,17 +173,18 @@ class BatchSensors:
         """
         substeps, asked = self._look(rows), asked or {}
         seeds = [None] * len(rows) if seeds is None else seeds
-        for i in np.flatnonzero(mask).tolist():
+        which = np.flatnonzero(mask).tolist()
+        for i in which:
             truth = read_rows(substeps[i], self._key)
             self.robots[i].reset(truth, self._meaning.dt, seeds[i], asked.get("sensors"))
+        self._gather(which)
         self._note_conditions()
         for listener in self.listeners:
             listener.begin(mask, seeds, asked.get("calibration"))
 
     def show(self, observations: Mapping[str, Any]) -> dict[str, Any]:
         """Show the hosts' present data; arrays of the environment are not changed."""
-        held = np.array([robot.held for robot in self.robots])
-        return self.view.show(observations, held, np.array([robot.newest for robot in self.robots]))
+        return self.view.show(observations, self._held, self._newest)
 
     def show_one(self, observation: Mapping[str, Any], robot: int) -> dict[str, Any]:
         """Show one host's present data."""
@@ -280,20 +285,37 @@ class BatchSensors:
             steps: Robots that have made a step, shape (N,).
 
         Returns:
-            Robots that were read, shape (N,).
+            Robots that are left to read, shape (N,).
         """
-        readers = [robot.reader(truth.shape[1:]) for robot in self.robots]
-        known = np.array([reader is not None for reader in readers])
-        if not known.all() or len(readers) < 2:
-            return np.zeros(len(readers), dtype=bool)
-        if self._together is None or any(map(is_not, self._together.robots, readers)):
-            self._together = ManySensing([reader for reader in readers if reader is not None])
-        which = np.flatnonzero(steps)
-        time = np.array([self.robots[i].time for i in which.tolist()]) + self.robots[0].telemetry.dt
-        self._together.step(which, truth, time, self.threads)
-        for i, now in zip(which.tolist(), time.tolist(), strict=True):
-            self.robots[i].follow(now)
-        return steps
+        together, left = self._gather(), np.ones(len(steps), dtype=bool)
+        if together is not None and len(steps) > 1:
+            which, dt = np.flatnonzero(steps), self._meaning.dt
+            read = together.step(which, truth, self.time[which] + dt, self.threads)
+            self.time[read] += dt
+            left[read] = False
+        return left
+
+    def _gather(self, alone: Sequence[int] = ()) -> ManySensing | None:
+        """Return the library's reader of all robots, after some were read alone."""
+        readers = [robot.sensing for robot in self.robots]
+        if self.together is None or self.together.robots != readers:
+            self.together = ManySensing([one for one in readers if one]) if None not in readers else None
+        elif alone:
+            self.together.count_packets(alone)
+        return self.together
+
+    def _put_side_by_side(self) -> None:
+        """Keep what hosts have of their sensors in arrays with the robots in front."""
+        count, first = len(self.robots), self.robots[0]
+        self._held = np.zeros((count, *first.held.shape), first.held.dtype)
+        self._newest, self.time = np.zeros((count, *first.newest.shape)), np.zeros(count)
+        for i, robot in enumerate(self.robots):
+            robot.keep_in(self._held[i], self._newest[i], self.time[i : i + 1])
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        # Rows of copied arrays are arrays of their own.
+        self.__dict__.update(kept)
+        self._put_side_by_side()
 
     def _look(self, rows: Floats) -> Floats:
         """Keep each robot's plan, and return the simulator's readings in each substep."""
