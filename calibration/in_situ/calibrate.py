@@ -12,7 +12,7 @@ way is the same: **data** that the accelerometer's own errors are taken off
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
 likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
 in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. The paper's own regression is in
-:mod:`~surefoot.calibration.in_situ.paper_offset` and :mod:`~surefoot.calibration.in_situ.paper_matrix`.
+:mod:`~surefoot.calibration.in_situ.paper`.
 """
 
 from collections.abc import Sequence

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, Limb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.validation import normalise_error
 from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.experiments.force_torque.validation import normalise_error
 
 
 def walk(rng, rows, size):
