@@ -97,10 +97,11 @@ class SetRows(NamedTuple):
         """u, not weighted, shape (m, s)."""
         return np.asarray(self.columns[:, 1 : 1 + self.inputs] / self.weight[:, None])
 
-    def widen(self, more: Matrix, place: int) -> "SetRows":
-        """Add signals at the rows, shape (m, q), behind the first ``place`` ones."""
-        wide = np.insert(self.columns, [1 + place], self.weight[:, None] * more, axis=1)
-        return self._replace(columns=wide, inputs=self.inputs + more.shape[1])
+    def with_signals(self, u: Matrix) -> "SetRows":
+        """Return the rows with other signals, shape (m, s)."""
+        first = 1 + self.inputs
+        parts = (self.columns[:, :1], self.weight[:, None] * u, self.columns[:, first:])
+        return self._replace(columns=np.concatenate(parts, axis=1), inputs=u.shape[1])
 
 
 def _rows_of(data: InSituSet, u: Matrix, robust: bool, walks: bool, timed: bool) -> SetRows:
@@ -336,18 +337,20 @@ def compress(
 def add_signals(
     parts: Sequence[CompressedSet], columns: Sequence[Matrix], place: int | None = None
 ) -> tuple[CompressedSet, ...]:
-    """Return compressed sets with more signals; the same samples take part, in the same windows.
+    """Return compressed sets with more signals, at their rows, shape (m, q) each.
 
-    Args:
-        parts: The sets.
-        columns: At their rows, shape (m, q) each.
-        place: Number of the signals that stand before them; all by default.
+    They stand behind the first ``place`` signals, or behind all.
     """
-    rows = [
-        part.source.widen(more, part.source.inputs if place is None else place)
-        for part, more in zip(parts, columns, strict=True)
-    ]
-    return _compress_rows(rows)
+    wide = []
+    for part, more in zip(parts, columns, strict=True):
+        u = part.source.signals
+        wide.append(np.insert(u, [u.shape[1] if place is None else place], more, axis=1))
+    return change_signals(parts, wide)
+
+
+def change_signals(parts: Sequence[CompressedSet], signals: Sequence[Matrix]) -> tuple[CompressedSet, ...]:
+    """Return compressed sets with other signals, (m, s) each, of the same samples in the same windows."""
+    return _compress_rows([part.source.with_signals(u) for part, u in zip(parts, signals, strict=True)])
 
 
 def _compress_rows(rows: Sequence[SetRows]) -> tuple[CompressedSet, ...]:

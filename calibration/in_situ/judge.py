@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from surefoot.calibration.arrays import of_unit_length
@@ -243,8 +244,11 @@ def check_masses(solution: Solution) -> list[Finding]:
     slight = [contradiction] if off > limits.MASS_SEEN or left >= limits.STRAINED * freedom else []
     if problem.rotation or left < limits.STRAINED * freedom:
         return slight
-    turned = solve(replace(problem, changes=turns_of(problem.added)), [np.pad(solution.outer, (0, 3))])
-    angle, explained = float(np.linalg.norm(turned.changes)), 2.0 * (solution.cost - turned.cost)
+    turned = solve(replace(problem, rotation=True), [np.pad(solution.outer, (0, 3))])
+    angle, explained = (
+        float(Rotation.from_matrix(turned.rotation).magnitude()),
+        2.0 * (solution.cost - turned.cost),
+    )
     if angle < limits.TURNED or explained < limits.TURNED_SIGMAS**2 * left / freedom:
         return slight
     if angle > limits.MASS:
@@ -255,14 +259,6 @@ def check_masses(solution: Solution) -> list[Finding]:
         "('estimate_rotation', with the limb at rest)."
     )
     return [Finding("turned IMU", reason, value=angle, limit=limits.TURNED, refuses=False)]
-
-
-def turns_of(added: Matrix) -> NDArray[np.float64]:
-    """Return how the added parameters change as all places turn about each axis, shape (3, J, p)."""
-    changes = np.zeros((3, *added.shape))
-    for change, axis in zip(changes, np.eye(3), strict=True):
-        change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
-    return changes
 
 
 def _measure_masses(solution: Solution) -> Matrix:

@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.in_situ.data import InSituSet
@@ -107,6 +108,25 @@ def transform_basis(moving: bool) -> Matrix:
     basis = basis if moving else basis[:STATIC, :, DIRECT]
     basis.setflags(write=False)
     return basis
+
+
+def turned_signals(R: Matrix, moving: bool) -> Matrix:
+    """Return how signals in one frame are made of those in another, by its rotation R: (3, 3) or (12, 12)."""
+    return block_diag(R, R, _turned_products(R, R)) if moving else R
+
+
+def slope_of_turning(axis: Matrix, moving: bool) -> Matrix:
+    """Return the slope of :func:`turned_signals` by a turn about an axis, at none."""
+    K, eye = skew(axis), np.eye(3)
+    return block_diag(K, K, _turned_products(K, eye) + _turned_products(eye, K)) if moving else K
+
+
+def _turned_products(X: Matrix, Y: Matrix) -> Matrix:
+    """Return how products (X a)_i (Y a)_j are made of those of a, shape (6, 6)."""
+    first, second = np.array(PAIRS).T
+    direct = X[first][:, first] * Y[second][:, second]
+    crossed = X[first][:, second] * Y[second][:, first]
+    return np.asarray(np.where(first == second, direct, direct + crossed))
 
 
 def _symmetric(pair: tuple[int, int], value: float = 1.0) -> Matrix:
