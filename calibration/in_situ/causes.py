@@ -8,8 +8,7 @@ likely, and so are the choices of one kind, such as the sets in which it may be.
 
 .. math:: -2 \log p = -2 \log L + d \log n + 2 \log c,
 
-each with the colour of the noise that it leaves. Rows that still hang together count as fewer than they are,
-n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
+each with the colour of all that it leaves, contradictions between sets as well.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +25,8 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
-from surefoot.calibration.in_situ.compress import change_signals
+from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.compress import change_signals, motion_of
 from surefoot.calibration.in_situ.data import InSituSet, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
@@ -45,7 +45,6 @@ from surefoot.calibration.in_situ.solve import (
     deviance,
     minima,
     solve,
-    whiten_residuals,
 )
 from surefoot.calibration.reference import GRAVITY
 
@@ -64,7 +63,7 @@ _FINER = 4
 _SHORTEST = 3
 """Rows that a touch must last."""
 
-_SCALED = 3
+_SCALED = 10
 """Fits by which the gain of a set is found: it acts on the limb, which is fitted with it."""
 
 _LIKELY = 2
@@ -189,28 +188,25 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    values = [deviance(cause.solution) for cause in tried]
-    left = whiten_residuals(tried[int(np.argmin(values))].solution)
-    share, rows = _independent(left), sum(map(len, left))
+    rows = sum(part.rows for part in evidence.problem.sets)
     # The best of n alternatives gains 2 log n by chance.
-    scores = np.array(
-        [
-            share * value + cause.free * np.log(share * rows) + 2.0 * np.log(cause.choices)
-            for value, cause in zip(values, tried, strict=True)
-        ]
-    )
+    penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
+    scores = np.array([_deviance(cause.solution) for cause in tried]) + penalties
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     order = np.argsort(scores)
     return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _independent(left: Sequence[Matrix]) -> float:
-    """Return the share of rows that are worth an independent one, by the correlation of neighbours."""
-    before, after = (np.concatenate([one[cut] for one in left]) for cut in (slice(-1), slice(1, None)))
-    size = float(np.sqrt(np.sum(before**2) * np.sum(after**2)))
-    rho = float(np.sum(before * after)) / size if size > 0.0 else 0.0
-    return float(np.clip((1.0 - rho) / (1.0 + rho), 1e-3, 1.0))
+def _deviance(solution: Solution) -> float:
+    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves."""
+    spectra, rows = [], [part.source for part in solution.problem.sets]
+    for one, B in zip(rows, solution.predicted, strict=True):
+        weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
+        left, constant = readings - u @ B.T, weight / np.linalg.norm(weight)
+        spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
+    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks)[1]
+    return value if np.isfinite(value) else deviance(solution)
 
 
 # Events within a set: signals that act on its readings.

@@ -373,12 +373,14 @@ def _colour(rows: Sequence[SetRows]) -> Colour:
     independent = turn[:, size > _FLOOR**2 * spread]
     if independent.shape[1] == 0:
         return Colour()
+    spectra = [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found]
+    return likeliest_colour(spectra, motion_of(rows), rows[0].walks)[0]
+
+
+def motion_of(rows: Sequence[SetRows]) -> float:
+    """Return the frequency of the limb's motion in sets."""
     motions = [motion_frequency(one.columns[:, 1:][:, DIRECT], one.spacing) for one in rows]
-    return likeliest_colour(
-        [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
-        float(np.median(motions)),
-        rows[0].walks,
-    )
+    return float(np.median(motions))
 
 
 def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:

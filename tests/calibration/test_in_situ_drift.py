@@ -23,7 +23,7 @@ def walk(rng, rows, size):
 def colour_of(noise):
     constant = np.full((len(noise), 1), len(noise) ** -0.5)
     residual = noise - constant @ (constant.T @ noise)
-    return likeliest_colour([Spectrum.of(residual, constant, 1.0)], 0.1)
+    return likeliest_colour([Spectrum.of(residual, constant, 1.0)], 0.1)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
