@@ -20,7 +20,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
@@ -33,6 +33,7 @@ from surefoot.calibration.in_situ.data import (
     KnownLimb,
     MatrixMode,
     Task,
+    Vector,
     change_motion,
     shift,
 )
@@ -54,8 +55,6 @@ from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-Vector = NDArray[np.float64]
 
 _AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were

@@ -27,7 +27,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
 from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
 from surefoot.calibration.in_situ.compress import change_signals, motion_of
-from surefoot.calibration.in_situ.data import InSituSet, change_motion, read_later
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
@@ -47,9 +47,6 @@ from surefoot.calibration.in_situ.solve import (
     solve,
 )
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _THINNED = 2000
 """Samples of a set in which causes are looked for."""

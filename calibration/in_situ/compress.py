@@ -28,11 +28,8 @@ from scipy.special import chdtri
 
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.model import DIRECT, signals
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""

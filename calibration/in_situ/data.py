@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_not_negative, check_positive
 
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
 MatrixMode = Literal["keep", "update", "free"]
 """How a factory matrix is used."""
 

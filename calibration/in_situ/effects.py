@@ -42,7 +42,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
 from surefoot.calibration.in_situ.covariance import share_deviations
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
 from surefoot.calibration.in_situ.problem import Problem, whitening_of
@@ -54,9 +54,6 @@ from surefoot.calibration.in_situ.solve import (
     follow,
     solve,
 )
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
 """Half-widths of the plays, as shares of the largest amplitude."""

@@ -30,7 +30,7 @@ from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -47,10 +47,6 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
-
 
 _BIAS = 0.15
 """Deviation of a bias beforehand in m/s^2: sheets of MEMS sensors state 20 to 50 mg (BMI088, MPU-6050), and

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import invert_response
-from surefoot.calibration.in_situ.data import KnownLimb
+from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.model import (
@@ -28,9 +27,6 @@ from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand, solve
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _UNSEEN = 1e-7
 """A direction is unseen if its singular value, for columns of unit length, is this share of the largest."""

@@ -32,10 +32,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration.arrays import Array, skew
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
 
 AXES = 6
 """Components of a wrench."""

@@ -43,12 +43,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.model import ENOUGH_MASSES, different_masses, inertial_parameters
 from surefoot.calibration.results import CalibrationRefused, FitStats
-
-Matrix = NDArray[np.float64]
 
 _EXACT = 1e-9
 """Readings that leave the three-space by less than this share of their spread leave it by rounding alone."""

@@ -24,12 +24,9 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal, skew
 from surefoot.calibration.in_situ.compress import add_signals
+from surefoot.calibration.in_situ.data import Matrix, Vector
 from surefoot.calibration.in_situ.model import AXES, MASS, slope_of_turning, turned_signals
 from surefoot.calibration.in_situ.problem import Problem
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
-
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
 """Starts from which to search; the second where the rotation is unknown."""
