@@ -377,22 +377,22 @@ def _change(data: InSituSet, change: "_Change", x: float) -> InSituSet:
     return change(change_motion(data, whole), x)
 
 
-def _filtered(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
+def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
     """Return the low-passed values, shape (n, 3), by a filter of the first order."""
     assert data.time is not None
     kept = float(np.exp(-np.median(np.diff(data.time)) / seconds))
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0])
 
 
-def _delayed(data: InSituSet, seconds: float) -> InSituSet:
-    return change_motion(data, lambda values: _filtered(values, data, seconds))
+def _delay(data: InSituSet, seconds: float) -> InSituSet:
+    return change_motion(data, lambda values: _low_pass(values, data, seconds))
 
 
-def _followed(data: InSituSet, seconds: float) -> InSituSet:
-    return change_motion(data, lambda values: values - _filtered(values, data, seconds))
+def _take_zero_off(data: InSituSet, seconds: float) -> InSituSet:
+    return change_motion(data, lambda values: values - _low_pass(values, data, seconds))
 
 
-def _held(data: InSituSet, _: float) -> InSituSet:
+def _hold(data: InSituSet, _: float) -> InSituSet:
     """Return gravity as it was when readings that repeat were read."""
     fresh = np.append(True, np.any(data.raw[1:] != data.raw[:-1], axis=1))
     first = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
@@ -407,19 +407,19 @@ _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
     (
         "the readings came about {:.2g} s after the IMU, as through a low-pass filter",
         _CLOCK,
-        _delayed,
+        _delay,
         tuple(_DELAYS),
     ),
     (
         "the driver takes a zero off that follows the readings within {:.2g} s",
         "Log the sensor's own readings, with no automatic zero in the driver.",
-        _followed,
+        _take_zero_off,
         tuple(10.0 * _DELAYS),
     ),
     (
         "readings repeat the ones before: the driver is slower than the log, or hangs",
         "Log each sample of the sensor once, at the time at which it was read.",
-        _held,
+        _hold,
         (0.0,),
     ),
 )

@@ -108,18 +108,18 @@ def transform_basis(moving: bool) -> Matrix:
     return basis
 
 
-def turned_signals(R: Matrix, moving: bool) -> Matrix:
+def signal_rotation(R: Matrix, moving: bool) -> Matrix:
     """Return how signals in one frame are made of those in another, by its rotation R: (3, 3) or (12, 12)."""
-    return block_diag(R, R, _turned_products(R, R)) if moving else R
+    return block_diag(R, R, _product_rotation(R, R)) if moving else R
 
 
-def slope_of_turning(axis: Matrix, moving: bool) -> Matrix:
-    """Return the slope of :func:`turned_signals` by a turn about an axis, at none."""
+def signal_rotation_slope(axis: Matrix, moving: bool) -> Matrix:
+    """Return the slope of :func:`signal_rotation` by a turn about an axis, at none."""
     K, eye = skew(axis), np.eye(3)
-    return block_diag(K, K, _turned_products(K, eye) + _turned_products(eye, K)) if moving else K
+    return block_diag(K, K, _product_rotation(K, eye) + _product_rotation(eye, K)) if moving else K
 
 
-def _turned_products(X: Matrix, Y: Matrix) -> Matrix:
+def _product_rotation(X: Matrix, Y: Matrix) -> Matrix:
     """Return how products (X a)_i (Y a)_j are made of those of a, shape (6, 6)."""
     first, second = np.array(PAIRS).T
     direct = X[first][:, first] * Y[second][:, second]

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import orthonormal, skew
 from surefoot.calibration.in_situ.compress import add_signals
 from surefoot.calibration.in_situ.data import Matrix, Vector
-from surefoot.calibration.in_situ.model import AXES, MASS, slope_of_turning, turned_signals
+from surefoot.calibration.in_situ.model import AXES, MASS, signal_rotation, signal_rotation_slope
 from surefoot.calibration.in_situ.problem import Problem
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
@@ -142,7 +142,7 @@ class _Outer(NamedTuple):
         if not self.problem.rotation:
             return T
         motion = self.problem.motion
-        S = turned_signals(self.rotation, self.problem.moving)
+        S = signal_rotation(self.rotation, self.problem.moving)
         return np.concatenate([T[..., motion] @ S, T[..., motion.stop :]], axis=-1)
 
     @property
@@ -164,9 +164,11 @@ class _Outer(NamedTuple):
         dT = [np.repeat(self.turn(problem.basis)[:, None], J, axis=1)]
         if problem.rotation:
             M = np.einsum("jp,pws->jws", self.limb + self.added, problem.basis[..., problem.motion])
-            S = turned_signals(self.rotation, problem.moving)
+            S = signal_rotation(self.rotation, problem.moving)
             steps = np.zeros((3, *M.shape[:2], problem.basis.shape[2]))
-            steps[..., problem.motion] = [M @ slope_of_turning(axis, problem.moving) @ S for axis in axes.T]
+            steps[..., problem.motion] = [
+                M @ signal_rotation_slope(axis, problem.moving) @ S for axis in axes.T
+            ]
             dT.append(steps)
         if len(problem.changes):
             dT.append(self.turn(np.einsum("qjp,pws->qjws", problem.changes, problem.basis)))
