@@ -509,7 +509,8 @@ def _try_limb(evidence: Evidence) -> Iterator[Cause]:
             side = "more" if mass > 0.0 else "less"
             more = f"{abs(mass):.3f} kg {side} than was given hangs at {_place(place)} m"
             words = f"from '{name}' on {more}: the limb is another, or a driver takes a payload off"
-            if abs(mass) < limits.HEAVIEST and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
+            bears = min(fit.limb[MASS], fit.limb[MASS] + mass) > 0.0 and mass < limits.HEAVIEST
+            if bears and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
                 yield Cause(
                     words, "Leave the limb and the driver's payload as they are in all sets.", fit, 4, count
                 )

@@ -105,8 +105,8 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
         if (moved := _measure_held(data)) > limits.HELD:
             reason = (
-                f"'{data.name}': gravity stays the same from sample to sample while the readings move by "
-                f"{moved:.0%} of their spread: the accelerometer hangs, or is slower than the log."
+                f"'{data.name}': gravity repeats the sample before while the readings move on, by {moved:.0%} "
+                "of their spread: the accelerometer stands still, or is slower than the log."
             )
             cure = "Log the IMU as often as the sensor."
             found.append(Finding("held gravity", reason, cure, moved, limits.HELD))
