@@ -26,8 +26,8 @@ _UNITS = {
 }
 """Likely units of gravity vectors of these lengths."""
 
-_NEXT = 20
-"""Values next to a channel's end that are counted."""
+_NEXT, _ROUNDED = 20, 5e-3
+"""Values next to an end that are counted, and the share of a spread that rounding may be off by."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
 """Reason in the message."""
@@ -105,8 +105,8 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
         if (moved := _measure_held(data)) > limits.HELD:
             reason = (
-                f"'{data.name}': gravity repeats the sample before while the readings move on, by {moved:.0%} "
-                "of their spread: the accelerometer stands still, or is slower than the log."
+                f"'{data.name}': gravity repeats the sample before while readings move on, by {moved:.0%} of "
+                "their spread: the accelerometer stands still, or is slower than the log."
             )
             cure = "Log the IMU as often as the sensor."
             found.append(Finding("held gravity", reason, cure, moved, limits.HELD))
@@ -231,7 +231,7 @@ def _check_ends(
         # How far held samples should read beyond their end, against the deviation of the others.
         left = values - columns @ np.linalg.lstsq(columns[others], values[others], rcond=None)[0]
         beyond = -sign * float(np.mean(left[whole & held]))
-        if beyond > np.std(left[others]) + ends[-1] - ends[-2]:
+        if beyond > max(np.std(left[others]) + ends[-1] - ends[-2], _ROUNDED * (ends[-1] - ends[0])):
             reason = (
                 f"'{data.name}': {what} is clipped: {times[-1]} samples read exactly {sign * ends[-1]:g}"
                 f"{_span(data, held)}, none reads beyond, and the limb went on turning."
