@@ -5,7 +5,6 @@
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
-* :mod:`~surefoot.calibration.in_situ.validation`: how good a calibrated sensor is, and how good one can be.
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
@@ -20,8 +19,7 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_fit,
 )
 from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
-from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
-from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
+from surefoot.calibration.in_situ.paper import OffsetFit, PaperMatrixFit, estimate_matrix, estimate_offset
 from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker
 
 __all__ = [

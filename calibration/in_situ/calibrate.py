@@ -12,7 +12,7 @@ way is the same: **data** that the accelerometer's own errors are taken off
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
 likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
 in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. The paper's own regression is in
-:mod:`~surefoot.calibration.in_situ.paper_offset` and :mod:`~surefoot.calibration.in_situ.paper_matrix`.
+:mod:`~surefoot.calibration.in_situ.paper`.
 """
 
 from collections.abc import Sequence
@@ -20,26 +20,41 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Evidence, find_lag, name_cause
+from surefoot.calibration.in_situ.causes import Evidence, name_cause
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, KnownLimb, MatrixMode, Task, shift
-from surefoot.calibration.in_situ.effects import add_gains, centre_temperatures, check_gauges, fit_hysteresis
+from surefoot.calibration.in_situ.data import (
+    InSituOptions,
+    InSituSet,
+    KnownLimb,
+    MatrixMode,
+    Task,
+    Vector,
+    change_motion,
+    shift,
+)
+from surefoot.calibration.in_situ.effects import (
+    add_gains,
+    centre_temperatures,
+    check_gauges,
+    fit_hysteresis,
+    lag_loads,
+    shows_loops,
+    turns_slowly,
+)
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay
+from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-Vector = NDArray[np.float64]
 
 _AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
@@ -238,35 +253,36 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
     drift = next((one for one in findings if one.name in _DRIFTS), None)
     refused = any(one.refuses for one in findings)
-    repeated = [replace(one, refuses=True) for one in findings if one.name == "repeated" and refused]
-    if repeated:
-        return [*repeated, *(one for one in findings if one.name != "repeated")]
-    if refused and solved.task.timed:
-        lag, left = find_lag(solved.task.sets)
-        if left < limits.READ_BETTER:
-            late, first = ("IMU", "readings") if lag > 0.0 else ("readings", "IMU")
-            reason = (
-                f"The {late} came about {abs(lag):.2g} s after the {first}: shifted by that, {left:.0%} "
-                "of what gravity does not explain is left."
-            )
-            cure = "Stamp both by one clock, and log the sensor without a filter of the driver."
-            return [Finding("clock", reason, cure, abs(lag), limits.LATE), *findings]
     worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
     if worst is None:
         return findings
+    # A delay that is longer than those of sound logs is one of the causes.
+    late = solved.delay > limits.VERY_LATE
+    sets = level(solved.task.sets, solved.sphere) if late else solved.sets
     try:
-        named = name_cause(worst, _gather_evidence(solved.task, solved.sets), drift)
+        named = name_cause(worst, _gather_evidence(solved.task, sets), drift)
     except np.linalg.LinAlgError:
         named = worst
     return [named if one is worst else one for one in findings]
 
 
 def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
-    """Fit without hysteresis, with all samples where many disagree, to judge causes by."""
+    """Fit with loops of loads at most, with all samples where many disagree, to judge causes by."""
+    sets = tuple(map(_quieten, sets))
     warms = all(data.temperature is not None for data in sets)
     problem, first = _pose(task, sets, task.options, warms)
     if max(float(np.mean(part.source.rejected)) for part in problem.sets) > limits.FEW_REJECTED:
         problem, first = _pose(task, sets, replace(task.options, robust=False), warms)
     if data_rank(problem, first[0]).missing:
         problem = replace(problem, maker=prior_of(task, problem.noise, _AGED))
-    return Evidence(sets, minima(problem, first)[0])
+    plain = minima(problem, first)[0]
+    if task.options.hysteresis and task.timed and shows_loops(problem):
+        plain = lag_loads(sets, plain)
+    return Evidence(sets, plain)
+
+
+def _quieten(data: InSituSet) -> InSituSet:
+    """Return a set with gravity and motion free of noise, which would hide behind any filter or delay."""
+    if data.time is None or not np.isfinite(data.gravity).all() or not turns_slowly(data.gravity):
+        return data
+    return change_motion(data, lambda values: np.stack([smooth(one) for one in values.T], axis=1))

@@ -1,12 +1,17 @@
-r"""Causes why sets contradict each other: each known cause is tried, and scored by how much it explains.
+r"""Causes why sets contradict each other: each known cause is tried, and ranked by its posterior odds.
 
-A cause adds signals (a step, a touch, a limb that bends) or changes added masses; with each the fit is made
-again, on compressed sets. They are compared by Schwarz's criterion (1978), -2 log L + d log n, each with the
-colour of the noise that it leaves. Rows that still hang together count as fewer than they are,
-n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
+A cause adds signals to the readings (a leap, a touch, a limb that bends), changes what was added (another
+mass, another place, another limb), or reads gravity in another way (a late clock, held values, turned axes).
+With each the fit is made again, on the same compressed rows. Beforehand all kinds of causes are equally
+likely, and so are the choices of one kind, such as the sets in which it may be. The evidence is Schwarz's
+(1978), so that the odds of a cause with d unknowns more, one of c choices, are
+
+.. math:: -2 \log p = -2 \log L + d \log n + 2 \log c,
+
+each with the colour of all that it leaves, contradictions between sets as well.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
@@ -14,22 +19,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import BENT_CURE, bending_signals
-from surefoot.calibration.in_situ.data import InSituSet, shift
+from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
+from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.compress import change_signals, motion_of
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.in_situ.judge import turns_of
+from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
     DIRECT,
-    INERTIA,
     MASS,
     MOMENT,
     STATIC,
-    inertia_matrix,
-    limb_parameters,
+    inertial_parameters,
     signals,
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
@@ -39,17 +45,14 @@ from surefoot.calibration.in_situ.solve import (
     deviance,
     minima,
     solve,
-    whiten_residuals,
 )
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
+from surefoot.calibration.reference import GRAVITY
 
 _THINNED = 2000
 """Samples of a set in which causes are looked for."""
 
 _EDGES = 40
-"""Stretches of a set at whose ends a step or a touch is looked for first."""
+"""Stretches of a set at whose ends an event is looked for first."""
 
 _FINER = 4
 """By how much the search becomes finer; it ends at single samples."""
@@ -57,17 +60,8 @@ _FINER = 4
 _SHORTEST = 3
 """Rows that a touch must last."""
 
-_STEPS = 8
-"""Steps at most by which a turn of the IMU is found ..."""
-
-_SCALED = 3
+_SCALED = 10
 """Fits by which the gain of a set is found: it acts on the limb, which is fitted with it."""
-
-_SETTLED = 1e-4
-"""... and the last of them in rad."""
-
-_TURNS = 4
-"""Turns by right angles from which an IMU's is searched, beside none."""
 
 _LIKELY = 2
 """Changes of axes that are fitted to the end."""
@@ -75,8 +69,8 @@ _LIKELY = 2
 _GLANCE = 8
 """Evaluations by which these are chosen."""
 
-_LAG = (0.03, 6.0, 40)
-"""Least and largest lag in s between the IMU and the readings that is looked for, and their number."""
+_DELAYS = np.geomspace(0.03, 6.0, 24)
+"""Delays in s between the IMU and the readings, either way, and time constants of filters."""
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -85,6 +79,7 @@ _AS_GOOD = 0.1
 
 _TOUCHING = "Leave that time out, or record the set again with nothing near the limb."
 _WEIGH = "Weigh what was added and measure where it hung, or leave the set out."
+_CLOCK = "Stamp both by one clock, and log the sensor without a filter of the driver."
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +88,8 @@ class Evidence:
 
     Attributes:
         sets: The sets.
-        solution: Of the problem without hysteresis.
+        solution: Of the problem without any cause. Loops of loads are part of it where sets show them: they
+            look like a short delay.
     """
 
     sets: tuple[InSituSet, ...]
@@ -113,6 +109,14 @@ class Evidence:
         problem = beside_channels(self.problem, rows)
         return Cause(words, cure, solve(problem, [self.solution.outer]), free, choices)
 
+    def read_as(self, words: str, cure: str, sets: Sequence[InSituSet], free: int, choices: int) -> "Cause":
+        """Return a cause by which gravity and motion were those of other sets, sample by sample."""
+        problem = self.problem
+        rows = self.at_rows([np.nan_to_num(signals(one, problem.moving)) for one in sets])
+        beside = [part.source.signals[:, problem.motion.stop :] for part in problem.sets]
+        parts = change_signals(problem.sets, [np.hstack(pair) for pair in zip(rows, beside, strict=True)])
+        return Cause(words, cure, solve(replace(problem, sets=parts), [self.solution.outer]), free, choices)
+
     def change(self, changes: NDArray[np.float64]) -> Solution:
         """Fit with changes of the added parameters, shape (q, J, p)."""
         outer = np.pad(self.solution.outer, (0, len(changes)))
@@ -122,6 +126,11 @@ class Evidence:
         """Return a moment of a set in words."""
         time = self.sets[j].time
         return f"sample {sample}" if time is None else f"{time[sample]:.1f} s"
+
+    @property
+    def timed(self) -> bool:
+        """Whether all sets have times."""
+        return all(one.time is not None for one in self.sets)
 
 
 class Cause(NamedTuple):
@@ -172,166 +181,265 @@ def _format_percent(share: float) -> str:
 def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
     tried = [Cause("", "", evidence.solution, 0, 1)]
-    for look in (
-        _try_steps,
-        _try_bending,
-        _try_pull,
-        _try_frame,
-        _try_exchange,
-        _try_masses,
-        _try_limb,
-        _try_sensor,
-    ):
+    for look in _KINDS:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    values = [deviance(cause.solution) for cause in tried]
-    left = whiten_residuals(tried[int(np.argmin(values))].solution)
-    share, rows = _independent(left), sum(map(len, left))
+    rows = sum(part.rows for part in evidence.problem.sets)
     # The best of n alternatives gains 2 log n by chance.
-    scores = np.array(
-        [
-            share * value + cause.free * np.log(share * rows) + 2.0 * np.log(cause.choices)
-            for value, cause in zip(values, tried, strict=True)
-        ]
-    )
+    penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
+    scores = np.array([_deviance(cause.solution) for cause in tried]) + penalties
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     order = np.argsort(scores)
     return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _independent(left: Sequence[Matrix]) -> float:
-    """Return the share of rows that are worth an independent one, by the correlation of neighbours."""
-    before, after = (np.concatenate([one[cut] for one in left]) for cut in (slice(-1), slice(1, None)))
-    size = float(np.sqrt(np.sum(before**2) * np.sum(after**2)))
-    rho = float(np.sum(before * after)) / size if size > 0.0 else 0.0
-    return float(np.clip((1.0 - rho) / (1.0 + rho), 1e-3, 1.0))
+def _deviance(solution: Solution) -> float:
+    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves."""
+    spectra, rows = [], [part.source for part in solution.problem.sets]
+    for one, B in zip(rows, solution.predicted, strict=True):
+        weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
+        left, constant = readings - u @ B.T, weight / np.linalg.norm(weight)
+        spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
+    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks)[1]
+    return value if np.isfinite(value) else deviance(solution)
 
 
 # Events within a set: signals that act on its readings.
 
 
-def _measure_gains(evidence: Evidence, j: int, columns: Matrix) -> Vector:
-    """Measure how much of a set's residual each column explains: columns (n, K), gains (K,)."""
+class _Event(NamedTuple):
+    """Something that begins within a set.
+
+    Attributes:
+        words: With the set, its beginning and its end.
+        cure: Advice for the user.
+        ends: Whether it ends again.
+        loads: Whether it goes with gravity, as a mass does, rather than being the same all the time.
+    """
+
+    words: str
+    cure: str
+    ends: bool
+    loads: bool
+
+
+_EVENTS = (
+    _Event(
+        "the zero of '{name}' leaps at {begin}",
+        "Cut the set there into two, or record it again.",
+        ends=False,
+        loads=False,
+    ),
+    _Event("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, ends=True, loads=False),
+    _Event(
+        "what hangs in '{name}' changed at {begin}",
+        "Cut the set there into two with a mass each, or record it again.",
+        ends=False,
+        loads=True,
+    ),
+)
+
+
+def _try_events(evidence: Evidence) -> Iterator[Cause]:
+    """Yield the likeliest leap of a zero, touch, and change of what hangs there."""
+    channels, count = len(evidence.problem.whitening), len(evidence.sets)
+    for event in _EVENTS:
+        found = [_best_time(evidence, j, event) for j in range(count)]
+        j = int(np.argmax([one.gain for one in found]))
+        _, first, last, choices = found[j]
+        data, name = evidence.sets[j], evidence.sets[j].name
+        acts = np.column_stack([np.ones(len(data.raw)), np.nan_to_num(data.gravity)][: 1 + event.loads])
+        columns = [np.zeros((len(one.raw), acts.shape[1])) for one in evidence.sets]
+        columns[j][first:last] = acts[first:last]
+        words = event.words.format(name=name, begin=evidence.when(j, first), end=evidence.when(j, last - 1))
+        free = acts.shape[1] * channels + 1 + event.ends
+        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, choices * count)
+
+
+class _Span(NamedTuple):
+    """The likeliest span of samples of an event, how much it explains, and the number of spans tried."""
+
+    gain: float
+    first: int
+    last: int
+    tried: int
+
+
+def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
+    """Find the likeliest span of samples of an event in a set."""
+    n = len(evidence.sets[j].raw)
+
+    def best(spans: list[tuple[int, int]]) -> tuple[int, int, float]:
+        gains = _measure_gains(evidence, j, np.array(spans), event.loads)
+        i = int(np.argmax(gains))
+        return *spans[i], float(gains[i])
+
+    def near(edge: int, width: int) -> list[int]:
+        steps = np.linspace(-width, width, 2 * _FINER + 1).astype(int)
+        return sorted({*np.clip(edge + steps, 1, n - 1).tolist()})
+
+    edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))[1:-1].tolist()
+    spans = list(combinations(edges, 2)) if event.ends else [(edge, n) for edge in edges]
+    first, last, gain = best(spans)
+    for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
+        ends = near(last, width) if event.ends else [n]
+        fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
+        first, last, gain = best([*fine, (first, last)])
+    return _Span(gain, first, last, len(spans))
+
+
+def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: bool) -> Vector:
+    """Measure how much of a set's residual events in spans of samples, (K, 2), explain, shape (K,)."""
     data, part = evidence.sets[j], evidence.problem.sets[j]
     rows = np.flatnonzero(part.source.used)
     rows = rows[:: max(len(rows) // _THINNED, 1)]
     u = signals(data, evidence.problem.moving)[rows]
-    span = np.linspace(-1.0, 1.0, len(rows))
-    basis, _ = orthonormal(np.column_stack([np.ones(len(rows)), span, u]), 1e-9)
-    z = columns[rows] - basis @ (basis.T @ columns[rows])
+    constant = np.ones((len(rows), 1))
+    basis, _ = orthonormal(np.column_stack([constant, np.linspace(-1.0, 1.0, len(rows)), u]), 1e-9)
     raw = data.raw[rows]
     residual = raw - basis @ (basis.T @ raw)
     white = np.linalg.cholesky(np.linalg.pinv(residual.T @ residual / len(rows), hermitian=True))
-    size = np.sum(z**2, axis=0)
-    seen = size > 1e-9 * np.maximum(np.sum(columns[rows] ** 2, axis=0), 1e-300)
-    gain = np.sum((z.T @ residual @ white) ** 2, axis=1) / np.where(seen, size, 1.0)
-    return np.where(seen, gain, 0.0)
-
-
-def _try_steps(evidence: Evidence) -> Iterator[Cause]:
-    """Yield the likeliest leap of a zero, and the likeliest time in which something touched the limb."""
-    channels, count = len(evidence.problem.whitening), len(evidence.sets)
-    for touch in (False, True):
-        _, j, first, last, choices = max(_best_time(evidence, j, touch) for j in range(count))
-        columns = [np.zeros((len(data.raw), 1)) for data in evidence.sets]
-        columns[j][first:last] = 1.0
-        name, begin = evidence.sets[j].name, evidence.when(j, first)
-        words, cure = (
-            f"the zero of '{name}' leaps at {begin}",
-            "Cut the set there into two, or record it again.",
-        )
-        if touch:
-            words = f"something touched the limb in '{name}' from {begin} to {evidence.when(j, last - 1)}"
-            cure = _TOUCHING
-        yield evidence.beside(words, cure, evidence.at_rows(columns), channels + 1 + touch, choices * count)
-
-
-def _best_time(evidence: Evidence, j: int, touch: bool) -> tuple[float, int, int, int, int]:
-    """Find the likeliest span of samples of a set: gain, set, span, and number of spans tried.
-
-    A touch ends, the leap of a zero does not.
-    """
-    n = len(evidence.sets[j].raw)
-    place = np.arange(n)[:, None]
-
-    def best(spans: list[tuple[int, int]]) -> tuple[int, int, float]:
-        first, last = np.array(spans).T
-        gains = _measure_gains(evidence, j, ((place >= first) & (place < last)).astype(np.float64))
-        i = int(np.argmax(gains))
-        return int(first[i]), int(last[i]), float(gains[i])
-
-    def near(edge: int, width: int) -> NDArray[np.int_]:
-        steps = np.linspace(-width, width, 2 * _FINER + 1).astype(int)
-        return np.unique(np.clip(edge + steps, 1, n - 1))
-
-    edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))[1:-1].tolist()
-    spans = list(combinations(edges, 2)) if touch else [(edge, n) for edge in edges]
-    first, last, gain = best(spans)
-    for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
-        ends = near(last, width) if touch else [n]
-        fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
-        first, last, gain = best([*fine, (first, last)])
-    return gain, j, first, last, len(spans)
+    acts = np.column_stack([constant, u[:, DIRECT]]) if loads else constant
+    gains = []
+    for first, last in spans:
+        columns = acts * ((rows >= first) & (rows < last))[:, None]
+        z = columns - basis @ (basis.T @ columns)
+        seen = np.sum(z**2, axis=0) > 1e-9 * np.maximum(np.sum(columns**2, axis=0), 1e-300)
+        along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
+        gains.append(float(np.sum((along.T @ residual @ white) ** 2)))
+    return np.array(gains)
 
 
 def _try_bending(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
-    # A limb that bends does so by gravity, a sensor by its load, which grows with the added mass.
-    loads = [np.nan_to_num(signals(data, evidence.problem.moving)) for data in evidence.sets]
+    """Yield a limb that bends, a sensor that is not linear, a cable that pulls, and motion taken for rest.
+
+    A limb bends by gravity, a sensor by its load, which grows with the added mass. A cable pulls by posture,
+    alike in all sets, as no rigid limb does. A limb that moves has forces by each product of its rates.
+    """
+    problem = evidence.problem
+    channels, gravity = len(problem.whitening), [part.source.signals[:, DIRECT] for part in problem.sets]
+    squares = [bending_signals(g) for g in gravity]
+    loads = [np.nan_to_num(signals(data, problem.moving)) for data in evidence.sets]
     loads = [u @ T[:, : u.shape[1]].T for u, T in zip(loads, evidence.solution.loads, strict=True)]
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
-    words = "the limb bends as it turns, or the sensor is not linear"
-    for columns in (
-        [bending_signals(part.source.signals[:, DIRECT]) for part in evidence.problem.sets],
-        evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares]),
+    cubes = evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
+    postures = [np.column_stack([g, g2, (g / GRAVITY) ** 3]) for g, g2 in zip(gravity, squares, strict=True)]
+    bent = "the limb bends as it turns, or the sensor is not linear"
+    pulls, loose = (
+        "something pulls at the limb as it turns, such as a cable",
+        "Let cables hang loose, or fix them.",
+    )
+    for words, cure, columns, known in (
+        (bent, BENT_CURE, squares, 0),
+        (bent, BENT_CURE, cubes, 0),
+        (pulls, loose, postures, STATIC),
     ):
-        free = columns[0].shape[1] * len(evidence.problem.whitening)
-        yield evidence.beside(words, BENT_CURE, columns, free, 1)
+        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, 1)
+    moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
+    if moved and all(len(one) for one in moved):
+        cure = "Give the gyroscope's readings as well, or move slowly."
+        yield evidence.beside(TOO_FAST, cure, evidence.at_rows(moved), moved[0].shape[1] * channels, 1)
 
 
-def _try_pull(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a load of all sets that goes with gravity as no rigid limb's does, such as a cable's pull."""
-    columns = [part.source.signals[:, DIRECT] for part in evidence.problem.sets]
-    free = columns[0].shape[1] * len(evidence.problem.whitening) - STATIC
-    words = "something pulls at the limb as it turns, such as a cable"
-    yield evidence.beside(
-        words, "Let cables hang loose, or fix them on one side of the sensor.", columns, free, 1
-    )
+def _motion_of(data: InSituSet) -> Matrix:
+    """Return the signals of rotation that gravity shows by its own turning, (n, 9); none if it shows none."""
+    moved, places = add_turning(data)
+    if not moved.moves:
+        return np.zeros((0, 0))
+    turning = signals(moved, True)[:, DIRECT.stop :]
+    return np.stack([np.interp(np.arange(len(data.raw)), places, one) for one in turning.T], axis=1)
 
 
-def find_lag(sets: Sequence[InSituSet]) -> tuple[float, float]:
-    """Return by how many s gravity comes after the readings, and the share of residual that this leaves.
-
-    Hysteresis looks like a short lag: what it may leave needs none.
-    """
-    steps = np.geomspace(_LAG[0], _LAG[1], _LAG[2])
-    left = {lag: _lagging_residual(sets, lag) for lag in (0.0, *steps, *-steps)}
-    lag = min(left, key=left.__getitem__)
-    return (
-        (float(lag), float(np.exp(left[lag] - left[0.0]))) if left[0.0] > np.log(limits.LOOPS) else (0.0, 1.0)
-    )
+# Gravity that was read in another way.
 
 
-def _lagging_residual(sets: Sequence[InSituSet], lag: float) -> float:
-    """Return the logarithm of the share of the readings that gravity leaves at a lag, rms over all."""
+def _try_reading(evidence: Evidence) -> Iterator[Cause]:
+    """Yield clocks that disagree, filters, and values that were held."""
+    if not evidence.timed:
+        return
+    for words, cure, change, values in _READINGS:
+        tried = {x: [_change(data, change, x) for data in evidence.sets] for x in values}
+        x = min(tried, key=lambda one: _share_left(tried[one]))
+        yield evidence.read_as(words.format(abs(x)), cure, tried[x], 1, len(tried))
+
+
+def _change(data: InSituSet, change: "_Change", x: float) -> InSituSet:
+    """Change gravity and motion; gaps are filled, as filters need all values."""
+
+    def whole(values: Matrix) -> Matrix:
+        there = np.isfinite(values).all(axis=1)
+        at = np.flatnonzero(there)
+        return np.stack([np.interp(np.arange(len(values)), at, one[there]) for one in values.T], axis=1)
+
+    return change(change_motion(data, whole), x)
+
+
+def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
+    """Return the low-passed values, shape (n, 3), by a filter of the first order."""
+    assert data.time is not None
+    kept = float(np.exp(-np.median(np.diff(data.time)) / seconds))
+    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0])
+
+
+def _delay(data: InSituSet, seconds: float) -> InSituSet:
+    return change_motion(data, lambda values: _low_pass(values, data, seconds))
+
+
+def _take_zero_off(data: InSituSet, seconds: float) -> InSituSet:
+    return change_motion(data, lambda values: values - _low_pass(values, data, seconds))
+
+
+def _hold(data: InSituSet, _: float) -> InSituSet:
+    """Return gravity as it was when readings that repeat were read."""
+    fresh = np.append(True, np.any(data.raw[1:] != data.raw[:-1], axis=1))
+    first = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
+    return change_motion(data, lambda values: values[first])
+
+
+_Change = Callable[[InSituSet, float], InSituSet]
+
+_READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
+    ("the IMU came about {:.2g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
+    ("the readings came about {:.2g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
+    (
+        "the readings came about {:.2g} s after the IMU, as through a low-pass filter",
+        _CLOCK,
+        _delay,
+        tuple(_DELAYS),
+    ),
+    (
+        "the driver takes a zero off that follows the readings within {:.2g} s",
+        "Log the sensor's own readings, with no automatic zero in the driver.",
+        _take_zero_off,
+        tuple(10.0 * _DELAYS),
+    ),
+    (
+        "readings repeat the ones before: the driver is slower than the log, or hangs",
+        "Log each sample of the sensor once, at the time at which it was read.",
+        _hold,
+        (0.0,),
+    ),
+)
+"""Causes in words, their cures, how gravity was to be read then, and the sizes that are tried."""
+
+
+def _share_left(sets: Sequence[InSituSet]) -> float:
+    """Return the share of the readings that gravity leaves in each set by itself, rms over all."""
     found = []
     for data in sets:
-        late = shift(data, lag)
-        u = np.column_stack([np.ones(len(late.raw)), signals(late, late.moves)])
-        rows = np.flatnonzero(np.isfinite(np.column_stack([u, late.raw])).all(axis=1))
+        u = np.column_stack([np.ones(len(data.raw)), signals(data, data.moves)])
+        rows = np.flatnonzero(np.isfinite(np.column_stack([u, data.raw])).all(axis=1))
         rows = rows[:: max(len(rows) // _THINNED, 1)]
         if len(rows) <= 2 * u.shape[1]:
             return np.inf
         basis, _ = orthonormal(u[rows], 1e-9)
-        raw = late.raw[rows] - np.mean(late.raw[rows], axis=0)
-        square = np.mean((raw - basis @ (basis.T @ raw)) ** 2, axis=0) / np.maximum(
-            np.mean(raw**2, axis=0), _TINY
-        )
-        found.append(np.mean(square))
-    return float(0.5 * np.log(np.maximum(np.mean(found), _TINY)))
+        raw = data.raw[rows] - np.mean(data.raw[rows], axis=0)
+        left = np.mean((raw - basis @ (basis.T @ raw)) ** 2, axis=0)
+        found.append(np.mean(left / np.maximum(np.mean(raw**2, axis=0), _TINY)))
+    return float(np.sqrt(np.mean(found)))
 
 
 def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
@@ -401,7 +509,8 @@ def _try_limb(evidence: Evidence) -> Iterator[Cause]:
             side = "more" if mass > 0.0 else "less"
             more = f"{abs(mass):.3f} kg {side} than was given hangs at {_place(place)} m"
             words = f"from '{name}' on {more}: the limb is another, or a driver takes a payload off"
-            if abs(mass) < limits.HEAVIEST and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
+            bears = min(fit.limb[MASS], fit.limb[MASS] + mass) > 0.0 and mass < limits.HEAVIEST
+            if bears and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
                 yield Cause(
                     words, "Leave the limb and the driver's payload as they are in all sets.", fit, 4, count
                 )
@@ -433,41 +542,40 @@ def _try_exchange(evidence: Evidence) -> Iterator[Cause]:
         yield Cause(words, _WEIGH, best, 0, len(pairs))
 
 
-def _try_turn(evidence: Evidence) -> Iterator[Cause]:
-    """Yield an IMU that is turned against the sensor.
-
-    A turned IMU has the same effect as a sensor turned with it whose added masses were measured in the
-    frame before the turn.
-    """
-    plain = evidence.problem
-    if not np.any(plain.added[:, MASS] > 0.0) or plain.rotation:
+def _try_frame(evidence: Evidence) -> Iterator[Cause]:
+    """Yield other axes of the places, and a turned IMU where it explains more: exact axes are likelier."""
+    if not np.any(evidence.problem.added[:, MASS] > 0.0) or evidence.problem.rotation:
         return
-    found = []
-    for turn in Rotation.create_group("O"):
-        outer = _rotate(evidence.solution.outer[None], turn.as_matrix())[0]
-        cost = solve(replace(plain, added=_rotate(plain.added, turn.as_matrix())), [outer], _GLANCE).cost
-        found.append((turn.magnitude() > 0.0, cost, turn, outer))
-    # From none, and from the right angles that come next to it.
-    tried = sorted(found, key=lambda one: one[:2])[: 1 + _TURNS]
-    fits = [_fit_turn(plain, turn, outer) for _, _, turn, outer in tried]
-    lowest = min(fit.cost for _, fit in fits)
-    # Masses in one plane do not tell a sensor from its mirror image: the smaller turn is likelier.
-    near = [(turn.magnitude(), fit) for turn, fit in fits if fit.cost <= (1.0 + _AS_GOOD) * lowest]
-    angle, fit = min(near, key=lambda one: one[0])
-    words = f"the IMU is turned by {np.degrees(angle):.0f} degrees against the sensor's frame"
+    axes = list(_try_axes(evidence))
+    turn = _try_turn(evidence)
+    best = min((cause.solution.cost for cause in axes), default=np.inf)
+    yield from axes
+    if best > (1.0 + _AS_GOOD) * turn.solution.cost:
+        yield turn
+
+
+def _turn_limb(outer: Vector, axes: Matrix) -> Vector:
+    """Return outer unknowns with the limb's first moment in other axes."""
+    turned = outer.copy()
+    turned[MOMENT] = axes @ outer[MOMENT]
+    return turned
+
+
+def _try_turn(evidence: Evidence) -> Cause:
+    """Return an IMU that is turned against the sensor: of two turns as good as each other the smaller one.
+
+    Masses in one plane do not tell a sensor from its mirror image.
+    """
+    outer, turns = evidence.solution.outer, Rotation.create_group("O")
+    begin = [np.append(_turn_limb(outer, turn.as_matrix()), turn.as_rotvec()) for turn in turns]
+    found = minima(replace(evidence.problem, rotation=True), begin)
+    best = min(found, key=lambda one: Rotation.from_matrix(one.rotation).magnitude())
+    angle = np.degrees(Rotation.from_matrix(best.rotation).magnitude())
     cure = (
         "Give its rotation (R_sensor_accelerometer), or let the fit find it: 'estimate_rotation', with the "
         "limb at rest."
     )
-    yield Cause(words, cure, fit, 3, 1)
-
-
-def _try_frame(evidence: Evidence) -> Iterator[Cause]:
-    """Yield other axes of the places, and a turned IMU where it explains more: exact axes are likelier."""
-    axes, turns = list(_try_axes(evidence)), list(_try_turn(evidence))
-    best = min((cause.solution.cost for cause in axes), default=np.inf)
-    yield from axes
-    yield from (cause for cause in turns if best > (1.0 + _AS_GOOD) * cause.solution.cost)
+    return Cause(f"the IMU is turned by {angle:.0f} degrees against the sensor's frame", cure, best, 3, 1)
 
 
 def _try_axes(evidence: Evidence) -> Iterator[Cause]:
@@ -475,16 +583,16 @@ def _try_axes(evidence: Evidence) -> Iterator[Cause]:
 
     Without a maker's matrix the opposite of all axes fits as well: its torques are opposite then.
     """
-    plain = evidence.problem
-    if not np.any(plain.added[:, MASS] > 0.0) or plain.rotation:
-        return
-    found = []
+    plain, found = evidence.problem, []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=2)):
         axes = np.eye(3)[list(order)] * np.array([1.0, *signs])[:, None]
         if np.array_equal(axes, np.eye(3)):
             continue
-        outer = _rotate(evidence.solution.outer[None], axes)[0]
-        problem = replace(plain, added=_rotate(plain.added, axes))
+        outer = _turn_limb(evidence.solution.outer, axes)
+        added = [
+            inertial_parameters(one.added_mass, axes @ one.added_com, plain.moving) for one in evidence.sets
+        ]
+        problem = replace(plain, added=np.pad(added, ((0, 0), (0, plain.parameters - len(added[0])))))
         found.append((solve(problem, [outer], _GLANCE).cost, axes, problem, outer))
     for _, axes, problem, outer in sorted(found, key=lambda one: one[0])[:_LIKELY]:
         best = minima(problem, [outer, *starts(problem, None, None)])[0]
@@ -508,31 +616,13 @@ def _axes_in_words(axes: Matrix) -> str:
     return f"the IMU is turned by {degrees:.0f} degrees about {_place(about)} against the sensor's frame"
 
 
-def _fit_turn(plain: Problem, turn: Rotation, outer: Vector) -> tuple[Rotation, Solution]:
-    """Find the turn of the added masses next to one, by small steps, and the fit with it."""
-    best = solve(replace(plain, added=_rotate(plain.added, turn.as_matrix())), [outer])
-    for _ in range(_STEPS):
-        added = best.problem.added
-        step = solve(replace(best.problem, changes=turns_of(added)), [np.pad(best.outer, (0, 3))]).changes
-        for share in (1.0, 0.3, 0.1):
-            further = Rotation.from_rotvec(share * step)
-            tried = solve(replace(plain, added=_rotate(added, further.as_matrix())), [best.outer])
-            if tried.cost < best.cost:
-                break
-        else:
-            break
-        best, turn = tried, further * turn
-        if share * np.max(np.abs(step)) < _SETTLED:
-            break
-    return turn, best
-
-
-def _rotate(parameters: Matrix, R: Matrix) -> Matrix:
-    """Return inertial parameters, shape (n, p), of bodies that are turned or mirrored."""
-    turned = parameters.copy()
-    turned[:, MOMENT] = parameters[:, MOMENT] @ R.T
-    if parameters.shape[1] >= INERTIA.stop:
-        for one, given in zip(turned, parameters, strict=True):
-            I = R @ inertia_matrix(given) @ R.T  # noqa: E741 - as in the equations
-            one[INERTIA] = limb_parameters(0.0, one[MOMENT], I)[INERTIA]
-    return np.asarray(turned)
+_KINDS = (
+    _try_events,
+    _try_bending,
+    _try_reading,
+    _try_frame,
+    _try_exchange,
+    _try_masses,
+    _try_limb,
+    _try_sensor,
+)

@@ -26,8 +26,8 @@ _UNITS = {
 }
 """Likely units of gravity vectors of these lengths."""
 
-_NEXT = 20
-"""Values next to a channel's end that are counted."""
+_NEXT, _ROUNDED = 20, 5e-3
+"""Values next to an end that are counted, and the share of a spread that rounding may be off by."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
 """Reason in the message."""
@@ -103,7 +103,28 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             )
             cure = "Log each sample of the sensor once, at the time at which it was read."
             found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
+        if (moved := _measure_held(data)) > limits.HELD:
+            reason = (
+                f"'{data.name}': gravity repeats the sample before while readings move on, by {moved:.0%} of "
+                "their spread: the accelerometer stands still, or is slower than the log."
+            )
+            cure = "Log the IMU as often as the sensor."
+            found.append(Finding("held gravity", reason, cure, moved, limits.HELD))
     return found
+
+
+def _measure_held(data: InSituSet) -> float:
+    """Return by which share of its spread a channel moves, beside white noise, while gravity does not."""
+    whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
+    raw, gravity = data.raw[whole], data.gravity[whole]
+    if len(raw) < 2:
+        return 0.0
+    same = np.all(gravity[1:] == gravity[:-1], axis=1)
+    run = np.append(0, np.cumsum(~same))
+    mean = np.stack([np.bincount(run, one) / np.bincount(run) for one in raw.T], axis=1)
+    moved = np.sum((raw - mean[run]) ** 2, axis=0) - np.sum(np.diff(raw, axis=0)[same] ** 2, axis=0) / 2.0
+    total = np.sum((raw - raw.mean(axis=0)) ** 2, axis=0)
+    return float(np.sqrt(np.max(np.maximum(moved, 0.0) / np.maximum(total, np.finfo(float).tiny))))
 
 
 def _check_idle(sets: Sequence[InSituSet]) -> list[Finding]:
@@ -188,37 +209,39 @@ def _check_channels(data: InSituSet, options: InSituOptions) -> list[Finding]:
                     "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
                 )
                 found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
-        for end, sign in ((highest[channel], 1.0), (lowest[channel], -1.0)):
-            held = counts == end
-            if np.sum(held) >= limits.TIES:
-                found += _check_end(data, at, counts, held, sign)
+        found += _check_ends(data, f"channel {channel}", counts, data.gravity)
+    for axis, values in zip("xyz", data.gravity.T, strict=True):
+        found += _check_ends(data, f"axis {axis} of the accelerometer", values, data.raw)
     return found
 
 
-def _check_end(
-    data: InSituSet, at: str, counts: NDArray[np.float64], held: NDArray[np.bool_], sign: float
+def _check_ends(
+    data: InSituSet, what: str, values: NDArray[np.float64], beside: NDArray[np.float64]
 ) -> list[Finding]:
-    """Return a finding if a channel stays at its highest or lowest reading while its load goes on."""
-    values, times = np.unique(sign * counts[np.isfinite(counts)], return_counts=True)
-    if len(values) <= _NEXT or times[-1] <= limits.TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
-        return []
-    # How far held samples should read beyond their end by gravity, against the deviation of the others.
-    columns = np.column_stack([np.ones(len(counts)), data.gravity])
-    whole = np.isfinite(columns).all(axis=1) & np.isfinite(counts)
-    others = whole & ~held
-    left = counts - columns @ np.linalg.lstsq(columns[others], counts[others], rcond=None)[0]
-    beyond = -sign * float(np.mean(left[whole & held]))
-    if beyond <= np.std(left[others]) + values[-1] - values[-2]:
-        return []
-    reason = (
-        f"{at} is clipped: {times[-1]} samples read exactly {sign * values[-1]:g}{_span(data, held)}, none "
-        "reads beyond, and gravity went on turning."
-    )
-    cure = (
-        "Take the load off, set the hardware's offset again, or lower the gain: a clipped reading shows "
-        "nothing."
-    )
-    return [Finding("clipping", reason, cure, float(times[-1]), limits.TIES)]
+    """Return a finding if values stay at their highest or lowest while others, (n, q), go on."""
+    columns = np.column_stack([np.ones(len(values)), beside])
+    whole = np.isfinite(columns).all(axis=1) & np.isfinite(values)
+    for sign in (1.0, -1.0):
+        held = sign * values == np.nanmax(sign * values)
+        others = whole & ~held
+        ends, times = np.unique(sign * values[np.isfinite(values)], return_counts=True)
+        few = len(ends) <= _NEXT or times[-1] < limits.TIES or np.sum(others) <= 2 * columns.shape[1]
+        if few or times[-1] <= limits.TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
+            continue
+        # How far held samples should read beyond their end, against the deviation of the others.
+        left = values - columns @ np.linalg.lstsq(columns[others], values[others], rcond=None)[0]
+        beyond = -sign * float(np.mean(left[whole & held]))
+        if beyond > max(np.std(left[others]) + ends[-1] - ends[-2], _ROUNDED * (ends[-1] - ends[0])):
+            reason = (
+                f"'{data.name}': {what} is clipped: {times[-1]} samples read exactly {sign * ends[-1]:g}"
+                f"{_span(data, held)}, none reads beyond, and the limb went on turning."
+            )
+            cure = (
+                "Take the load off, set the hardware's offset again, or take a wider range: what is clipped "
+                "shows nothing."
+            )
+            return [Finding("clipping", reason, cure, float(times[-1]), limits.TIES)]
+    return []
 
 
 def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:

@@ -179,8 +179,10 @@ class Spectrum:
         return cls(seen / (2.0 * rows * spacing), left[seen], dct(residual, norm="ortho", axis=0)[seen])
 
 
-def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = True) -> Colour:
-    """Return the colour that explains residuals best; white unless another is worth its parameters.
+def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = True) -> tuple[Colour, float]:
+    """Return the colour that explains residuals best, and its deviance with Schwarz's penalty.
+
+    It is white unless another is worth its parameters.
 
     Args:
         spectra: Of the sets, in channels none of which follows from the others.
@@ -189,7 +191,7 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = T
     """
     spectra = [one for one in spectra if len(one.left) >= _LEAST_MODES]
     if not spectra:
-        return Colour()
+        return Colour(), np.nan
     frequency, left, power = _bands(spectra)
     total, channels = float(np.sum(left)), power.shape[1]
     # The likeliest covariance goes with the channels, so that their units and mixture change nothing.
@@ -222,9 +224,9 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = T
                 best[name] = int(np.argmin(cost_of))
                 cost = float(cost_of[best[name]] + (worth if best[name] == 0 else 0.0))
         found.append((cost + _penalty(best, total * channels), best))
-    _, best = min(found, key=lambda one: one[0])
+    cost, best = min(found, key=lambda one: one[0])
     drift, hysteresis = (Part(*map(float, tried[name][best[name]])) for name in ("drift", "hysteresis"))
-    return Colour(drift, hysteresis)
+    return Colour(drift, hysteresis), cost + total * float(np.linalg.slogdet(overall)[1])
 
 
 def _powers(grid: Matrix, frequency: Vector) -> Matrix:

@@ -28,11 +28,8 @@ from scipy.special import chdtri
 
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.model import DIRECT, signals
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
@@ -97,10 +94,11 @@ class SetRows(NamedTuple):
         """u, not weighted, shape (m, s)."""
         return np.asarray(self.columns[:, 1 : 1 + self.inputs] / self.weight[:, None])
 
-    def widen(self, more: Matrix, place: int) -> "SetRows":
-        """Add signals at the rows, shape (m, q), behind the first ``place`` ones."""
-        wide = np.insert(self.columns, [1 + place], self.weight[:, None] * more, axis=1)
-        return self._replace(columns=wide, inputs=self.inputs + more.shape[1])
+    def with_signals(self, u: Matrix) -> "SetRows":
+        """Return the rows with other signals, shape (m, s)."""
+        first = 1 + self.inputs
+        parts = (self.columns[:, :1], self.weight[:, None] * u, self.columns[:, first:])
+        return self._replace(columns=np.concatenate(parts, axis=1), inputs=u.shape[1])
 
 
 def _rows_of(data: InSituSet, u: Matrix, robust: bool, walks: bool, timed: bool) -> SetRows:
@@ -336,18 +334,20 @@ def compress(
 def add_signals(
     parts: Sequence[CompressedSet], columns: Sequence[Matrix], place: int | None = None
 ) -> tuple[CompressedSet, ...]:
-    """Return compressed sets with more signals; the same samples take part, in the same windows.
+    """Return compressed sets with more signals, at their rows, shape (m, q) each.
 
-    Args:
-        parts: The sets.
-        columns: At their rows, shape (m, q) each.
-        place: Number of the signals that stand before them; all by default.
+    They stand behind the first ``place`` signals, or behind all.
     """
-    rows = [
-        part.source.widen(more, part.source.inputs if place is None else place)
-        for part, more in zip(parts, columns, strict=True)
-    ]
-    return _compress_rows(rows)
+    wide = []
+    for part, more in zip(parts, columns, strict=True):
+        u = part.source.signals
+        wide.append(np.insert(u, [u.shape[1] if place is None else place], more, axis=1))
+    return change_signals(parts, wide)
+
+
+def change_signals(parts: Sequence[CompressedSet], signals: Sequence[Matrix]) -> tuple[CompressedSet, ...]:
+    """Return compressed sets with other signals, (m, s) each, of the same samples in the same windows."""
+    return _compress_rows([part.source.with_signals(u) for part, u in zip(parts, signals, strict=True)])
 
 
 def _compress_rows(rows: Sequence[SetRows]) -> tuple[CompressedSet, ...]:
@@ -370,12 +370,14 @@ def _colour(rows: Sequence[SetRows]) -> Colour:
     independent = turn[:, size > _FLOOR**2 * spread]
     if independent.shape[1] == 0:
         return Colour()
+    spectra = [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found]
+    return likeliest_colour(spectra, motion_of(rows), rows[0].walks)[0]
+
+
+def motion_of(rows: Sequence[SetRows]) -> float:
+    """Return the frequency of the limb's motion in sets."""
     motions = [motion_frequency(one.columns[:, 1:][:, DIRECT], one.spacing) for one in rows]
-    return likeliest_colour(
-        [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
-        float(np.median(motions)),
-        rows[0].walks,
-    )
+    return float(np.median(motions))
 
 
 def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:

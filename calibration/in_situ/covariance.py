@@ -12,19 +12,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import ROUNDING, skew, triangle
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.solve import Solution
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _RAISES, _LOWERS = 4.0, 30.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them

@@ -9,6 +9,7 @@ Conventions of this part of the library:
   rest. While the limb moves it is g - a with the acceleration a of the sensor's origin.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -16,6 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_not_negative, check_positive
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
 MatrixMode = Literal["keep", "update", "free"]
 """How a factory matrix is used."""
@@ -280,24 +284,30 @@ class Task:
         return all(data.time is not None for data in self.sets)
 
 
+def change_motion(data: InSituSet, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> InSituSet:
+    """Return a set whose gravity and motion, shape (n, 3) each, are changed alike."""
+    names = ("gravity", "angular_velocity", "angular_acceleration")
+    given = {name: value for name in names if (value := getattr(data, name)) is not None}
+    changed: dict[str, Any] = {name: change(value) for name, value in given.items()}
+    return replace(data, **changed)
+
+
+def read_later(data: InSituSet, delay: float) -> InSituSet:
+    """Return a set with gravity and motion as they were read later by a delay in s; the ends stay."""
+    time = data.time
+    assert time is not None
+    return change_motion(
+        data, lambda values: np.stack([np.interp(time + delay, time, one) for one in values.T], axis=1)
+    )
+
+
 def shift(data: InSituSet, delay: float) -> InSituSet:
     """Return a set with gravity and motion as they were read later by the delay; the ends drop out."""
-    time = data.time
     if not delay:
         return data
+    late, time = read_later(data, delay), data.time
     assert time is not None
     kept = (time + delay >= time[0]) & (time + delay <= time[-1])
-
-    def later(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.stack([np.interp(time[kept] + delay, time, one) for one in values.T], axis=1)
-
-    rate, acceleration = data.angular_velocity, data.angular_acceleration
-    return replace(
-        data,
-        raw=data.raw[kept],
-        time=time[kept],
-        temperature=None if data.temperature is None else data.temperature[kept],
-        gravity=later(data.gravity),
-        angular_velocity=None if rate is None else later(rate),
-        angular_acceleration=None if acceleration is None else later(acceleration),
-    )
+    names = ("raw", "gravity", "angular_velocity", "angular_acceleration", "temperature", "time")
+    given: dict[str, Any] = {n: value[kept] for n in names if (value := getattr(late, n)) is not None}
+    return replace(late, **given)

@@ -42,7 +42,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
 from surefoot.calibration.in_situ.covariance import share_deviations
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
 from surefoot.calibration.in_situ.problem import Problem, whitening_of
@@ -54,9 +54,6 @@ from surefoot.calibration.in_situ.solve import (
     follow,
     solve,
 )
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
 """Half-widths of the plays, as shares of the largest amplitude."""
@@ -132,6 +129,11 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     if make is not None and best is not plain:
         best = _refine(best, make)
     return best, list(loops.values()) or [plain]
+
+
+def lag_loads(sets: Sequence[InSituSet], plain: Solution) -> Solution:
+    """Return the fit with loops in proportion to the loads; the plain one where that leads nowhere."""
+    return _try(_Motion.of(sets, plain.problem).lag_loads(_plays), plain, 1) or plain
 
 
 def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int) -> Solution | None:
@@ -247,8 +249,12 @@ def _path(data: InSituSet, moving: bool, stride: int) -> Matrix:
     latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
     latest[latest < 0] = int(np.argmax(whole))
     u = u[latest]
-    turns = motion_frequency(u[:, DIRECT], 1.0)
-    return savitzky_golay(u, _CUBIC) if turns * _CUBIC < _PART and len(u) > _CUBIC else u
+    return savitzky_golay(u, _CUBIC) if turns_slowly(u[:, DIRECT]) else u
+
+
+def turns_slowly(gravity: Matrix) -> bool:
+    """Return whether a few samples of gravity, (n, 3), are a small part of a turn of the limb."""
+    return len(gravity) > _CUBIC and motion_frequency(gravity, 1.0) * _CUBIC < _PART
 
 
 _TORQUES, _MOMENTS = np.array([3, 3, 4, 4, 5, 5]), np.array([2, 3, 1, 3, 1, 2])

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.checks import check_value
-from surefoot.calibration.in_situ.data import KnownLimb
+from surefoot.calibration.in_situ.data import KnownLimb, Matrix
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, Limb, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -39,8 +39,6 @@ from surefoot.calibration.in_situ.model import (
     offset_covariance,
 )
 from surefoot.calibration.kalman import kalman_step
-
-Matrix = NDArray[np.float64]
 
 _RESPONSE = slice(0, RELATIVE_ERRORS)
 _LIMB = slice(_RESPONSE.stop, _RESPONSE.stop + STATIC)

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import in_a_row
+from surefoot.calibration.in_situ.data import Matrix
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.calibration.state import LARGEST
 from surefoot.files import read_json
-
-Matrix = NDArray[np.float64]
 
 
 class FitColumns(NamedTuple):

@@ -30,7 +30,7 @@ from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -47,10 +47,6 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
-
 
 _BIAS = 0.15
 """Deviation of a bias beforehand in m/s^2: sheets of MEMS sensors state 20 to 50 mg (BMI088, MPU-6050), and
@@ -140,7 +136,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     """Return the likeliest bias, scale and noise of the accelerometer by all sets together."""
     gravity, turned, width = [], [], 1
     for one in sets:
-        data, _ = _add_turning(one)
+        data, _ = add_turning(one)
         rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
         rows = rows[:: max(len(rows) * len(sets) // _SAMPLES, 1)]
         felt = _measure_turning(data, rows)
@@ -187,19 +183,19 @@ def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
     found = []
     for data in sets:
         g = data.gravity - sphere.bias
-        moved, places = _add_turning(data)
+        moved, places = add_turning(data)
         felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
         added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)
         size = np.linalg.norm(g + added, axis=1)
         length = np.full_like(size, sphere.length)
         if data.moves:
-            length = length + _smooth(size - length) if data.time is not None else size
+            length = length + smooth(size - length) if data.time is not None else size
         g = (g + added) * (length / np.where(size > 0.0, size, np.nan))[:, None] - added
         found.append(replace(data, gravity=g * sphere.scale))
     return tuple(found)
 
 
-def _smooth(off: Vector) -> Vector:
+def smooth(off: Vector) -> Vector:
     """Return the part of a signal beside white noise by Wiener's filter, shape (n,)."""
     whole = np.isfinite(off)
     modes = dct(off[whole], norm="ortho")
@@ -229,7 +225,7 @@ def _long_run(off: Vector, width: int) -> float:
     return max(1.0, width * float(of_means) / max(float(np.var(off)), np.finfo(float).tiny))
 
 
-def _add_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
+def add_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
     """Return means of gravity over a fraction of a second with the motion it shows, and their places.
 
     That is no turning about its own direction. A set whose motion was recorded is returned itself; one that
@@ -246,8 +242,8 @@ def _add_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
     window = max(_FEWEST, 2 * round(0.5 * _SWEPT / dt) + 1)
     if len(columns) <= 2 * window or not np.isfinite(g).all() or not _steady(g, dt):
         return thin, columns[:, 0]
-    smooth = np.stack([_smooth(one) for one in g.T], axis=1)
-    change = savitzky_golay(smooth, window=window, derivative=1, dt=dt)
+    quiet = np.stack([smooth(one) for one in g.T], axis=1)
+    change = savitzky_golay(quiet, window=window, derivative=1, dt=dt)
     spin = -np.cross(g, change) / np.maximum(np.sum(g**2, axis=1, keepdims=True), np.finfo(float).tiny)
     rate = savitzky_golay(spin, window=window, derivative=1, dt=dt)
     return replace(thin, angular_velocity=spin, angular_acceleration=rate), columns[:, 0]
@@ -298,7 +294,7 @@ def errors_of_imu(
     basis, found = transform_basis(True), []
     white = (problem.whitening @ solution.A).T
     for data, part in zip(sets, problem.sets, strict=True):
-        moved, places = _add_turning(replace(data, gravity=data.gravity @ solution.rotation.T))
+        moved, places = add_turning(replace(data, gravity=data.gravity @ solution.rotation.T))
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
         of_offset = np.zeros((AXES, _COLUMNS))
         if not moved.moves:

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import invert_response
-from surefoot.calibration.in_situ.data import KnownLimb
+from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.model import (
@@ -27,9 +27,6 @@ from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand, solve
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _UNSEEN = 1e-7
 """A direction is unseen if its singular value, for columns of unit length, is this share of the largest."""
@@ -213,11 +210,14 @@ def check_axes(fit: InSituFit, solution: Solution) -> list[Finding]:
 
 
 def check_masses(solution: Solution) -> list[Finding]:
-    """Check the added masses against the readings."""
-    problem = solution.problem
-    used = solution.basis[0][: solution.residual.size]
-    freedom = solution.residual.size - float(np.sum(used**2))
-    left = float(np.sum(solution.residual**2))
+    """Check the added masses against the readings' response to gravity.
+
+    Rates and loops bear hardly any weight, and take in whatever law of hysteresis the fit has not.
+    """
+    problem, by_gravity = solution.problem, solution.residual[:, DIRECT]
+    used = solution.basis[0][: solution.residual.size].reshape(*solution.residual.shape, -1)[:, DIRECT]
+    freedom = by_gravity.size - float(np.sum(used**2))
+    left = float(np.sum(by_gravity**2))
     if freedom <= 0.5 or left <= float(chdtri(freedom, _CHANCE)) or not np.any(problem.added[:, MASS] > 0.0):
         return []
     off = float(np.max(_disagreement(problem, _measure_masses(solution))))
@@ -243,8 +243,11 @@ def check_masses(solution: Solution) -> list[Finding]:
     slight = [contradiction] if off > limits.MASS_SEEN or left >= limits.STRAINED * freedom else []
     if problem.rotation or left < limits.STRAINED * freedom:
         return slight
-    turned = solve(replace(problem, changes=turns_of(problem.added)), [np.pad(solution.outer, (0, 3))])
-    angle, explained = float(np.linalg.norm(turned.changes)), 2.0 * (solution.cost - turned.cost)
+    turned = solve(replace(problem, rotation=True), [np.pad(solution.outer, (0, 3))])
+    angle, explained = (
+        float(Rotation.from_matrix(turned.rotation).magnitude()),
+        2.0 * (solution.cost - turned.cost),
+    )
     if angle < limits.TURNED or explained < limits.TURNED_SIGMAS**2 * left / freedom:
         return slight
     if angle > limits.MASS:
@@ -255,14 +258,6 @@ def check_masses(solution: Solution) -> list[Finding]:
         "('estimate_rotation', with the limb at rest)."
     )
     return [Finding("turned IMU", reason, value=angle, limit=limits.TURNED, refuses=False)]
-
-
-def turns_of(added: Matrix) -> NDArray[np.float64]:
-    """Return how the added parameters change as all places turn about each axis, shape (3, J, p)."""
-    changes = np.zeros((3, *added.shape))
-    for change, axis in zip(changes, np.eye(3), strict=True):
-        change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
-    return changes
 
 
 def _measure_masses(solution: Solution) -> Matrix:

@@ -30,6 +30,7 @@ class Limit(float):
 # At the door: channels, masses, gravity.
 SAMPLES = Limit(4, "samples", "a mean and three slopes of gravity")
 REPEATED = Limit(0.03, "share of samples", "chosen: six channels with noise seldom read the same twice")
+HELD = Limit(0.05, "share of a channel's spread", "sound 0; an accelerometer that is held for 1 s 0.1")
 SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs end in 0.03 and more")
 TIES = Limit(5, "samples", "equal readings at an end; chosen")
 TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
@@ -43,6 +44,7 @@ TILT = Limit(0.02, "share of gravity", "a turn of 2 degrees to either side")
 EARTH = Limit(0.006, "share of gravity", "9.780 m/s^2 at the equator to 9.832 at the poles")
 ACCELEROMETER = Limit(3.0, "deviations", "0.3 % of sound logs get a word")
 LATE = Limit(1e-3, "s", "half of a sample at 500 Hz")
+VERY_LATE = Limit(0.1, "s", "chosen: sound logs have up to 0.05")
 LATEST = Limit(1.0, "s", "chosen: a longer lag is no delay")
 
 # Within sets: samples left out, residuals that no rigid limb explains, temperature.
@@ -60,7 +62,6 @@ BENDS_MOSTLY = Limit(0.7, "share of the residual", "sound 0.67; the knee 0.83 an
 BENDS_PARTLY = Limit(0.2, "share of the residual", "beside hysteresis that was fitted; chosen")
 HYSTERESIS = Limit(0.01, "share of the swing", "chosen, as a deviation: cheap gauges have 2 %")
 HIDDEN = Limit(0.003, "share of the swing", "chosen: a third of that")
-LOOPS = Limit(0.015, "share of a channel's spread", "the most that 1 % of hysteresis leaves")
 WARMING = Limit(0.3, "K", "three times the 0.1 K to which thermistors read")
 NOT_GRAVITY = Limit(0.1, "share of a temperature's spread", "its coefficient is ten times less sure there")
 COEFFICIENTS = Limit(3.0, "deviations", "0.3 % of sensors whose coefficient is one")

@@ -18,20 +18,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import ROUNDING, of_unit_length, skew
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.data import Task
+from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import Maker, Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _SHARES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Sizes of a maker's errors that are tried, as shares of full scale."""

@@ -29,12 +29,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from surefoot.calibration.arrays import Array, skew
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet, Matrix
 from surefoot.calibration.reference import GRAVITY
-
-Matrix = NDArray[np.float64]
 
 AXES = 6
 """Components of a wrench."""
@@ -107,6 +106,25 @@ def transform_basis(moving: bool) -> Matrix:
     basis = basis if moving else basis[:STATIC, :, DIRECT]
     basis.setflags(write=False)
     return basis
+
+
+def signal_rotation(R: Matrix, moving: bool) -> Matrix:
+    """Return how signals in one frame are made of those in another, by its rotation R: (3, 3) or (12, 12)."""
+    return block_diag(R, R, _product_rotation(R, R)) if moving else R
+
+
+def signal_rotation_slope(axis: Matrix, moving: bool) -> Matrix:
+    """Return the slope of :func:`signal_rotation` by a turn about an axis, at none."""
+    K, eye = skew(axis), np.eye(3)
+    return block_diag(K, K, _product_rotation(K, eye) + _product_rotation(eye, K)) if moving else K
+
+
+def _product_rotation(X: Matrix, Y: Matrix) -> Matrix:
+    """Return how products (X a)_i (Y a)_j are made of those of a, shape (6, 6)."""
+    first, second = np.array(PAIRS).T
+    direct = X[first][:, first] * Y[second][:, second]
+    crossed = X[first][:, second] * Y[second][:, first]
+    return np.asarray(np.where(first == second, direct, direct + crossed))
 
 
 def _symmetric(pair: tuple[int, int], value: float = 1.0) -> Matrix:

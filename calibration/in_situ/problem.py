@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.data import KnownLimb, Task
+from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Task, Vector
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -26,9 +26,6 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     transform_basis,
 )
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 
 class Maker(NamedTuple):

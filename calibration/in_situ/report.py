@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
@@ -23,7 +22,7 @@ from surefoot.calibration.in_situ.covariance import (
     slow_turn,
     unknowns_root,
 )
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task
+from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Task, Vector
 from surefoot.calibration.in_situ.effects import find_drift, shows_loops
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
@@ -41,9 +40,6 @@ from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, diffe
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 _MAKER = 0.02
 """Deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %."""

@@ -24,12 +24,9 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal, skew
 from surefoot.calibration.in_situ.compress import add_signals
-from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS
+from surefoot.calibration.in_situ.data import Matrix, Vector
+from surefoot.calibration.in_situ.model import AXES, MASS, signal_rotation, signal_rotation_slope
 from surefoot.calibration.in_situ.problem import Problem
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
-
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
 """Starts from which to search; the second where the rotation is unknown."""
@@ -141,10 +138,12 @@ class _Outer(NamedTuple):
         return cls(problem, limb, vector, rotation, added)
 
     def turn(self, T: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Let transforms, shape (..., 6, s), take gravity as the accelerometer reads it."""
+        """Let transforms, shape (..., 6, s), take gravity and motion as the accelerometer reads them."""
         if not self.problem.rotation:
             return T
-        return np.concatenate([T[..., DIRECT] @ self.rotation, T[..., DIRECT.stop :]], axis=-1)
+        motion = self.problem.motion
+        S = signal_rotation(self.rotation, self.problem.moving)
+        return np.concatenate([T[..., motion] @ S, T[..., motion.stop :]], axis=-1)
 
     @property
     def transforms(self) -> NDArray[np.float64]:
@@ -164,9 +163,12 @@ class _Outer(NamedTuple):
         J, n, _ = signals.shape
         dT = [np.repeat(self.turn(problem.basis)[:, None], J, axis=1)]
         if problem.rotation:
-            M = np.einsum("jp,pws->jws", self.limb + self.added, problem.basis[..., DIRECT])
+            M = np.einsum("jp,pws->jws", self.limb + self.added, problem.basis[..., problem.motion])
+            S = signal_rotation(self.rotation, problem.moving)
             steps = np.zeros((3, *M.shape[:2], problem.basis.shape[2]))
-            steps[..., DIRECT] = [M @ (skew(axis) @ self.rotation) for axis in axes.T]
+            steps[..., problem.motion] = [
+                M @ signal_rotation_slope(axis, problem.moving) @ S for axis in axes.T
+            ]
             dT.append(steps)
         if len(problem.changes):
             dT.append(self.turn(np.einsum("qjp,pws->qjws", problem.changes, problem.basis)))

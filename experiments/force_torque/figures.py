@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.validation import force_ellipsoid
 from surefoot.experiments.force_torque.tables import Calibrated
+from surefoot.experiments.force_torque.validation import force_ellipsoid
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 
 FORCES = ("x (N)", "y (N)", "z (N)")

@@ -7,7 +7,10 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
-from surefoot.calibration.in_situ.validation import (
+from surefoot.calibration.layout import FORCE_TORQUE_NAMES
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.force_torque.log import InSituLog
+from surefoot.experiments.force_torque.validation import (
     added_mass,
     as_seen,
     force_ellipsoid,
@@ -15,9 +18,6 @@ from surefoot.calibration.in_situ.validation import (
     offset_of_set,
     predict_wrench,
 )
-from surefoot.calibration.layout import FORCE_TORQUE_NAMES
-from surefoot.experiments.arrays import Floats
-from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.study.tables import Table, decimal, number, round_to, with_deviation
 
 

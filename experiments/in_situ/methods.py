@@ -16,7 +16,7 @@ from surefoot.calibration.in_situ import (
     estimate_matrix,
     estimate_offset,
 )
-from surefoot.calibration.in_situ.validation import added_mass, offset_of_set, semi_axes
+from surefoot.experiments.force_torque.validation import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.in_situ.instruments import SensorTruth
 

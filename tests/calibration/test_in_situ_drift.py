@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, Limb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.validation import normalise_error
 from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.experiments.force_torque.validation import normalise_error
 
 
 def walk(rng, rows, size):
@@ -23,7 +23,7 @@ def walk(rng, rows, size):
 def colour_of(noise):
     constant = np.full((len(noise), 1), len(noise) ** -0.5)
     residual = noise - constant @ (constant.T @ noise)
-    return likeliest_colour([Spectrum.of(residual, constant, 1.0)], 0.1)
+    return likeliest_colour([Spectrum.of(residual, constant, 1.0)], 0.1)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))

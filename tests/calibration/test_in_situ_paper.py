@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import estimate_matrix, estimate_offset
-from surefoot.calibration.results import FitResult
 
 # Exactness, and the paper written out
 
@@ -37,7 +36,6 @@ def test_offset_and_matrix_are_exact_without_noise(sensor):
     np.testing.assert_allclose(fit.matrix / row_length, matrix / row_length, atol=1e-9)
     np.testing.assert_allclose(fit.limb.mass, mass, rtol=1e-9)
     np.testing.assert_allclose(fit.limb.com, com, atol=1e-9)
-    assert fit.result is FitResult.DETERMINED
     assert (fit.stats.rank, fit.stats.unknowns) == (40, 40)
     wrench = sets[1].gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(0.703, sets[1].added_com)).T
     np.testing.assert_allclose(fit.wrench(sets[1].raw, offset), wrench, atol=1e-8)
@@ -162,19 +160,6 @@ def test_samples_that_are_not_finite_are_left_out_and_arguments_untouched():
 # Lemma 1
 
 
-def test_noise_alone_does_not_leave_the_three_space():
-    rng = np.random.default_rng(6)
-    sets, _ = paper_sets("foot", rng)
-    fit = estimate_offset(sets[0].raw + 5.0 * rng.standard_normal(sets[0].raw.shape), sets[0].gravity)
-    assert fit.affine
-    assert fit.affine_to_noise == pytest.approx(1.0, abs=0.1)
-    told = estimate_offset(
-        sets[0].raw + 5.0 * rng.standard_normal(sets[0].raw.shape), sets[0].gravity, noise=5.0
-    )
-    assert told.affine_to_noise == pytest.approx(1.0, abs=0.1)
-    assert estimate_offset(sets[0].raw, sets[0].gravity).affine  # rounding alone
-
-
 def test_a_limb_that_bends_leaves_the_three_space():
     sets, _ = paper_sets("foot", np.random.default_rng(7))
     one = sets[1]
@@ -186,10 +171,8 @@ def test_a_limb_that_bends_leaves_the_three_space():
             FOOT_MATRIX, np.vstack([np.zeros((3, len(one.gravity))), (one.gravity**2).T / 9.81])
         ).T
     )
-    fit = estimate_offset(bent, one.gravity, noise=1.0)
-    assert not fit.affine
-    assert fit.affine_residual > 10.0 * estimate_offset(one.raw, one.gravity, noise=1.0).affine_residual
-    assert fit.affine_to_noise > 3.0
+    left = estimate_offset(bent, one.gravity).affine_residual
+    assert left > 10.0 * estimate_offset(one.raw, one.gravity).affine_residual
 
 
 def test_a_zero_that_drifts_leaves_the_three_space():
@@ -200,14 +183,8 @@ def test_a_zero_that_drifts_leaves_the_three_space():
     ramp = np.linspace(-2.0, 2.0, len(noisy))[:, None] * np.linalg.solve(
         FOOT_MATRIX, [1, -1, 1, 0.05, 0, 0.05]
     )
-    drifting = estimate_offset(noisy + ramp, one.gravity)
-    assert estimate_offset(noisy, one.gravity).affine
-    assert not drifting.affine
-    assert drifting.affine_to_noise > 3.0
-    # Noise that takes a fifth of the spread does not show that the lemma holds.
-    loud = estimate_offset(noisy + 200.0 * rng.standard_normal(one.raw.shape), one.gravity)
-    assert loud.affine_residual > 0.05
-    assert not loud.affine
+    left = estimate_offset(noisy + ramp, one.gravity).affine_residual
+    assert left > 2.0 * estimate_offset(noisy, one.gravity).affine_residual
 
 
 def test_semi_axes_follow_from_the_response(sensor):

@@ -10,7 +10,6 @@ from _in_situ import (
     make_set,
     offsets_of,
     paper_sets,
-    random_gravity,
     swept_gravity,
     with_arrays,
 )
@@ -124,21 +123,15 @@ def test_a_set_without_a_finite_sample_is_refused_by_name():
 
 
 @pytest.mark.parametrize(
-    ("raw", "gravity", "noise", "message"),
+    ("raw", "gravity", "message"),
     [
-        (np.ones(6), np.ones((1, 3)), None, "'raw' must have shape (n, k) with k >= 3, got (6,)."),
-        (np.ones((4, 6)), np.ones((5, 3)), None, "'gravity' must have shape (4, 3) like 'raw', got (5, 3)."),
-        (
-            random_gravity(np.random.default_rng(16), 9) @ np.ones((3, 6)) + np.eye(9, 6),
-            random_gravity(np.random.default_rng(17), 9),
-            np.ones(5),
-            "'noise' must be a number or have shape (6,), got (5,).",
-        ),
+        (np.ones(6), np.ones((1, 3)), "'raw' must have shape (n, k) with k >= 3, got (6,)."),
+        (np.ones((4, 6)), np.ones((5, 3)), "'gravity' must have shape (4, 3) like 'raw', got (5, 3)."),
     ],
 )
-def test_shapes_of_the_offset_fit(raw, gravity, noise, message):
+def test_shapes_of_the_offset_fit(raw, gravity, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        estimate_offset(raw, gravity, noise=noise)
+        estimate_offset(raw, gravity)
 
 
 def test_shapes_of_the_matrix_fit():

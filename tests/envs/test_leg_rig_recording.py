@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration.in_situ import InSituSet, validation
+from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.envs.leg_rig.env import LegRigEnv
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig, sweep, swing
 from surefoot.envs.leg_rig.spec import ADDED_MASSES, HIP_RANGE
+from surefoot.experiments.force_torque import validation
 
 SHORT = {"duration": 100.0, "rate": 10.0}
 

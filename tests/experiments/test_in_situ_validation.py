@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituSet, Limb
-from surefoot.calibration.in_situ.validation import (
+from surefoot.experiments.force_torque.validation import (
     added_mass,
     force_ellipsoid,
     motion_wrench,

@@ -1,30 +1,38 @@
-"""The matrix of a six-axis F/T sensor from known masses hung on its limb (in-situ paper, III-C).
+"""The paper's own regressions (Traversaro, Pucci and Nori, 2015): offsets (III-B) and the matrix (III-C).
 
-With the offsets taken off, C (r - o) = (M_b + M_a^j) g holds for the samples of the j-th added mass (18):
-M_a^j is known, the matrix C and the limb's own mass and first moment in M_b are not. With
-M(m, c) = [m I; m [c]x] and [c]x g = -[g]x c, the upper and the lower three rows share no unknown,
+**III-B.** At rest r = C^-1 M g + o (Eq. 7) lies in a three-dimensional affine space, whatever the limb's mass
+(Lemma 1), and on an ellipsoid in it with the offset in its centre. In an orthonormal basis U1 of that space
+
+    U1' (r_i - r_mean) = K g_i + lambda,                                                    (13)
+
+and its value for no gravity is the offset, o = r_mean + U1 lambda (11). The paper stacks 3 N rows of 12
+columns with the Kronecker product (14-17); the three rows of a sample share their regressors and the
+readings' mean is zero, so that lambda = -K g_mean and K is a regression of 3 unknowns on centred samples.
+Gravity must turn in all three dimensions. K takes up any rotation and any scale between the accelerometer and
+the sensor, but a **bias of the accelerometer** goes straight into the offset as K b. Noise of gravity
+shrinks K.
+
+**III-C.** C (r - o) = (M_b + M_a^j) g holds for the samples of the j-th added mass (18): M_a^j is known, the
+matrix C and the limb's own mass and first moment in M_b are not. With M(m, c) = [m I; m [c]x] and
+[c]x g = -[g]x c, the upper and the lower three rows share no unknown,
 
     C_force  (r - o) - m_b g           = m_a g,               3 k + 1 unknowns,
     C_torque (r - o) + [g]x (m_b c_b)  = -[g]x (m_a c_a),     3 k + 3 unknowns,
 
-which together are the paper's 6 N rows and 40 unknowns for k = 6 (21-24). Every row is the same linear
-function of (g, r - o) for all samples of a set, so that any orthogonal mixture of samples gives the same
-least squares: the triangular factor of [g, r - o], nine rows, stands for the set. That is the stacked
-solution itself, not an approximation, and unlike normal equations it does not square the condition number.
+which together are the paper's 6 N rows and 40 unknowns for k = 6 (21-24). All rows of a set are the same
+linear function of (g, r - o): the triangular factor of [g, r - o], nine rows, stands for the set. That is the
+stacked solution itself, and unlike normal equations it does not square the condition number. Of k > 6
+channels, readings at rest span six dimensions; C is zero across them (the smallest C).
 
 **Lemma 2**: fewer than three sets leave C undetermined (25). Three do not always suffice: masses must differ,
-and the whole limb's centres of mass must not lie on one line. The rank shows whether they did. Noise would
-fill any direction, so that the rank is judged by the readings' part that gravity explains, against the noise.
+and the whole limb's centres of mass must not lie on one line. Noise would fill any direction, so that the
+rank is judged by the readings' part that gravity explains, against the noise.
 
 **The weakness of the method**: the noise sits in the regressors r. Least squares then shrinks C and, with it,
 the limb's mass (errors in variables). With white noise of 0.3 % of each channel's spread, a leg of 4.9 kg
 under the paper's masses comes out at 3.8 kg while the semi-axes of its forces agree within 3 % and the added
-masses within 0.05 kg: neither check shows it. With 1 % it comes out at 1.2 kg, and a foot of 0.6 kg at
-0.56 kg. The covariance knows nothing of it, and more samples do not help. Use it to reproduce the paper; for
-work, fit where the noise is, r = C^-1 (M_b + M_a) g + o + noise.
-
-**More than six channels**: readings at rest span six dimensions, and C is unknown beyond them. It is solved
-within the six leading directions of the part that gravity explains and is zero across them (the smallest C).
+masses within 0.05 kg: neither check shows it. The covariance knows nothing of it, and more samples do not
+help. For work, fit where the noise is (:func:`~surefoot.calibration.in_situ.calibrate_in_situ`).
 """
 
 from collections.abc import Sequence
@@ -34,12 +42,148 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
+from surefoot.calibration.in_situ.data import InSituSet, Matrix
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.model import ENOUGH_MASSES, different_masses, inertial_parameters
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.calibration.results import CalibrationRefused, FitStats
 
-Matrix = NDArray[np.float64]
+_EXACT = 1e-9
+"""Readings that leave the three-space by less than this share of their spread leave it by rounding alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class OffsetFit:
+    """The offset of a sensor and the space that its readings lie in.
+
+    Attributes:
+        offset: o in counts, shape (k,).
+        basis: U1, orthonormal, in the order of falling spread, shape (k, 3).
+        mean: r_mean in counts, shape (k,).
+        response: K in counts per m/s^2: the semi-axes of the ellipsoid are its singular values times g, shape
+            (3, 3).
+        affine_residual: Residual outside the three-space of Lemma 1 as a share of the readings' spread (root
+            of the ratio of the squares), between 0 and 1.
+        covariance: Of the offset in counts^2, shape (k, k), from the scatter of the residuals; NaN for four
+            samples, which leave none. It takes the noise for white: the errors of filtered samples are
+            alike, and the true variance is larger by about the length of the filter.
+        stats: Of Eq. 13, with 12 unknowns; the residual is in counts over its 3 components.
+    """
+
+    offset: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    response: NDArray[np.float64]
+    affine_residual: float
+    covariance: NDArray[np.float64]
+    stats: FitStats
+
+    def coordinates(self, raw: ArrayLike) -> NDArray[np.float64]:
+        """Return readings in the three-space, U1' (r - r_mean) (in-situ paper, Eq. 13, left; Fig. 5).
+
+        Args:
+            raw: Counts, shape (..., k).
+
+        Returns:
+            Coordinates in counts, shape (..., 3); the offset's are ``coordinates(offset)``.
+        """
+        return np.asarray((np.asarray(raw, dtype=np.float64) - self.mean) @ self.basis)
+
+
+def estimate_offset(
+    raw: ArrayLike,
+    gravity: ArrayLike,
+    *,
+    minimum_spread: float = MINIMUM_SPREAD,
+) -> OffsetFit:
+    """Return a sensor's offset from readings at rest in many orientations (in-situ paper, Eqs. 9-17).
+
+    Args:
+        raw: Counts, shape (n, k) with k >= 3. Samples that are not finite are left out.
+        gravity: In the sensor's frame, or in any frame that is fixed to it, in m/s^2, shape (n, 3).
+        minimum_spread: Standard deviation of gravity along its least seen direction, over gravity's size,
+            that is asked for. It must lie above the noise of ``gravity``.
+
+    Returns:
+        The offset.
+
+    Raises:
+        ValueError: If the shapes do not belong together.
+        CalibrationRefused: If gravity was not seen in enough directions, or the readings did not react to it.
+
+    >>> gravity = 9.81 * np.vstack([np.eye(3), -np.eye(3)])
+    >>> response = np.arange(18.0).reshape(3, 6) ** 2
+    >>> estimate_offset(gravity @ response + 250.0, gravity).offset.round(6)
+    array([250., 250., 250., 250., 250., 250.])
+    """
+    every_raw, every_gravity = _check_offset_arrays(raw, gravity)
+    channels = every_raw.shape[1]
+    finite = np.isfinite(np.hstack([every_raw, every_gravity])).all(axis=1)
+    r, g = every_raw[finite], every_gravity[finite]
+    n, dropped = len(r), len(every_raw) - len(r)
+    if n == 0:
+        raise CalibrationRefused(
+            f"None of the {dropped} samples was finite.", "Check the names and the units of the columns."
+        )
+    r_mean, g_mean = r.mean(axis=0), g.mean(axis=0)  # (9)
+    factor = np.asarray(np.linalg.qr(np.column_stack([g - g_mean, r - r_mean]), mode="r"))
+    g_factor, r_factor = factor[:, :3], factor[:, 3:]
+    check_gravity_spread(
+        g_factor,
+        float(np.linalg.norm(g)),
+        minimum_spread,
+        "the offset across it",
+        "Turn the limb about two axes: tilt it sideways as well as back and forth.",
+    )
+    _, singular, right = np.linalg.svd(r_factor, full_matrices=False)  # (10)
+    if singular[2] <= _EXACT * singular[0]:
+        raise CalibrationRefused(
+            "The readings span fewer than the three dimensions of gravity (Lemma 1), so that the sensor did "
+            "not react to all of it.",
+            "Check that the channels are alive and that the columns are those of this sensor.",
+        )
+    basis = right[:3].T
+    # The centred form of (14-17): the mean of U1' (r - r_mean) is zero.
+    K = np.linalg.solve(g_factor[:3], r_factor[:3] @ basis).T
+    offset = r_mean - basis @ (K @ g_mean)  # (11) with lambda = -K g_mean
+
+    residual = r_factor - g_factor @ K.T @ basis.T
+    free = n - 4
+    within = float(np.sum((residual @ basis) ** 2))
+    outside = float(np.sum(singular[3:] ** 2))
+    scatter = residual.T @ residual / free if free else np.full((channels, channels), np.nan)
+    leverage = 1.0 / n + float(np.sum(np.linalg.solve(g_factor[:3].T, g_mean) ** 2))
+    conditions = np.linalg.svd(g_factor, compute_uv=False)
+    return OffsetFit(
+        offset=offset,
+        basis=basis,
+        mean=r_mean,
+        response=K,
+        affine_residual=float(np.sqrt(outside / np.sum(singular**2))),
+        # The tilt of U1 errs by as much as K does in the other directions, to first order.
+        covariance=leverage * scatter,
+        stats=FitStats(
+            samples=n,
+            dropped=dropped,
+            gated=0,
+            residual_rms=float(np.sqrt(within / (3 * n))),
+            rank=12,
+            unknowns=12,
+            condition=float(conditions[0] / conditions[2]),
+        ),
+    )
+
+
+def _check_offset_arrays(
+    raw: ArrayLike, gravity: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    r, g = np.asarray(raw, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
+    if r.ndim != 2 or r.shape[1] < 3:
+        raise ValueError(f"'raw' must have shape (n, k) with k >= 3, got {r.shape}.")
+    if g.shape != (len(r), 3):
+        raise ValueError(f"'gravity' must have shape ({len(r)}, 3) like 'raw', got {g.shape}.")
+    return r, g
+
 
 _SAME_MASS = 1e-9
 """Added masses that differ by less, in kg, are one."""
@@ -54,18 +198,12 @@ class PaperMatrixFit:
         limb: The body beyond the sensor without the added masses.
         covariance: Of (C row by row, the limb's mass, its first moment), shape (6 k + 4, 6 k + 4), from the
             scatter of the residuals as if readings were free of noise: it does not know of the attenuation.
-        residual_force: Root mean square of the residual of Eq. 21 in N.
-        residual_torque: The same of the lower rows in N m.
-        result: Always determined: a matrix that is not is refused.
         stats: Of Eq. 21 over all sets, with 40 unknowns; the residual adds N and N m up as the paper does.
     """
 
     matrix: Matrix
     limb: Limb
     covariance: Matrix
-    residual_force: float
-    residual_torque: float
-    result: FitResult
     stats: FitStats
 
     def wrench(self, raw: ArrayLike, offset: ArrayLike) -> Matrix:
@@ -137,9 +275,6 @@ def estimate_matrix(
         matrix=matrix,
         limb=Limb(mass=float(force.solution[of_limb].item()), mass_com=torque.solution[of_limb]),
         covariance=_join(force.covariance, torque.covariance, to_matrix),
-        residual_force=float(np.sqrt(force.square / (3 * samples))),
-        residual_torque=float(np.sqrt(torque.square / (3 * samples))),
-        result=FitResult.DETERMINED,
         stats=FitStats(
             samples=samples,
             dropped=sum(len(one.raw) for one in sets) - samples,

@@ -1,0 +1,208 @@
+"""Causes of spoilt in-situ logs: each is named first where it is true, and how they are compared."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, moving_sets, noisy_sets
+from _in_situ_leg import MATRIX, RESPONSE, leg_sets, with_raw
+from scipy.fft import idct
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
+
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ.calibrate import _gather_evidence
+from surefoot.calibration.in_situ.colour import Colour, Part
+from surefoot.calibration.in_situ.compress import _triangularise
+from surefoot.calibration.in_situ.covariance import _doublings
+from surefoot.calibration.in_situ.data import InSituOptions, Task
+from surefoot.calibration.in_situ.solve import deviance, solve
+from surefoot.calibration.results import CalibrationRefused
+
+COLOURS = {
+    "white": Colour(),
+    "drift": Colour(drift=Part(0.3, 2.0)),
+    "hysteresis": Colour(hysteresis=Part(1.5, 2.0, 0.4)),
+    "both": Colour(Part(0.3, 2.0), Part(1.5, 1.0, 0.4)),
+}
+
+
+def evidence_of(sets, **options):
+    """What causes of some sets are judged by."""
+    return _gather_evidence(Task(tuple(sets), options=InSituOptions(**options)), tuple(sets))
+
+
+def coloured_fit(colour, n=80):
+    """Four short sets whose second mass is 20 % too heavy, with rows of a colour."""
+    rng = np.random.default_rng(3)
+    sets = noisy_sets("leg", rng, n=n)[0]
+    sets[1] = replace(sets[1], added_mass=1.2 * ADDED_MASS[1], added_com=ADDED_COM_LEG[1])
+    evidence = evidence_of(sets, robust=False)
+    parts = tuple(_triangularise(part.source, colour) for part in evidence.problem.sets)
+    return solve(replace(evidence.problem, sets=parts), [evidence.solution.outer])
+
+
+@pytest.mark.parametrize("colour", COLOURS.values(), ids=COLOURS)
+def test_deviance_is_that_of_a_dense_normal_distribution(colour):
+    solution = coloured_fit(colour)
+    left, dense = [], []
+    for part, response in zip(solution.problem.sets, solution.predicted, strict=True):
+        source = part.source
+        b, u, r = np.split(source.columns, [1, 1 + source.inputs], axis=1)
+        offset = np.linalg.lstsq(b, r - u @ response.T, rcond=None)[0]
+        left.append(r - b @ offset - u @ response.T)
+        power = colour.power_after(part.rows, source.spacing) / colour.weights(part.rows, source.spacing)
+        waves = idct(np.eye(part.rows), norm="ortho", axis=0)
+        dense.append(waves @ np.diag(power) @ waves.T)
+    rows = sum(map(len, left))
+    scatter = sum(one.T @ np.linalg.solve(cov, one) for one, cov in zip(left, dense, strict=True)) / rows
+    expected = sum(
+        -2.0 * multivariate_normal.logpdf(one.ravel(), cov=np.kron(cov, scatter))
+        for one, cov in zip(left, dense, strict=True)
+    )
+    assert deviance(solution) == pytest.approx(expected, rel=1e-9)
+
+
+def test_slopes_are_open_by_how_far_swings_of_like_axes_lie_apart():
+    swing = np.array([1.0, 4.0, 16.0])
+    load = np.linspace(-1.0, 1.0, 50)[:, None] * swing
+    np.testing.assert_allclose(_doublings([load]), np.hypot([2.0, 0.0, 2.0], 1.0), rtol=1e-12)
+    np.testing.assert_allclose(_doublings([8.0 * load]), _doublings([load]), rtol=1e-12)
+    # What swings little about a large load, is open up to that.
+    np.testing.assert_allclose(_doublings([load + np.array([31.0, 0.0, 0.0])])[0], 5.0, rtol=1e-12)
+    np.testing.assert_array_equal(_doublings([0.0 * load]), 1.0)
+
+
+def leap(raw):
+    raw[350:] += RESPONSE @ [6.0, -4.0, 8.0, 0.3, 0.0, 0.1]
+
+
+def push(raw):
+    raw[300:420] += RESPONSE @ [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
+
+
+def each(change):
+    """Change the readings of all sets, by (raw, set, index)."""
+    return lambda sets: [replace(one, raw=change(one.raw, one, j)) for j, one in enumerate(sets)]
+
+
+def lose(raw, one, j):
+    """The mass of the last set falls off after two thirds of it."""
+    load = one.added_mass * np.hstack([one.gravity, np.cross(one.added_com, one.gravity)])
+    return raw - (j == 3) * (np.arange(len(raw)) > 400)[:, None] * load @ RESPONSE.T
+
+
+def late(raw, one, seconds):
+    return np.stack([np.interp(one.time - seconds, one.time, column) for column in raw.T], axis=1)
+
+
+def low_pass(raw, seconds, dt=0.1):
+    kept = np.exp(-dt / seconds)
+    return lfilter([1.0 - kept], [1.0, -kept], raw, axis=0, zi=kept * raw[:1])[0]
+
+
+def pull(raw, one, _):
+    angle = np.arcsin(np.clip(one.gravity[:, :2] / 9.81, -1.0, 1.0))
+    along = np.array([[30.0, 0.0, 15.0, 0.0, 3.0, 0.0], [0.0, 21.0, -9.0, 3.0, 0.0, 0.0]])
+    return raw + angle @ along @ RESPONSE.T
+
+
+def rotated(sets):
+    R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
+    return [replace(one, gravity=one.gravity @ R) for one in sets]
+
+
+def swapped(sets):
+    return [replace(one, added_com=one.added_com[[1, 0, 2]]) for one in sets]
+
+
+def exchanged(sets):
+    return [
+        replace(sets[0], added_mass=sets[3].added_mass, added_com=sets[3].added_com),
+        *sets[1:3],
+        replace(sets[3], added_mass=0.0, added_com=sets[0].added_com),
+    ]
+
+
+def gain_of_channel(raw, _, j):
+    return raw * np.where((np.arange(6) == 3) & (j >= 2), 1.08, 1.0)
+
+
+CAUSES = {
+    "a step": (lambda s: [s[0], with_raw(s[1], leap), *s[2:]], "the zero of 'data set 2' leaps at 35.0 s"),
+    "a push": (
+        lambda s: [*s[:3], with_raw(s[3], push)],
+        "something touched the limb in 'data set 4' from 30.0 s to 41.9 s",
+    ),
+    "a mass falls off": (each(lose), "what hangs in 'data set 4' changed at 40.1 s"),
+    "a cable": (each(pull), "something pulls at the limb as it turns, such as a cable"),
+    "readings late": (each(lambda raw, one, _: late(raw, one, 1.0)), "the readings came about 0.95 s after"),
+    "IMU late": (each(lambda raw, one, _: late(raw, one, -1.5)), "the IMU came about 1.5 s after"),
+    "a filter": (each(lambda raw, *_: low_pass(raw, 2.0)), "the readings came about 1.9 s after the IMU, as"),
+    "a zero that follows": (each(lambda raw, *_: raw - low_pass(raw, 12.0)), "the driver takes a zero off"),
+    "readings held": (
+        each(lambda raw, *_: raw[np.arange(600) // 20 * 20]),
+        "readings repeat the",
+    ),
+    "an IMU that is turned": (rotated, "the IMU is turned by 10 degrees"),
+    "axes swapped": (swapped, "axes of all places or of the IMU are swapped"),
+    "sets exchanged": (exchanged, "what was added in 'data set 1' and 'data set 4' is exchanged"),
+    "another limb": (
+        each(lambda raw, one, j: raw + (j >= 2) * 0.3 * one.gravity @ RESPONSE[:, :3].T),
+        "from 'data set 3' on 0.30",
+    ),
+    "gain of a set": (
+        each(lambda raw, _, j: 1.1 * raw if j == 2 else raw),
+        "the readings of 'data set 3' are 1.100 times as large",
+    ),
+    "gain of a channel": (each(gain_of_channel), "channel 3 has another gain from 'data set 3' on"),
+}
+
+
+QUICK = ("a step", "a mass falls off", "IMU late", "a filter")
+"""What is tried at each change; the rest takes half a minute."""
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause"),
+    [
+        pytest.param(*row, id=name, marks=() if name in QUICK else pytest.mark.slow)
+        for name, row in CAUSES.items()
+    ],
+)
+def test_the_true_cause_is_named_first(spoil, cause):
+    with pytest.raises(CalibrationRefused, match=re.escape(f"Likeliest: {cause}")) as raised:
+        calibrate_in_situ(spoil(leg_sets()))
+    assert raised.value.cure.endswith(".")
+
+
+LEVERS = np.repeat([1.0, 0.15], 3)
+
+
+@pytest.mark.slow  # without a matrix it is above
+def test_masses_that_did_not_hang_there_are_no_matrix_in_other_units():
+    rng = np.random.default_rng(4)
+    aged = (np.eye(6) + 0.15 * rng.standard_normal((6, 6)) * np.outer(LEVERS, 1.0 / LEVERS)) @ MATRIX
+    with pytest.raises(CalibrationRefused, match="Likeliest: what was added in 'data set 1' and"):
+        calibrate_in_situ(exchanged(leg_sets()), factory_matrix=aged)
+
+
+@pytest.mark.slow  # at rest it is above
+@pytest.mark.parametrize("slower", [1.0, 15.0], ids=["known", "felt"])
+def test_a_turned_imu_that_moves_is_named(slower):
+    """Slow turning that nobody gave is felt: it explains more of the readings, and is not to blame."""
+    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0 if slower == 1.0 else 0.5, slower=slower)
+    R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
+    turned = [
+        replace(
+            one,
+            gravity=one.gravity @ R,
+            angular_velocity=one.angular_velocity @ R if slower == 1.0 else None,
+            angular_acceleration=one.angular_acceleration @ R if slower == 1.0 else None,
+        )
+        for one in sets
+    ]
+    with pytest.raises(CalibrationRefused, match=r"Likeliest: the IMU is turned by 1[01] degrees"):
+        calibrate_in_situ(turned)
