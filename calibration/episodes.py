@@ -37,7 +37,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         WindowState: ("step", "theta", "standing", "walking", "all_walking"),
         StandingState: StandingState._fields,
         MomentState: (
-            *("time", "belief", "drifted", "noise", "tare", "shift", "published", "covariance", "kept"),
+            *("time", "belief", "drifted", "tare", "shift", "published", "covariance", "kept"),
         ),
         SuspectState: ("noise", "known"),
         Track: (),

@@ -185,7 +185,7 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         if mode.load > 0.0:
             likelihoods[i] += np.log(chance_of_load(mean, covariance, mass) / before)
-            mean = keepchance_of_load(mean, covariance, mass)
+            mean = keep_heavier(mean, covariance, mass)
         forward = np.eye(len(mean))
         forward[momentum] = rows.end
         mean = forward @ mean
@@ -204,7 +204,7 @@ def chance_of_load(mean: Array, covariance: Array, mass: int) -> float:
     return max(float(ndtr(-mean[mass] / np.sqrt(variance))), LEAST_CHANCE) if variance > 0.0 else 1.0
 
 
-def keepchance_of_load(mean: Array, covariance: Array, mass: int) -> Array:
+def keep_heavier(mean: Array, covariance: Array, mass: int) -> Array:
     """Return the likeliest mean of which a load is not negative (Simon and Simon, 2006).
 
     Forces and weight together may shrink to nothing otherwise, which explains errors of any reading.
