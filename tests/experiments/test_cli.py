@@ -24,6 +24,7 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.study import progress
 from surefoot.experiments.study.tables import Table, decimal, number
+from surefoot.names import page
 
 RUNNER = CliRunner()
 
@@ -186,9 +187,24 @@ def test_shells_complete_commands() -> None:
     assert RUNNER.invoke(app, [], prog_name="surefoot", env=asked).stdout.split() == ["walk", "weights"]
 
 
+@pytest.mark.parametrize(
+    ("home", "address"),
+    [
+        ("https://github.com/OWNER/surefoot", "docs/weights.md"),
+        ("https://some.where/surefoot", "https://some.where/surefoot/blob/v1.2/docs/weights.md"),
+    ],
+)
+def test_a_page_has_an_address_as_soon_as_the_project_has_one(
+    monkeypatch: pytest.MonkeyPatch, home: str, address: str
+) -> None:
+    about = {"Project-URL": f"Homepage, {home}", "Version": "1.2"}
+    monkeypatch.setattr("surefoot.names.metadata", lambda name: about)
+    assert page("weights") == address
+
+
 def test_help_names_the_address_of_a_page() -> None:
     shown = RUNNER.invoke(app, ["calibrate", "weights", "--help"]).stdout
-    assert f"/blob/v{surefoot.__version__}/docs/weights.md" in "".join(shown.split())
+    assert page("weights") in "".join(shown.split())
 
 
 def fails(arguments: list[str], message: str) -> None:
