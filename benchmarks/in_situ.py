@@ -44,8 +44,8 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, InSituTracker, calibrate_in_situ
-from surefoot.experiments.force_torque.validation import normalise_error
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.experiments.force_torque.validation import normalise_error
 from surefoot.experiments.in_situ.instruments import (
     OFFSET_SHIFT,
     accelerometer_bias,

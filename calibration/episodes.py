@@ -36,9 +36,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         TareState: ("offset",),
         WindowState: ("step", "theta", "standing", "walking", "all_walking"),
         StandingState: StandingState._fields,
-        MomentState: (
-            *("time", "belief", "drifted", "tare", "shift", "published", "covariance", "kept"),
-        ),
+        MomentState: (*("time", "belief", "drifted", "tare", "shift", "published", "covariance", "kept"),),
         SuspectState: ("noise", "known"),
         Track: (),
         **{kind: kind._fields for kind in (Belief, Publication, FootTares, Kept)},

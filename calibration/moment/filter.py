@@ -29,9 +29,9 @@ from surefoot.calibration.moment.modes import (
 )
 from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
-from surefoot.calibration.moment.severity import Severity, Weighed
+from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
-from surefoot.calibration.moment.tare import FIRST_RATE, NOISE_TIME, Tare
+from surefoot.calibration.moment.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 

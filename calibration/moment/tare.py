@@ -15,7 +15,6 @@ from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import update
-from surefoot.calibration.moment.severity import LIKELY, SEVERITIES
 from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
 
@@ -33,9 +32,6 @@ RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
 """How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
 that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
 of which more counts no more (three standard deviations)."""
-
-FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
-"""The rate to start from, in stated ones: the root of the mean square over how bad sensors may be."""
 
 STATED_RATE = 2.0
 """Tares that the rate to start from counts for."""

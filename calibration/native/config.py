@@ -176,7 +176,7 @@ def moment_constants(core: MomentFilter) -> dict[str, Any]:
         "largest_rate": tares.LARGEST_RATE,
         "tare_surprise": tares.LARGEST_SURPRISE,
         "stated_rate": tares.STATED_RATE,
-        "first_rate": tares.FIRST_RATE,
+        "first_rate": severity.FIRST_RATE,
         "tare_leap": tares.LEAP,
         "largest_load": tares.LARGEST_LOAD,
         "largest_sum": tares.LARGEST_SUM,

@@ -16,8 +16,8 @@ from surefoot.calibration.in_situ import (
     estimate_matrix,
     estimate_offset,
 )
-from surefoot.experiments.force_torque.validation import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.force_torque.validation import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 
 FITTED = 4  # sets that are fitted, the first ones; the others validate (in-situ paper, IV)

@@ -9,8 +9,8 @@ from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibra
 from surefoot.calibration.in_situ.check import measure_bending
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.imu import fit_sphere, level
-from surefoot.experiments.force_torque.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
+from surefoot.experiments.force_torque.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.experiments.in_situ import cases, instruments, methods
 from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
 from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of
