@@ -1,16 +1,20 @@
 """Ellipsoids and weighings against bodies that are known to the last digit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from _in_situ import SENSORS, moving_sets
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ import InSituSet, Limb
+from surefoot.calibration.in_situ import InSituSet, Limb, calibrate_in_situ
 from surefoot.experiments.force_torque.validation import (
     added_mass,
     force_ellipsoid,
     motion_wrench,
+    normalise_error,
     offset_of_set,
     semi_axes,
 )
@@ -115,3 +119,14 @@ def test_an_offset_is_found_without_knowing_what_hangs_there() -> None:
         offset_of_set(raw, gravity, A[:6])
     with pytest.raises(ValueError, match="Only 3 rows are finite"):
         offset_of_set(raw[:3], gravity[:3], A)
+
+
+def test_a_limb_that_turns_slowly_is_no_point():
+    # At 2 deg/s its inertia about its centre of mass moves the answer by more than the noise does.
+    matrix, mass, com, _ = SENSORS["leg"]
+    sets, _ = moving_sets(np.random.default_rng(0), 0.2, slower=15.0)
+    still = [replace(one, angular_velocity=None, angular_acceleration=None) for one in sets]
+    fit = calibrate_in_situ(still)
+    nees = normalise_error(fit, np.linalg.inv(matrix), np.full(6, 500.0), Limb(mass, mass * com))
+    # As a point it were 6.
+    assert 0.5 < nees / len(fit.covariance) < 2.5
