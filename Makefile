@@ -77,10 +77,9 @@ check: style types pyright imports
 style: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-UNTYPED := $(patsubst %,benchmarks/%.py,calibration_motion momentum spoilt_logs)
 types: $(VENV)/.dev
 	$(BIN)/mypy
-	$(BIN)/mypy $(filter-out $(UNTYPED),$(wildcard benchmarks/*.py))
+	$(BIN)/mypy benchmarks/*.py
 pyright: $(VENV)/.dev
 	$(BIN)/pyright
 imports: $(VENV)/.dev

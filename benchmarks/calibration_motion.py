@@ -94,7 +94,8 @@ def run(robot: str, seed: int, prelude: Prelude | None, before: float, enough: f
     force, raw, true, position, R, spread = (np.array(part) for part in zip(*rows, strict=True))
     place = cop_world(true, layout, position, R)
     off = [np.linalg.norm(cop_world(one, layout, position, R) - place, axis=1) for one in (force, raw)]
-    return Run(fell, *(rms(one) for one in off), float(np.sqrt(np.nanmean(spread))), nees, motion)
+    cop, uncalibrated = (rms(one) for one in off)
+    return Run(fell, cop, uncalibrated, float(np.sqrt(np.nanmean(spread))), nees, motion)
 
 
 def nees_of(calibration: SelfCalibration, sensors: FootSensors) -> float:

@@ -158,7 +158,8 @@ def _plate(a: float, b: float) -> FeetLayout:
 
 def _cop(layout: FeetLayout, force: Floats) -> Floats:
     """Find the centre of pressure where there is force, NaN elsewhere, shape (..., 2)."""
-    return cop_of_cells(force, np.asarray(layout.feet[0].position_cell_sole)[:, :2])
+    cells = np.asarray(layout.feet[0].position_cell_sole)[:, :2]
+    return np.asarray(cop_of_cells(force, cells), dtype=np.float64)
 
 
 def _resample(values: Floats, rate: float) -> Floats:

@@ -49,7 +49,7 @@ def read(log: Log, raw: np.ndarray) -> Log:
 
 def zero(log: Log) -> np.ndarray:
     """Return the counts of no load."""
-    return -log.nominal.offset / log.nominal.scale
+    return np.asarray(-log.nominal.offset / log.nominal.scale)
 
 
 def exchange_feet(log: Log, _: np.random.Generator) -> Log:
@@ -173,7 +173,7 @@ def weigh(shape: str, seed: int) -> Weighings:
     return Weighings(load * GRAVITY, code, names, "load_kg", GRAVITY)
 
 
-def count(table: Weighings, rows: object, values: object) -> Weighings:
+def count(table: Weighings, rows: Any, values: Any) -> Weighings:
     code = table.code.copy()
     code[rows, 0] = values
     return dataclasses.replace(table, code=code)
@@ -252,8 +252,12 @@ def log_of(
     reference = Reference(*(np.asarray(part)[16:] for part in stack_rows(references)))
     time = setup.dt * np.arange(16, len(raw))
     known: Any = {"layout": setup.layout, "mass": setup.mass, "nominal": setup.initial, "dt": setup.dt}
-    known |= {"lag": setup.lag, "seed": seed, "about": {"sample_age_s": float(np.mean(setup.age))}}
-    return Log(time, np.array(raw)[16:], reference, calibrated=None, **known)
+    known |= {
+        "lag": setup.lag,
+        "seed": seed,
+        "about": {"sample_age_s": float(np.mean(np.asarray(setup.age)))},
+    }
+    return Log(time.astype(np.float64), np.array(raw)[16:], reference, calibrated=None, **known)
 
 
 def break_cell(log: Log, fault: str) -> Log:
@@ -340,9 +344,10 @@ def weighing_outcomes() -> Iterator[Outcome]:
 def refusals(kind: str) -> list[str]:
     """Judge sound logs: the first finding that refuses each, or an empty text."""
     if kind == "walks":
-        found = [judge_log(log, starting_map(log)).findings for log in sound_walks()]
+        found = [list(judge_log(log, starting_map(log)).findings) for log in sound_walks()]
     else:
-        found = [judge_weighings(weigh(shape, 100 + seed)).findings for shape in SHAPES for seed in range(10)]
+        judged = [judge_weighings(weigh(shape, 100 + seed)) for shape in SHAPES for seed in range(10)]
+        found = [list(one.findings) for one in judged]
     return [next((one.name for one in findings if one.refuses), "") for findings in found]
 
 
