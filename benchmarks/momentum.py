@@ -165,8 +165,8 @@ def _without(mode: modes.Mode) -> dict[str, Any]:
 PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter], dict[str, Any]]] = {
     "somebody may hold it": _without(modes.HELD),
     "loads": _without(modes.LOADED),
-    "severity by evidence": {"severities": np.ones(4)},
-    "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12},
+    "severity by evidence": {"severities": np.ones(4), "first_rate": 1.0},
+    "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12, "first_rate": 1.0},
     "ripple within a sample": {"ripple": 0.0},
     "memory of a zero's drift": {"product_time": 0.0},
     "error of the centre of mass": _begin_sure_of("com"),

@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+import tempfile
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -35,8 +36,7 @@ nb_execution_timeout = 120
 _COLOURS = [
     look_of(name).colour for name in ("moment", "none", "window", "quasi-static", "tare", "reference")
 ]
-_MATPLOTLIB = Path(__file__).parents[1] / "build" / "matplotlibrc"
-_MATPLOTLIB.parent.mkdir(exist_ok=True)
+_MATPLOTLIB = Path(tempfile.mkdtemp()) / "matplotlibrc"
 _MATPLOTLIB.write_text(
     "".join(f"{name}: {value}\n" for name, value in STYLE.items() if name != "svg.hashsalt")
     + f"figure.dpi: {DPI}\naxes.prop_cycle: cycler('color', {[colour[1:] for colour in _COLOURS]})\n"

@@ -11,6 +11,7 @@ Robot (29 joints, 33 kg) and policies come with holosoma and holosoma-inference 
 
 import argparse
 import json
+import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -109,20 +110,20 @@ class G1Walk(MujocoEnv):
 
 
 def write_scene() -> Path:
-    """Write the robot on a plane, 2 ms a step, once; return its path."""
+    """Write the robot on a plane, 2 ms a step, into a temporary folder; return its path."""
     robot = folder_of("holosoma") / "data/robots/g1/g1_29dof.xml"
-    path = robot.with_name("g1_on_plane.xml")
-    if not path.exists():
-        spec = mujoco.MjSpec.from_file(str(robot))
-        plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [20, 20, 0.1], "friction": [1, 0.005, 0.0001]}
-        spec.worldbody.add_geom(
-            name="floor", contype=1, conaffinity=1, condim=3, rgba=[0.6, 0.65, 0.7, 1], **plane
-        )
-        spec.worldbody.add_light(pos=[0, 0, 4])
-        spec.option.timestep = 0.002
-        spec.add_key(name="home", qpos=np.r_[0, 0, 0.76, 1, 0, 0, 0, HOME])
-        spec.compile()
-        path.write_text(spec.to_xml())
+    spec = mujoco.MjSpec.from_file(str(robot))
+    spec.meshdir = str(robot.parent / spec.meshdir)
+    plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [20, 20, 0.1], "friction": [1, 0.005, 0.0001]}
+    spec.worldbody.add_geom(
+        name="floor", contype=1, conaffinity=1, condim=3, rgba=[0.6, 0.65, 0.7, 1], **plane
+    )
+    spec.worldbody.add_light(pos=[0, 0, 4])
+    spec.option.timestep = 0.002
+    spec.add_key(name="home", qpos=np.r_[0, 0, 0.76, 1, 0, 0, 0, HOME])
+    spec.compile()
+    path = Path(tempfile.mkdtemp()) / "g1_on_plane.xml"
+    path.write_text(spec.to_xml())
     return path
 
 
@@ -139,9 +140,8 @@ def walk(sensors: str | None, method: str, seconds: float, seed: int) -> Floats:
         if fell:
             raise SystemExit("the robot fell")
         truth = info["surefoot"]["truth"]
-        stands = (truth["vgrf"] > 16.0) & (
-            observation["cop_valid"][1:] > 0
-        )  # 16 N: a twentieth of the weight
+        # 16 N are a twentieth of the weight.
+        stands = (truth["vgrf"] > 16.0) & (observation["cop_valid"][1:] > 0)
         error = 1e3 * np.linalg.norm(observation["cop_foot"] - truth["cop_foot"], axis=1)
         errors.append(np.where(stands, error, np.nan))
     return np.array(errors)
@@ -153,7 +153,7 @@ def main() -> None:
     parser.add_argument("--sensors", help="a preset; load cells of the robot's size if none is given")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--figure", type=Path, default=Path("g1.svg"))
+    parser.add_argument("--figure", type=Path, help="file to draw the errors into")
     given = parser.parse_args()
     figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
     print("error of a foot's centre of pressure in mm, second half of the walk")
@@ -167,7 +167,8 @@ def main() -> None:
         axes.semilogy(np.arange(len(seconds)) + 0.5, seconds, label=label)
     axes.set(xlabel="time in s", ylabel="median error of a second in mm")
     axes.legend()
-    figure.savefig(given.figure, transparent=True)
+    if given.figure:
+        figure.savefig(given.figure, transparent=True)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,8 @@ FIRST_CHANCE = np.array([0.977, 0.02, 0.003])
 """How likely modes are at the start."""
 
 LEAST_CHANCE = 1e-6
-"""Chance that a mode keeps: who was free for an hour is believed to be held within two blocks."""
+"""Chance that a mode keeps, and that of a load in its likelihood: who was free for an hour is believed to be
+held within two blocks."""
 
 
 def wrench_variance(mode: Mode, rows: Rows) -> Array:

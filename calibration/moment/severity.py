@@ -30,7 +30,8 @@ LIKELY = (0.04, 0.08, 0.78, 0.1)
 good sensors, and a swing shows eight offsets at once."""
 
 FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
-"""Rate of drift to start from, in stated ones: the root of the mean square over how bad sensors may be."""
+"""How many times faster than stated sensors are thought to drift before any tare has shown it: the root mean
+square over how bad they may be."""
 
 LEAST_SHARE = 1e-12
 """Least share of its variance that anything is known to: less is rounding."""

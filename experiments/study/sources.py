@@ -15,7 +15,7 @@ from surefoot.sensors import presets
 _PACKAGES = ("calibration", "controllers", "envs", "experiments", "native", "robot", "sensors", "wrappers")
 _SOURCES = (".py", ".xml", ".h", ".c")
 _SHOWING = {"cli", "view", "page.py", "figures.py", "tables.py", "findings.py"}
-"""Folders and files that show results and decide none."""
+"""Folders and files of ``surefoot.experiments`` that show results and decide none."""
 
 
 @cache
@@ -25,8 +25,9 @@ def source_hash(*modules: str) -> str:
     for module in modules or tuple(f"surefoot.{name}" for name in _PACKAGES):
         home = _find_home(module)
         files = {file.relative_to(home).as_posix(): file for file in (home, *home.rglob("*"))}
+        showing = _SHOWING if module.startswith("surefoot.experiments") else set()
         for name in sorted(files):
-            if files[name].suffix in _SOURCES and not _SHOWING.intersection(name.split("/")):
+            if files[name].suffix in _SOURCES and not showing.intersection(name.split("/")):
                 digest.update(f"{module} {name} ".encode() + files[name].read_bytes())
     return digest.hexdigest()[:16]
 

@@ -378,7 +378,7 @@ def test_a_reading_that_stays_away_is_believed_after_three_samples(broken):
 
 def test_blows_to_a_robot_that_bounces_are_no_spikes(broken):
     """Cells of both feet leap one after the other: after the first of them nothing is held any more."""
-    raw, leap = broken.healthy[: AT + 160].copy(), 0.7 * believed_mass(BAD) * GRAVITY
+    raw, leap = broken.healthy[: AT + 160].copy(), 1.2 * believed_mass(BAD) * GRAVITY
     blows = range(0, 160, 5)
     for i, at in enumerate(blows):
         raw[AT + at, :, (3 * i) % 8] += leap

@@ -18,6 +18,7 @@ from surefoot.calibration import (
 )
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
+from surefoot.calibration.moment.modes import LOADED, MODES
 
 STATED = Errors.stated()
 ACCUSED = Flag.LOST | Flag.SWAPPED | Flag.FLIPPED | Flag.DEAD | Flag.STUCK
@@ -98,6 +99,20 @@ def test_nothing_is_learnt_from_a_robot_that_is_held(share):
     assert not held[: round(6.0 / DT)].any()
     assert not held[round(13.5 / DT) :].any()
     assert not (estimate.flags & ACCUSED).any()
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_robot_that_is_lightened_carries_no_load(seed):
+    """Nor do loads that are negative speak for the mode: by them it had a chance of 0.12 and 0.89."""
+    lift = 0.06 * np.clip((np.arange(round(8.0 / DT)) * DT - 6.0) / 0.5, 0.0, 1.0)
+    log = move(seed, 8.0, STATED, walking=False, lifted=lift)
+    calibrator = FootCalibrator(LAYOUT, "moment", mass=MASS, initial=NOMINAL, lag=0, dt=DT)
+    chance = []
+    for k, raw in enumerate(log.raw):
+        calibrator.update(raw, MomentumReference(*(part[k] for part in log.reference)))
+        if k % 8 == 0:
+            chance.append(calibrator.state.belief.chance[MODES.index(LOADED)])
+    assert max(chance) < 0.05
 
 
 def test_a_load_that_stays_is_no_error_of_the_cells():

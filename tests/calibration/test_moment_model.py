@@ -24,6 +24,7 @@ from surefoot.calibration.moment.modes import (
 )
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
 from surefoot.calibration.moment.state import Belief
+from surefoot.calibration.moment.suspects import SURE, Suspects
 
 CONFIG = Moment()
 WEIGHT = MASS * GRAVITY
@@ -258,3 +259,26 @@ def test_the_likelihood_of_a_load_is_that_of_loads_that_are_not_negative(reading
     ratio = chance_of_load(mean, covariance, 0) / chance_of_load(np.zeros(1), np.eye(1) * variance, 0)
     # The least chance that a mode keeps stands for all that is less.
     assert whole * ratio == pytest.approx(exact, rel=1e-3, abs=3e-6)
+
+
+def test_a_hand_that_takes_hold_accuses_no_channel():
+    """Its force grows for half a second, and a dead channel's would change by as much in a block."""
+    columns, spread, even = Columns.of(LAYOUT), Spread.of(setup(), CONFIG), np.linspace(0.08, 0.17, 8)
+    mean, variance = first_mean(columns), 1e-4 * first_variance(columns, spread, CONFIG)
+    still = block()._replace(force=np.tile(even, (8, 1)))
+    rows = Model(setup(), CONFIG, columns).rows(still, mean[columns.map], np.zeros(8))
+    known, before = mean[: columns.momentum.start], np.diag(variance[: columns.momentum.start])
+    suspects, span = (
+        Suspects(LAYOUT, np.ones(8, dtype=bool), columns),
+        rows.mean[:, columns.wrench].max(axis=0),
+    )
+    beliefs = known, before, np.full((8, 8), 1.0 / 7.0) * (1.0 - np.eye(8)), np.full(8, 0.05)
+    state, most = suspects.init(50), 0.0
+    for k in range(6):
+        unexplained = suspects.weigh(state, rows, *beliefs, 0.1)[0].error * span
+        seen = rows._replace(measured=rows.measured - unexplained + np.array([0.004 * k, 0.0, 0.0]))
+        state, found = suspects.weigh(state, seen, *beliefs, 0.1)
+        most = max(most, state.score.max())
+        assert found is None
+    # Without a hand that changes, a channel was as good as guilty: 0.8.
+    assert 0.3 * SURE < most < 0.7 * SURE
