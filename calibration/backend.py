@@ -3,7 +3,7 @@
 :class:`~surefoot.calibration.FootCalibrator` chooses one when it is made, and keeps it.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import as_number
@@ -15,33 +15,15 @@ from surefoot.calibration.setup import OnlineMethod
 AnyReference = Reference | MomentumReference | ReferenceRecord
 
 
-class FilterBackend(Protocol):
-    """Holds a filter's state and takes in samples.
-
-    Attributes:
-        state: The state as the Python has it, a value; ``None`` before the first sample.
-        library: The library, or ``None``.
-    """
-
-    state: Any
-    library: Library | None
-
-    def update(self, raw: Array, reference: AnyReference, dt: Any) -> Estimate:
-        """Take in one sample."""
-
-    def retract(self) -> None:
-        """Take back the learning of the last seconds."""
-
-    def native(self) -> tuple[NativeFilter, NativeState] | None:
-        """Return the library's filter and its state, for somebody who goes on with both, or ``None``."""
-
-
 class PythonFilter:
     """The specification.
 
     Args:
         method: The method.
-        state: The state; ``None`` before the first sample.
+        state: The state, a value; ``None`` before the first sample.
+
+    Attributes:
+        library: The library that it runs in, if it does.
     """
 
     library: Library | None = None
@@ -63,7 +45,7 @@ class PythonFilter:
             self.state = self._method.retract(self.state)
 
     def native(self) -> None:
-        """Return ``None``."""
+        """Return the library's filter and its state, for somebody who goes on with both: there are none."""
 
 
 class LibraryFilter:
@@ -115,3 +97,7 @@ class LibraryFilter:
     def _in_use(self) -> bool:
         """Whether a sample has come, or may have come by somebody else."""
         return self._started or self._shared
+
+
+FilterBackend = PythonFilter | LibraryFilter
+"""Who filters, and holds the state."""

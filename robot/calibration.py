@@ -17,7 +17,6 @@ from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
-from surefoot.robot.backend import PythonSample, SampleBackend, Told, believe
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
 from surefoot.robot.beliefs.lag import check_lag, packets_per_join, usual_lag, waiting_samples
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, Touching
@@ -32,7 +31,8 @@ from surefoot.robot.foot_view import (
     default_parts,
     flaw_of,
 )
-from surefoot.robot.native import native_sample
+from surefoot.robot.native import SampleBackend, native_sample
+from surefoot.robot.python import Told, believe
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -180,6 +180,7 @@ class RobotCalibration:
         self._view = setup.view()
         self._rng = np.random.default_rng()
         self._backend: SampleBackend | None = None
+        self._chosen_for: Any = None
         self._timing: tuple[Any, int] | None = None
         self._estimate: Estimate | None = None
         self.calibrator: FootCalibrator
@@ -240,16 +241,15 @@ class RobotCalibration:
     def _choose(self) -> None:
         """Choose who takes samples from here on: the one before if it is for the same parts."""
         before, calibrator = self._backend, self.calibrator
-        if before is not None and before.goes_on(self.beliefs, calibrator):
+        if before is not None and self._chosen_for == (self.beliefs, calibrator):
             return
         if before is not None and before.sampled:
             self._estimate = self.estimate
         if isinstance(self.beliefs, NativeBeliefs) and self.beliefs.library is not calibrator.library:
             # Copies begin in the library with room for all robots.
             self.beliefs = native_beliefs(self.beliefs.unpack(), calibrator.library)
-        self._backend = native_sample(self.beliefs, calibrator, self._view) or PythonSample(
-            self.beliefs, calibrator, self._view
-        )
+        self._chosen_for = self.beliefs, calibrator
+        self._backend = native_sample(self.beliefs, calibrator, self._view)
 
     @property
     def backend(self) -> SampleBackend:

@@ -12,10 +12,10 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
 from surefoot.native import call_for_many
-from surefoot.robot.backend import AnyBeliefs, Told
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.foot_view import DETERMINED, FootView
+from surefoot.robot.python import AnyBeliefs, PythonSample, Told
 from surefoot.robot.sensing.sensors import RobotSensors
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
@@ -95,11 +95,6 @@ class NativeSample:
         self._kept, self._records = (config, view.held), records
         self._sample, self.address = library.functions.surefoot_sample, records.ctypes.data
         self.many = library.functions.surefoot_sample_many
-
-    def goes_on(self, beliefs: AnyBeliefs, calibrator: FootCalibrator) -> bool:
-        """Return whether it is for these."""
-        native = calibrator.native()
-        return beliefs is self._beliefs and native is not None and native[1] is self._state
 
     def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
         """Take in one sample."""
@@ -228,11 +223,15 @@ class ManySamples:
         return self.robots[0].outputs_of(self._memory)
 
 
-def native_sample(beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> NativeSample | None:
-    """Return the library for one robot; ``None`` where Python does its beliefs or its filter."""
+SampleBackend = PythonSample | NativeSample
+"""Who takes in all samples of one robot."""
+
+
+def native_sample(beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> SampleBackend:
+    """Return the library for one robot, or Python where that does its beliefs or its filter."""
     native = calibrator.native()
     if native is None or not isinstance(beliefs, NativeBeliefs):
-        return None
+        return PythonSample(beliefs, calibrator, view)
     return NativeSample(beliefs, *native, view, calibrator.setup.dt)
 
 

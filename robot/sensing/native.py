@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.truth import SensedColumns
 from surefoot.native import Record, call_for_many
-from surefoot.robot.sensing.backend import HardwareState, PythonSensing, Seen
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
+from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
@@ -255,6 +255,10 @@ def _without_state(python: PythonSensing) -> PythonSensing:
     return bare
 
 
+SensingBackend = PythonSensing | NativeSensing
+"""Who reads all sensors of one robot, and holds their state."""
+
+
 class ManySensing:
     """Control steps of many robots in one call of the library.
 
@@ -312,7 +316,7 @@ class ManySensing:
         return which if (packets >= 0).all() else which[packets >= 0]
 
 
-def native_sensing(python: PythonSensing) -> PythonSensing | NativeSensing:
+def native_sensing(python: PythonSensing) -> SensingBackend:
     """Return a reader that goes on by the library, or as it is where a part of the robot does not fit.
 
     Args:

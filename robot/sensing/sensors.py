@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.known_map import is_file_of_map, read_map
-from surefoot.robot.sensing.backend import HardwareState, PythonSensing, SensingBackend
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
-from surefoot.robot.sensing.native import native_sensing, places_in
+from surefoot.robot.sensing.native import SensingBackend, native_sensing, places_in
+from surefoot.robot.sensing.python import HardwareState, PythonSensing
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.streams import wants_fresh
 from surefoot.sensors.telemetry.computer import Telemetry

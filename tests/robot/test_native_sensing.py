@@ -13,8 +13,8 @@ import surefoot  # noqa: F401
 from surefoot.envs import Truth
 from surefoot.native import compiler
 from surefoot.robot import RobotSensors
-from surefoot.robot.sensing.backend import PythonSensing
 from surefoot.robot.sensing.native import NativeSensing
+from surefoot.robot.sensing.python import PythonSensing
 from surefoot.sensors import Fault, LoadCells, Wire
 from surefoot.sensors.native import NATIVE, installed
 from surefoot.sensors.randomness import Stream

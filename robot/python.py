@@ -1,9 +1,6 @@
-"""Samples of one robot, from packets to what is shown: in Python, the specification, or in the library.
+"""All of one sample of one robot by Python, which is the specification of :mod:`surefoot.robot.native`."""
 
-:class:`~surefoot.robot.calibration.RobotCalibration` chooses one when an episode starts.
-"""
-
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,32 +19,6 @@ Told = tuple[dict[str, NDArray[Any]], dict[str, Any]]
 """What is shown of a sample, and the ``info`` of its estimate, in fresh arrays."""
 
 
-class SampleBackend(Protocol):
-    """Takes in samples of one robot.
-
-    Attributes:
-        sampled: Whether it has taken in any.
-    """
-
-    sampled: bool
-
-    def goes_on(self, beliefs: AnyBeliefs, calibrator: FootCalibrator) -> bool:
-        """Return whether it is for these."""
-
-    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
-        """Take in the packets that have arrived, and one sample.
-
-        Args:
-            sensors: The robot's sensors, which have read the sample.
-            then: The moment that its reference describes, in s of the host's clock since the reset.
-            command: The robot's command to itself, if any.
-            hold: Whether nothing is learnt of it.
-        """
-
-    def estimate(self) -> Estimate:
-        """Return the last estimate."""
-
-
 class PythonSample:
     """The specification.
 
@@ -55,6 +26,9 @@ class PythonSample:
         beliefs: The robot's.
         calibrator: Its calibrator.
         view: The view of its feet.
+
+    Attributes:
+        sampled: Whether it has taken in any sample.
     """
 
     def __init__(self, beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> None:
@@ -62,12 +36,15 @@ class PythonSample:
         self._estimate: Estimate
         self.sampled = False
 
-    def goes_on(self, beliefs: AnyBeliefs, calibrator: FootCalibrator) -> bool:
-        """Return whether it is for these."""
-        return beliefs is self._beliefs and calibrator is self._calibrator
-
     def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
-        """Take in one sample; a robot that falls loses what it has learnt meanwhile."""
+        """Take in the packets that have arrived and one sample; a fall takes back the latest learning.
+
+        Args:
+            sensors: The robot's sensors, which have read the sample.
+            then: The moment that its reference describes, in s of the host's clock since the reset.
+            command: The robot's command to itself, if any.
+            hold: Whether nothing is learnt of it.
+        """
         beliefs = self._beliefs
         if believe(beliefs, sensors, then, command, hold):
             self._calibrator.retract()
@@ -84,12 +61,7 @@ class PythonSample:
 def believe(beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool) -> bool:
     """Find the reference of one sample; return whether the robot has just fallen.
 
-    Args:
-        beliefs: The robot's.
-        sensors: As of :meth:`SampleBackend.sample`, like all that follow.
-        then: The moment that the reference describes.
-        command: The robot's command to itself.
-        hold: Whether nothing is learnt of it.
+    Arguments are those of :meth:`PythonSample.sample`.
     """
     arrived = sensors.packet_rows()
     if arrived is not None and isinstance(beliefs, NativeBeliefs):

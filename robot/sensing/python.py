@@ -1,10 +1,7 @@
-"""The reader of one robot's sensors: Python, which is the specification, or the library.
-
-:class:`~surefoot.robot.sensing.sensors.RobotSensors` chooses one at a reset, for the whole episode.
-"""
+"""All sensors of one robot by Python, which is the specification of :mod:`surefoot.robot.sensing.native`."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,50 +33,6 @@ class HardwareState(NamedTuple):
     faults: Any
     telemetry: Any
     severity: float | None = None
-
-
-class SensingBackend(Protocol):
-    """Reads all sensors of one robot, and holds their state."""
-
-    def take(self, hardware: HardwareState) -> None:
-        """Go on with other hardware."""
-
-    def hardware(self) -> HardwareState:
-        """Return the present hardware, as a copy."""
-
-    def draw_from(self, streams: Mapping[str, Stream]) -> None:
-        """Let chance come from other streams, by the names of devices."""
-
-    def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
-        """Keep the newest packet's values and the counts that are held in other arrays from here on."""
-
-    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
-        """Start an episode.
-
-        Args:
-            truth: In which it starts.
-            at_rest: The IMU's input before it, shape (6,).
-            fresh: Whether IMU and encoders are drawn.
-            observation: The environment's observation, where there is a view.
-        """
-
-    def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
-        """Read a control step; ``None``, with nothing done, for one of other substeps than the start's.
-
-        Args:
-            truth: The control step.
-            time: The host's at its end in s.
-            observation: The environment's observation, where there is a view.
-        """
-
-    def packets(self) -> Packets:
-        """Return telemetry that arrived during the last step, in order."""
-
-    def packet_rows(self) -> tuple[int, int] | None:
-        """Return where the library has rows of them, until the next step, and how many."""
-
-    def python(self) -> "PythonSensing":
-        """Return the reader in Python that goes on from here."""
 
 
 class PythonSensing:
@@ -120,27 +73,34 @@ class PythonSensing:
         self.places: Any = None
 
     def take(self, hardware: HardwareState) -> None:
-        """Go on with other hardware."""
+        """Go on with other hardware; IMU and encoders stay where it has none."""
         self.state = hardware
         if self.telemetry and self.telemetry_state is not None and hardware.telemetry is not None:
             self.telemetry_state = self.telemetry.with_hardware(self.telemetry_state, hardware.telemetry)
 
     def hardware(self) -> HardwareState:
-        """Return the present hardware."""
+        """Return the present hardware, as a copy."""
         if self.telemetry is None or self.telemetry_state is None:
             return self.state
         return self.state._replace(telemetry=self.telemetry.hardware(self.telemetry_state))
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
-        """Let chance come from other streams."""
+        """Let chance come from other streams, by the names of devices."""
         self.streams = streams
 
     def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
-        """Keep what is shown in other arrays."""
+        """Keep the newest packet's values and the counts that are held in other arrays from here on."""
         self.kept = newest, held
 
     def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
-        """Read every chip and the link under the first load."""
+        """Start an episode: read every chip and the link under the first load.
+
+        Args:
+            truth: In which it starts.
+            at_rest: The IMU's input before it, shape (6,).
+            fresh: Whether IMU and encoders are drawn.
+            observation: The environment's observation, where there is a view.
+        """
         instruments, (under_feet, *_) = self.fitted.instruments, self.state
         self.state = self.state._replace(instruments=instruments.with_load(truth, under_feet))
         first, *more = instruments.first_steps(self.dt)
@@ -157,7 +117,13 @@ class PythonSensing:
         return self._show(raw, observation)
 
     def step(self, truth: Any, time: float, observation: Any) -> Seen:
-        """Read a control step."""
+        """Read a control step.
+
+        Args:
+            truth: The control step.
+            time: The host's at its end in s.
+            observation: The environment's observation, where there is a view.
+        """
         raw = self._read(truth, self.dt)
         if self.telemetry is not None:
             self.arrived, self.telemetry_state = self.telemetry.advance(
@@ -166,14 +132,14 @@ class PythonSensing:
         return self._show(raw, observation)
 
     def packets(self) -> Packets:
-        """Return telemetry that arrived during the last step."""
+        """Return telemetry that arrived during the last step, in order."""
         return self.arrived
 
     def packet_rows(self) -> None:
-        """Return ``None``: there are no rows."""
+        """Return ``None``: the library alone has rows of packets."""
 
     def python(self) -> "PythonSensing":
-        """Return this."""
+        """Return the reader in Python that goes on from here: this."""
         return self
 
     def _read(self, truth: Any, dt: float) -> NDArray[np.float64]:
