@@ -88,10 +88,8 @@ def _reading_dtype(channels: int, observed: int) -> np.dtype[Any]:
 class NativeSensing:
     """The library for one robot, which holds the state of all that is under its feet.
 
-    It goes on where a Python object is, which stays as it is.
-
     Args:
-        python: The Python object.
+        python: The Python object where it goes on, which is used up.
         devices: Its devices as the library has them, and the faults, by their places in ``DEVICES``.
         telemetry: Its telemetry and the state of that, if anybody listens.
 
@@ -111,7 +109,7 @@ class NativeSensing:
     ) -> None:
         library, instruments, view = installed(), python.fitted.instruments, python.view
         assert library is not None
-        self._spec, self._view = _without_state(python), view
+        self._spec, self._view = python, view
         self.places: Places = python.places
         self._states = {name: device.empty() for name, device in devices.items()}
         self._telemetry: NativeTelemetry | None = None
@@ -170,6 +168,8 @@ class NativeSensing:
         self.take(python.hardware())
         if python.streams:
             self.draw_from(python.streams)
+        python.telemetry_state, python.arrived = None, ()
+        del python.state
 
     def __reduce__(self) -> Any:
         return native_sensing, (self.python(),)
@@ -245,14 +245,6 @@ class NativeSensing:
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
         return () if self._telemetry is None else self._telemetry.packets(int(self._records["packets"]))
-
-
-def _without_state(python: PythonSensing) -> PythonSensing:
-    """Return a reader to go on with, without the state of an episode."""
-    bare = copy(python)
-    bare.telemetry_state, bare.arrived = None, ()
-    del bare.state
-    return bare
 
 
 SensingBackend = PythonSensing | NativeSensing
