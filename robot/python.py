@@ -63,11 +63,7 @@ def believe(beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: An
 
     Arguments are those of :meth:`PythonSample.sample`.
     """
-    arrived = sensors.packet_rows()
-    if arrived is not None and isinstance(beliefs, NativeBeliefs):
-        beliefs.update_rows(*arrived)
-    else:
-        beliefs.update(sensors.packets)
+    beliefs.update(sensors.packets)
     return beliefs.sample(then, command, hold)
 
 

@@ -144,12 +144,6 @@ class NativeBeliefs:
                 self._tree, timing, self._momentum, state, rows, len(some)
             )
 
-    def update_rows(self, address: int, count: int) -> None:
-        """Take in packets of telemetry where the library has written them, so many."""
-        self.keep_up()
-        timing, state, _, _, _ = self._addresses
-        self._functions.surefoot_beliefs_packets(self._tree, timing, self._momentum, state, address, count)
-
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses

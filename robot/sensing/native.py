@@ -25,6 +25,7 @@ _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
 """No numbers of a state that are measured."""
 
 Maps = tuple[NDArray[np.float64], ...]
+"""Factors and forces to add of cells; nothing without cells."""
 
 
 class Places(NamedTuple):
@@ -34,8 +35,7 @@ class Places(NamedTuple):
         shape: Of the rows of truth, (S, columns).
         joints: How many joints there are.
         columns: Where sensors are read.
-        map: The cells' map as of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`;
-            nothing without cells.
+        map: As of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`.
     """
 
     shape: tuple[int, ...]
@@ -70,10 +70,7 @@ def _sizes(instruments: Instruments, places: Places, dt: float) -> dict[str, Any
         "more": len(more),
         "rows": rows,
         "columns": columns,
-        "at_joints": where.joints,
-        "at_inertial": where.inertial,
-        "at_ankles": where.ankles,
-        "at_cells": where.cells,
+        **{f"at_{name}": getattr(where, name) for name in ("joints", "inertial", "ankles", "cells")},
         "stride": where.stride,
         "soles": where.soles,
     }
