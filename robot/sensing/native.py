@@ -204,7 +204,9 @@ class NativeSensing:
         """Return the Python object that goes on from here."""
         found = copy(self._spec)
         found.take(self.hardware())
-        found.telemetry_state, found.arrived = self.telemetry_state, self.packets()
+        if self._telemetry is not None:
+            found.telemetry_state = self._telemetry.unpack(self.telemetry_state)
+            found.arrived = self.packets()
         return found
 
     def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
