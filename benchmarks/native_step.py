@@ -186,7 +186,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     env = SelfCalibration(FootSensors(env, "hx711-load-cells"), "moment")
     env.reset(seed=0)
     sensors, beliefs = env._sensors.robot, env.beliefs
-    sensing = sensors.sensing
+    sensing = sensors.backend
     rows, forces = [], []
     for _ in range(steps):
         arrays = sensing._arrays

@@ -6,9 +6,9 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from surefoot.calibration.checks import as_number
+from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFilter
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
@@ -101,33 +101,44 @@ class FootCalibrator:
             raise ValueError(
                 f"'curves' are of {len(self._curves.knots)} channels, and the layout has {layout.channels}."
             )
-        self.held: Any = None
         self._begin()
 
     def _begin(self) -> None:
-        """Build the method from the setup and the options."""
+        """Build the method from the setup and the options, and choose who runs it."""
         self._pure = online_method(self.method, self.setup, **self._options)
         each = (native_filter(room, self.method, self.setup, self._options) for room in rooms())
-        self._native: NativeFilter | None = next(filter(None, each), None)
+        native = next(filter(None, each), None)
+        self._backend: FilterBackend = LibraryFilter(native, self._pure) if native else self._in_python()
+
+    def _in_python(self) -> PythonFilter:
+        """Return the backend of a method in Python, which may be a user's."""
+        state = self._pure.init(np.zeros(self.setup.layout.channels))
+        # A method that learns nothing has no more than what it remembers of the stream.
+        if not isinstance(getattr(state, "front", state), FrontState):
+            raise TypeError(
+                f"Method {self.method!r} has a state {type(state).__name__} without a FrontState as 'front'; "
+                "see register_method of surefoot.calibration."
+            )
+        return PythonFilter(self._pure)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_native")}
-        return {**kept, "held": self.state}
+        kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_backend")}
+        return {**kept, "state": self.state}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
+        state = kept.pop("state")
         self.__dict__.update(kept)
         self._begin()
+        self.state = state
 
     @property
     def state(self) -> Any:
         """The state, a value that can be kept and given back; ``None`` before the first sample."""
-        if isinstance(self.held, NativeState) and self._native is not None:
-            return self._native.unpack(self.held)
-        return self.held
+        return self._backend.state
 
     @state.setter
     def state(self, kept: Any) -> None:
-        self.held = kept
+        self._backend.state = kept
 
     @property
     def limits(self) -> Mapping[str, tuple[Any, Any]]:
@@ -158,42 +169,19 @@ class FootCalibrator:
         if self._curves is not None:
             self.setup.layout.check_reading(raw)
             raw = self._curves.straighten(raw)
-        dt = self.setup.dt if dt is None else dt
-        if isinstance(reference, ReferenceRecord) and reference.library is not self.library:
-            reference = reference.reference()
-        if self._native is not None and self._native.takes(raw, reference, dt):
-            native = self._in_library()
-            if native is not None:
-                return self._native.update(native[1], raw, reference, dt)
-        dt = as_number("dt", dt)
-        if isinstance(reference, ReferenceRecord):
-            reference = reference.reference()
-        state = self._fresh_state(raw) if self.held is None else self.state
-        self.held, estimate = self._pure.update(state, raw, reference, dt)
-        return estimate
+        return self._backend.update(raw, reference, self.setup.dt if dt is None else dt)
 
     @property
     def library(self) -> Library | None:
         """The library that it runs in, if it does."""
-        return None if self._native is None else self._native.library
+        return self._backend.library
 
     def native(self) -> tuple[NativeFilter, NativeState] | None:
-        """Return the library's filter and its state, started if there was no sample.
+        """Return the library's filter and its state, for somebody who goes on with both.
 
         ``None`` where the filter runs in Python, or has curves in front of it that the library does not know.
         """
-        return None if self._curves is not None else self._in_library()
-
-    def _in_library(self) -> tuple[NativeFilter, NativeState] | None:
-        native, state = self._native, self.held
-        if native is None:
-            return None
-        if type(state) is not NativeState:
-            state = native.state(state)
-            if state is None:
-                return None
-            self.held = state
-        return native, state
+        return None if self._curves is not None else self._backend.native()
 
     def retract(self) -> None:
         """Take back the learning of the last seconds, for a robot that has fallen or was seized.
@@ -201,14 +189,11 @@ class FootCalibrator:
         Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
         new before it has learnt for 1.5 s again; other methods go on as they are.
         """
-        if isinstance(self.held, NativeState) and self._native is not None:
-            self._native.retract(self.held)
-        elif self.held is not None:
-            self.held = self._pure.retract(self.state)
+        self._backend.retract()
 
     def reset(self) -> None:
         """Drop all that was learnt: the next sample begins from the starting map."""
-        self.held = None
+        self.state = None
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write everything that was learnt to a file, an ``.npz`` without pickles.
@@ -218,7 +203,7 @@ class FootCalibrator:
             ValueError: If the state holds values that :meth:`load` would refuse, or something else than a
                 regular file bears the name; the old file is left as it is.
         """
-        if self.held is None:
+        if self.state is None:
             raise RuntimeError("There is nothing to save before the first update().")
         save_state(path, self.state, self.limits, **self._notes())
 
@@ -230,19 +215,8 @@ class FootCalibrator:
             ValueError: If the file is not from this method and setup, its arrays do not fit, or they hold
                 impossible values; the calibration stays as it was.
         """
-        fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
-        self.held = load_state(path, fresh, self.limits, **self._notes())
-
-    def _fresh_state(self, raw: NDArray[np.float64]) -> Any:
-        """Return a state in which nothing was learnt."""
-        state = self._pure.init(raw)
-        # A method that learns nothing has no more than what it remembers of the stream.
-        if not isinstance(getattr(state, "front", state), FrontState):
-            raise TypeError(
-                f"Method {self.method!r} has a state {type(state).__name__} without a FrontState as 'front'; "
-                "see register_method of surefoot.calibration."
-            )
-        return state
+        fresh = self._pure.init(np.zeros(self.setup.layout.channels))
+        self.state = load_state(path, fresh, self.limits, **self._notes())
 
     def _notes(self) -> dict[str, str]:
         """Name the setup that a saved state belongs to."""

@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import FORCE_THRESHOLD
@@ -26,14 +25,14 @@ from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import (
-    DETERMINED,
     FootView,
     check_certainty,
     check_parts,
     default_parts,
     flaw_of,
 )
-from surefoot.robot.native import NOTHING, NativeSample, Sample
+from surefoot.robot.native import SampleBackend, native_sample
+from surefoot.robot.python import Told, believe
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -180,7 +179,8 @@ class RobotCalibration:
         self.model = setup.model()
         self._view = setup.view()
         self._rng = np.random.default_rng()
-        self._native: NativeSample | None = None
+        self._backend: SampleBackend | None = None
+        self._chosen_for: Any = None
         self._timing: tuple[Any, int] | None = None
         self._estimate: Estimate | None = None
         self.calibrator: FootCalibrator
@@ -235,35 +235,28 @@ class RobotCalibration:
                 library,
             )
         self._view.begin_episode()
+        self._choose()
         return fresh
 
-    def by_library(self) -> NativeSample | None:
-        """Return the library's object for whole samples in one call; ``None`` where Python does them."""
-        own, beliefs, calibrator = self._native, self.beliefs, self.calibrator
-        if own is not None and own.goes_on(beliefs, calibrator):
-            return own
-        native = calibrator.native()
-        self._native = None
-        if native is not None and isinstance(beliefs, NativeBeliefs):
-            if beliefs.library is not calibrator.library:
-                # Copies begin in the library with room for all robots.
-                self.beliefs = beliefs = native_beliefs(beliefs.unpack(), calibrator.library)
-            if isinstance(beliefs, NativeBeliefs):
-                self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
-        return self._native
+    def _choose(self) -> None:
+        """Choose who takes samples from here on: the one before if it is for the same parts."""
+        before, calibrator = self._backend, self.calibrator
+        if before is not None and self._chosen_for == (self.beliefs, calibrator):
+            return
+        if before is not None and before.sampled:
+            self._estimate = self.estimate
+        if isinstance(self.beliefs, NativeBeliefs) and self.beliefs.library is not calibrator.library:
+            # Copies begin in the library with room for all robots.
+            self.beliefs = native_beliefs(self.beliefs.unpack(), calibrator.library)
+        self._chosen_for = self.beliefs, calibrator
+        self._backend = native_sample(self.beliefs, calibrator, self._view)
 
-    def put(self, native: NativeSample, command: Any) -> Sample:
-        """Put one sample where :meth:`by_library` finds it; return the request.
-
-        The packets that have arrived belong to it. :meth:`note` has to follow.
-        """
-        sensors, hold = self._sensors, self.next_sample()
-        arrived = sensors.packet_rows()
-        if arrived is None:
-            self.beliefs.update(sensors.packets)
-        how = native.put(sensors.raw, command, hold)
-        rows, packets = arrived or NOTHING
-        return Sample(rows, packets, self.reference_time, sensors.time, how)
+    @property
+    def backend(self) -> SampleBackend:
+        """Who takes samples in this episode."""
+        if self._backend is None:
+            raise gym.error.ResetNeeded("There is no estimate before the first reset().")
+        return self._backend
 
     def note(self, known: bool, standing: bool) -> None:
         """Count the last sample, of which a reference was known, and in which a foot surely stood, or not."""
@@ -271,33 +264,18 @@ class RobotCalibration:
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs, arrived = self.next_sample(), self.beliefs, self._sensors.packet_rows()
-        if arrived is not None and isinstance(beliefs, NativeBeliefs):
-            beliefs.update_rows(*arrived)
-        else:
-            beliefs.update(self._sensors.packets)
-        fell = beliefs.sample(self.reference_time, command, hold)
+        hold, beliefs = self.next_sample(), self.beliefs
+        fell = believe(beliefs, self._sensors, self.reference_time, command, hold)
         self.note(beliefs.known, beliefs.standing)
         return fell
 
-    def sample(self, command: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    def sample(self, command: Any) -> Told:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""
-        native = self.by_library()
-        if native is not None:
-            native.feed(self.put(native, command))
-            self.note(self.beliefs.known, self.beliefs.standing)
-            shown, told = native.outputs()
-        else:
-            if self.believe(command):
-                self.calibrator.retract()
-            self._estimate = estimate = self.calibrator.update(self._sensors.raw, self.beliefs.believed)
-            shown, told = self._view.show(estimate, self.soles()), info_of(estimate, self.beliefs.info())
+        hold, beliefs = self.next_sample(), self.beliefs
+        shown, told = self.backend.sample(self._sensors, self.reference_time, command, hold)
+        self.note(beliefs.known, beliefs.standing)
         told["lag"] = self.late
         return shown, told
-
-    def soles(self) -> NDArray[np.float64]:
-        """Return where the soles are now in the level frame, shape (F, 4)."""
-        return self.beliefs.soles(self._sensors.time)
 
     def retract(self) -> None:
         """Take back the latest learning of a robot that has fallen; the estimate is of before."""
@@ -308,9 +286,7 @@ class RobotCalibration:
     def estimate(self) -> Estimate:
         """The calibrator's last estimate."""
         if self._estimate is None:
-            if self._native is None:
-                raise gym.error.ResetNeeded("There is no estimate before the first reset().")
-            self._estimate = self._native.estimate()
+            self._estimate = self.backend.estimate()
         return self._estimate
 
     @property
@@ -335,6 +311,7 @@ class RobotCalibration:
         self.model.masses, self.initial = learnt.masses, learnt.initial
         self._make()
         self.calibrator.state = learnt.state
+        self._choose()
         self._wait_out()
 
     def limits(self) -> dict[str, tuple[Any, Any]]:
@@ -364,7 +341,12 @@ class RobotCalibration:
 
     def __getstate__(self) -> dict[str, Any]:
         # The library's record, of which an estimate is made, stays behind.
-        return {**vars(self), "_estimate": self.estimate if self.made else None}
+        return {**vars(self), "_estimate": self.estimate if self.made else None, "_backend": None}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        if self.made:
+            self._choose()
 
     def _map_has_moved(self) -> bool:
         """Return whether the map is no longer the starting map."""
@@ -416,19 +398,6 @@ class RobotCalibration:
         if not start.calibrated:
             return start.known
         return start.off(self._sensors.true_parameters(), drawn)
-
-
-def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
-    """Return the ``info`` of an estimate, which may hold arrays of the one before, as copies."""
-    told = {
-        "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
-        "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
-        "flags": estimate.flags.copy(),
-        "vgrf": estimate.vgrf.copy(),
-        "reference": reference,
-    }
-    shares = {name: getattr(estimate, name) for name in DETERMINED}
-    return told | {name: share.copy() for name, share in shares.items() if share is not None}
 
 
 def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:

@@ -15,6 +15,8 @@ from surefoot.native import call_for_many
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.foot_view import DETERMINED, FootView
+from surefoot.robot.python import AnyBeliefs, PythonSample, Told
+from surefoot.robot.sensing.sensors import RobotSensors
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 """What ``info`` holds of an estimate."""
@@ -27,29 +29,11 @@ KNOWN, STANDING, PUBLISHED = 2, 4, 1 + 8
 something new is handed out."""
 
 
-class Sample(NamedTuple):
-    """The request to the library for one sample.
-
-    Attributes:
-        rows: Where rows of packets lie that have arrived before it; ``None`` for nowhere.
-        packets: Their number.
-        then: The moment of the sample, in s on the host's clock.
-        now: The host's clock in s.
-        how: 1 if there is a plan, plus 2 to learn nothing.
-    """
-
-    rows: int | None
-    packets: int
-    then: float
-    now: float
-    how: int
-
-
 class Samples(NamedTuple):
-    """The same for n robots, whose readings and plans the library takes where they lie.
+    """The request to the library for a sample of each of n robots.
 
     Attributes:
-        rows: Addresses of rows of packets.
+        rows: Addresses of rows of packets that have arrived before it.
         packets: Their numbers.
         raw: Addresses of readings.
         planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
@@ -88,7 +72,7 @@ class NativeSample:
         self, beliefs: NativeBeliefs, native: NativeFilter, state: NativeState, view: FootView, dt: float
     ) -> None:
         library = beliefs.library
-        self._of = beliefs, state, beliefs.model.revision
+        self._beliefs, self._state = beliefs, state
         self._filter, self._raw, self.sampled = native, native.raw, False
         config = view_record(library, view)
         told = _output_dtype(library, beliefs, native, view)
@@ -112,47 +96,34 @@ class NativeSample:
         self._sample, self.address = library.functions.surefoot_sample, records.ctypes.data
         self.many = library.functions.surefoot_sample_many
 
-    def __reduce__(self) -> Any:
-        # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
-        return type(None), ()
-
-    def goes_on(self, beliefs: Any, calibrator: FootCalibrator) -> bool:
-        """Return whether it is for these beliefs, and for a calibrator in the state that it goes on with."""
-        own, state, revision = self._of
-        return beliefs is own and own.model.revision == revision and calibrator.held is state
-
-    def put(self, raw: NDArray[np.float64], command: Any, hold: bool) -> int:
-        """Put a sample where the library finds it; return how it is asked, as :class:`Sample` has it.
-
-        Args:
-            raw: Counts, shape (K,).
-            command: The robot's command to itself, if any.
-            hold: Whether nothing is learnt of it.
-        """
-        self._raw[...] = raw
-        return self._of[0].plan(command) + 2 * hold
-
-    def feed(self, sample: Sample) -> None:
-        """Take in one sample that was :meth:`put`."""
+    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
+        """Take in one sample."""
+        beliefs, arrived = self._beliefs, sensors.packet_rows()
+        beliefs.keep_up()
+        if arrived is None:
+            beliefs.update(sensors.packets)
+        self._raw[...] = sensors.raw
+        how = beliefs.plan(command) + 2 * hold
         self.sampled = True
-        if self._sample(self.address, *sample) & PUBLISHED:
+        if self._sample(self.address, *(arrived or NOTHING), then, sensors.time, how) & PUBLISHED:
             self.drop_published()
+        return self.outputs()
 
     def drop_published(self) -> None:
         """Forget what was handed out before the last sample."""
-        self._of[1].drop_published()
+        self._state.drop_published()
 
     def keep_in(self, memory: NDArray[np.uint8]) -> None:
         """Keep :attr:`memory` elsewhere from here on."""
         memory[...] = self.memory
         self.memory, self._records["told"] = memory, memory.ctypes.data
 
-    def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs(self) -> Told:
         """Return the observation of the last sample, and the ``info`` of the estimate.
 
         All arrays are fresh.
         """
-        beliefs = self._of[0]
+        beliefs = self._beliefs
         # What comes after the last number is room that this robot has no use for.
         memory = self.memory[: self._dtype.itemsize].copy()
         shown, told = self._read(np.ndarray((), self._dtype, memory), True)
@@ -160,7 +131,7 @@ class NativeSample:
             told["reference"] = beliefs.info()
         return shown, told
 
-    def outputs_of(self, memory: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs_of(self, memory: NDArray[np.uint8]) -> Told:
         """Return the same of N robots of this one's kind, with these in front of each array.
 
         Args:
@@ -171,10 +142,10 @@ class NativeSample:
         shown, told = self._read(np.ndarray(len(memory), self._dtype, memory), known)
         if np.isnan(told["reference"]["com"]).any():
             del told["reference"]["known"]
-            told["reference"] = reference_info(self._of[0].believed.kind(**told["reference"]))
+            told["reference"] = reference_info(self._beliefs.believed.kind(**told["reference"]))
         return shown, told
 
-    def _read(self, one: NDArray[Any], known: Any) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def _read(self, one: NDArray[Any], known: Any) -> Told:
         flags, vgrf, scale, offset, *others = self._fields(one)
         shares = {}
         if self._filter.constants.contact:
@@ -193,7 +164,7 @@ class NativeSample:
 
     def estimate(self) -> Estimate:
         """Return the last estimate."""
-        return self._filter.read(self._of[1])
+        return self._filter.read(self._state)
 
 
 class ManySamples:
@@ -201,16 +172,14 @@ class ManySamples:
 
     Args:
         robots: The library's objects of each of them, one at least and all of one kind.
-        parts: The parts of each robot that its samples go on with; with others this object is of no use.
 
     Attributes:
         robots: The same.
-        parts: The same.
         sampled: Whether each of them has taken in any sample, shape (N,).
     """
 
-    def __init__(self, robots: Sequence[NativeSample], parts: list[Any]) -> None:
-        self.robots, self.parts, self._many = robots, parts, robots[0].many
+    def __init__(self, robots: Sequence[NativeSample]) -> None:
+        self.robots, self._many = robots, robots[0].many
         self.sampled = np.array([robot.sampled for robot in robots])
         self._at = np.array([robot.address for robot in robots], dtype=np.uintp)
         self._memory = np.zeros((len(robots), len(robots[0].memory)), np.uint8)
@@ -249,9 +218,21 @@ class ManySamples:
             self.robots[i].drop_published()
         return found
 
-    def outputs(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def outputs(self) -> Told:
         """Return observations and ``info`` of all, as :meth:`NativeSample.outputs_of` does."""
         return self.robots[0].outputs_of(self._memory)
+
+
+SampleBackend = PythonSample | NativeSample
+"""Who takes in all samples of one robot."""
+
+
+def native_sample(beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> SampleBackend:
+    """Return the library for one robot, or Python where that does its beliefs or its filter."""
+    native = calibrator.native()
+    if native is None or not isinstance(beliefs, NativeBeliefs):
+        return PythonSample(beliefs, calibrator, view)
+    return NativeSample(beliefs, *native, view, calibrator.setup.dt)
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:

@@ -127,7 +127,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         seen = self.robot.reset(self.source.truth, dt, seed, choice, observation)
         self._clock = None
         self._drawn = self.robot.true_condition() if self.robot.differs else {}
-        return self._show(observation) if seen is None else seen, self._with_drawn(info)
+        return seen, self._with_drawn(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors; no sample arrives of a simulation that blew up."""
@@ -140,8 +140,6 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         seen = robot.step(truth, observation)
         if blown_up:
             robot.raw[:] = np.nan
-        if seen is None:
-            seen = self._show(observation)
         return seen, reward, terminated, truncated, self._with_drawn(info)
 
     @property
@@ -223,6 +221,3 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             return info
         told = info["surefoot"]
         return {**info, "surefoot": {**told, "truth": {**told["truth"], **self._drawn}}}
-
-    def _show(self, observation: Any) -> dict[str, Any]:
-        return self._view.show(observation, self.robot.held, self.robot.newest)

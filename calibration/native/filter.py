@@ -97,27 +97,35 @@ class NativeFilter:
         self._functions.surefoot_init(self._addresses[0], record.ctypes.data)
         return NativeState(record, self.constants.covariance)
 
-    def state(self, state: Any) -> NativeState | None:
-        """Return any state as the library's, started if it is ``None``; ``None`` if it is of another kind."""
-        if isinstance(state, NativeState):
-            return state
-        return self.init() if state is None else self.pack(state)
+    def put(self, state: NativeState, python: Any) -> None:
+        """Go on from a Python state, or from before any sample if it is ``None``, in place.
 
-    def pack(self, state: Any) -> NativeState | None:
-        """Return a Python state as the library's; ``None`` if it is of another robot or kind."""
-        record = np.zeros((), self._dtype)
-        try:
-            given, wanted = list(leaves_of(state)), list(leaves_of(self._template))
-        except (TypeError, ValueError):
-            return None
-        if type(state) is not type(self._template) or len(given) != len(wanted):
-            return None
-        for (path, leaf), (_, like) in zip(given, wanted, strict=True):
-            part, fitting = np.asarray(leaf), np.asarray(like)
-            if (part.shape, part.dtype) != (fitting.shape, fitting.dtype):
-                return None
-            record[_name(path)] = part
-        return NativeState(record, self.constants.covariance)
+        Raises:
+            ValueError: If it is of another robot or method.
+        """
+        state.drop_published()
+        if python is None:
+            state.record[...] = np.zeros((), self._dtype)
+            self._functions.surefoot_init(self._addresses[0], state.address)
+            return
+        given, wanted = (
+            dict(leaves_of(part)) if type(part) is type(self._template) else {}
+            for part in (python, self._template)
+        )
+        if [*map(np.shape, given.values())] != [*map(np.shape, wanted.values())]:
+            kind, other = type(self._template).__name__, type(python).__name__
+            raise ValueError(
+                f"A {kind} of a robot of {len(self.raw)} channels cannot go on from this {other}: its parts "
+                "have other shapes. Give a state of the same method and robot."
+            )
+        for path, leaf in given.items():
+            state.record[_name(path)] = leaf
+
+    def pack(self, state: Any) -> NativeState:
+        """Return a Python state as the library's; as :meth:`put`."""
+        found = NativeState(np.zeros((), self._dtype), self.constants.covariance)
+        self.put(found, state)
+        return found
 
     def unpack(self, state: NativeState) -> Any:
         """Return the library's state as a Python state, which shares nothing with it."""

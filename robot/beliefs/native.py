@@ -78,6 +78,7 @@ class NativeBeliefs:
         self._planned, self._soles = np.zeros(2 * F, np.bool_), np.zeros((F, 4), library.real)
         self._stance, self._swing = self._planned[:F], self._planned[F:]
         self._force_bias = self._state["force_bias"]
+        self._model: NDArray[Any] | None = None
         self._adopt()
         self._pack(beliefs)
         if momentum is not None:
@@ -93,7 +94,7 @@ class NativeBeliefs:
         self.believed.fill(unknown(self.feet) if self._momentum else nothing(self.feet))
         return self
 
-    def _keep_up(self) -> None:
+    def keep_up(self) -> None:
         """Take over the model's masses if they have changed."""
         if self.model.revision != self._revision:
             self._adopt()
@@ -113,11 +114,15 @@ class NativeBeliefs:
             raise ValueError(
                 "The robot is no tree of bodies that the library has room for, or packets have other joints."
             )
-        self._revision, self._model, self._tree = self.model.revision, model, model.ctypes.data
+        self._revision = self.model.revision
+        if self._model is None:
+            self._model, self._tree = model, model.ctypes.data
+        self._model[...] = model  # in place: others know its address
 
     @property
     def constants(self) -> dict[str, NDArray[Any]]:
         """The records of the robot by the names that they have in headers: model and timing."""
+        assert self._model is not None
         return {"model": self._model, "timing": self._timing}
 
     @property
@@ -128,7 +133,7 @@ class NativeBeliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
-        self._keep_up()
+        self.keep_up()
         timing, state, rows, _, _ = self._addresses
         for start in range(0, len(packets), AT_ONCE):
             some = packets[start : start + AT_ONCE]
@@ -138,12 +143,6 @@ class NativeBeliefs:
             self._functions.surefoot_beliefs_packets(
                 self._tree, timing, self._momentum, state, rows, len(some)
             )
-
-    def update_rows(self, address: int, count: int) -> None:
-        """Take in packets of telemetry where the library has written them, so many."""
-        self._keep_up()
-        timing, state, _, _, _ = self._addresses
-        self._functions.surefoot_beliefs_packets(self._tree, timing, self._momentum, state, address, count)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
@@ -156,7 +155,7 @@ class NativeBeliefs:
 
     def addresses(self) -> dict[str, int]:
         """Return where the library finds its records now, by their names in ``sf_sample_records``."""
-        self._keep_up()
+        self.keep_up()
         timing, state, _, planned, _ = self._addresses
         return {
             "model": self._tree,

@@ -1,15 +1,17 @@
 """All sensors of one robot by the library: a step or an episode's start in one call, with the observation."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.envs.instrumentation.truth import SensedColumns
 from surefoot.native import Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
-from surefoot.robot.sensing.raw_view import RawView
+from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
@@ -22,26 +24,53 @@ _SEEN = itemgetter("raw", "counts", "state")
 _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
 """No numbers of a state that are measured."""
 
-Seen = tuple[NDArray[np.float64], dict[str, Any] | None]
-"""A reading in counts, shape (K,), and what is seen, in fresh arrays; without a view the next one overwrites
-the reading, and nothing is put together."""
+Maps = tuple[NDArray[np.float64], ...]
+"""Factors and forces to add of cells; nothing without cells."""
 
 
-def _sizes(instruments: Instruments, truth: Any, dt: float) -> dict[str, Any]:
+class Places(NamedTuple):
+    """Where the library finds the loads of a robot, in a truth as that in which an episode starts.
+
+    Attributes:
+        shape: Of the rows of truth, (S, columns).
+        joints: How many joints there are.
+        columns: Where sensors are read.
+        map: As of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`.
+    """
+
+    shape: tuple[int, ...]
+    joints: int
+    columns: SensedColumns
+    map: Maps
+
+
+def places_in(truth: Any, instruments: Instruments) -> Places | None:
+    """Return where the library finds the loads of instruments; ``None`` if it does not."""
+    maps = _maps(truth, instruments)
+    if maps is None or truth.rows.dtype != np.float64:
+        return None
+    return Places(truth.rows.shape, truth.joint_position.shape[-1], truth.sensor_columns(), maps)
+
+
+def _maps(truth: Any, instruments: Instruments) -> Maps | None:
+    """Return the cells' map of a truth, as a copy; ``None`` if there is none for the library."""
+    first = instruments.parts[0]
+    found = first.cell_map(truth) if isinstance(first, CellsUnderFeet) else ()
+    return None if found is None else tuple(part.copy() for part in found)
+
+
+def _sizes(instruments: Instruments, places: Places, dt: float) -> dict[str, Any]:
     """Return how many readings there are and where they are taken, by the names in ``sf_sense_records``."""
     first, *more = instruments.first_steps(dt)
-    where = truth.sensor_columns()
+    where, (rows, columns) = places.columns, places.shape
     return {
         "channels": instruments.channels,
         "dt": dt,
         "first": first,
         "more": len(more),
-        "rows": len(truth.time),
-        "columns": truth.rows.shape[-1],
-        "at_joints": where.joints,
-        "at_inertial": where.inertial,
-        "at_ankles": where.ankles,
-        "at_cells": where.cells,
+        "rows": rows,
+        "columns": columns,
+        **{f"at_{name}": getattr(where, name) for name in ("joints", "inertial", "ankles", "cells")},
         "stride": where.stride,
         "soles": where.soles,
     }
@@ -57,43 +86,34 @@ class NativeSensing:
     """The library for one robot, which holds the state of all that is under its feet.
 
     Args:
-        truth: A control step, as long as all that it takes.
-        instruments: The instruments under the feet.
-        devices: The same as the library has it, and the faults, by their places in ``DEVICES``.
-        telemetry: The telemetry, if anybody listens.
-        dt: Duration of a control step in s.
-        kept: Where the newest packet's values and the counts that are held lie.
-        view: The view, if an observation is put together.
+        python: The Python object where it goes on, which is used up.
+        devices: Its devices as the library has them, and the faults, by their places in ``DEVICES``.
+        telemetry: Its telemetry and the state of that, if anybody listens.
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
+        places: Where loads are found.
         address: Where the library finds its records.
         raw_address: Where the last reading lies.
-        shape: Of the rows of truth that it takes.
         rows_address: Where rows of packets lie.
     """
 
-    telemetry_state: Any
-
     def __init__(
         self,
-        truth: Any,
-        instruments: Instruments,
+        python: PythonSensing,
         devices: Mapping[str, NativeDevice],
         telemetry: tuple[NativeTelemetry, NativeTelemetryState] | None,
-        dt: float,
-        kept: tuple[NDArray[np.float64], NDArray[np.float32]],
-        view: RawView | None,
     ) -> None:
-        library = installed()
+        library, instruments, view = installed(), python.fitted.instruments, python.view
         assert library is not None
+        self._spec, self._view = python, view
+        self.places: Places = python.places
         self._states = {name: device.empty() for name, device in devices.items()}
         self._telemetry: NativeTelemetry | None = None
-        self.telemetry_state = None
+        self.telemetry_state: Any = None
         if telemetry is not None:
             self._telemetry, self.telemetry_state = telemetry
-        self._view = view
-        numbers = _sizes(instruments, truth, dt)
+        numbers = _sizes(instruments, self.places, python.dt)
         if len(instruments.parts) > 1:
             self._order = instruments.order.astype(np.int32)
             numbers["order"] = self._order.ctypes.data
@@ -104,37 +124,35 @@ class NativeSensing:
         self._observed = observed if len(observed) else None
         self._seen = Record(_reading_dtype(instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        self.shape = truth.rows.shape
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
-            "newest": kept[0],
+            "newest": python.kept[0],
             "raw": now["raw"],
             "observed": observed,
             "low": low,
             "high": high,
             "shown": now["state"],
-            "held": kept[1],
+            "held": python.kept[1],
             "counts": now["counts"],
             "from": taken,
             "to": to,
         }
-        first = instruments.parts[0]
-        self._cells = first if isinstance(first, CellsUnderFeet) else None
-        self._map: tuple[NDArray[np.float64], ...] = ()
         if "cells" in devices:
-            arrays["map"], arrays["preload"] = self._map = self._cell_map(truth)
-            arrays["load"] = np.zeros((len(truth.time), self._map[0].shape[1]))
-            numbers["readings"] = len(self._map[0])
+            arrays["map"], arrays["preload"] = self.places.map
+            numbers["readings"], loads = self.places.map[0].shape
+            arrays["load"] = np.zeros((self.places.shape[0], loads))
         if "ankles" in devices:
             arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
             numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
+        packets = 0
         if self._telemetry is not None:
+            packets = self._telemetry.put_packets(python.arrived)
             numbers |= {
                 "telemetry": self._telemetry.address,
                 "telemetry_state": self.telemetry_state.address,
                 "values": self._telemetry.layout.size,
             }
-        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0, "packets": 0}
+        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0, "packets": packets}
         numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
         records = library.record_of(
             "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
@@ -144,57 +162,69 @@ class NativeSensing:
         self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
         self.raw_address = self._raw.ctypes.data
         self.rows_address = 0 if self._telemetry is None else self._telemetry.arrived_address
+        self.take(python.hardware())
+        if python.streams:
+            self.draw_from(python.streams)
+        python.telemetry_state, python.arrived = None, ()
+        del python.state
+
+    def __reduce__(self) -> Any:
+        return native_sensing, (self.python(),)
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
-        """Let chance come from other streams, by the names of devices."""
-        self._streams = streams
+        """Let chance come from other streams."""
+        self._spec.streams = streams
         self._records["telemetry_stream"] = streams["telemetry"].address
         for name, state in self._states.items():
             self._records[f"{state.owner.kind.name}_stream"] = streams[name].address
 
-    def take(self, instruments: InstrumentsState, faults: Any) -> None:
-        """Go on with other hardware under the feet, as the Python has it."""
+    def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
+        """Keep what is shown in other arrays."""
+        self._spec.kept = newest, held
+        self._records["newest"], self._records["held"] = newest.ctypes.data, held.ctypes.data
+
+    def take(self, hardware: HardwareState) -> None:
+        """Go on with other hardware."""
         for name, state in self._states.items():
-            state.take(faults if name == "faults" else getattr(instruments, name))
+            state.take(hardware.faults if name == "faults" else getattr(hardware.instruments, name))
+        if self._telemetry is not None and hardware.telemetry is not None:
+            self._telemetry.put(self.telemetry_state, hardware.telemetry)
 
-    def python(self) -> tuple[InstrumentsState, Any]:
-        """Return instruments and faults as the Python has them, as a copy."""
+    def hardware(self) -> HardwareState:
+        """Return the present hardware, as a copy."""
         states = {name: state.python() for name, state in self._states.items()}
-        faults = states.pop("faults", ())
-        return InstrumentsState(**states), faults
+        faults, telemetry = states.pop("faults", ()), self._telemetry
+        return HardwareState(
+            InstrumentsState(**states),
+            faults,
+            None if telemetry is None else telemetry.hardware(self.telemetry_state),
+        )
 
-    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen | None:
-        """Start an episode; ``None``, with nothing done, for a truth that is not as long as others.
+    def python(self) -> PythonSensing:
+        """Return the Python object that goes on from here."""
+        found = copy(self._spec)
+        found.take(self.hardware())
+        if self._telemetry is not None:
+            found.telemetry_state = self._telemetry.unpack(self.telemetry_state)
+            found.arrived = self.packets()
+        return found
 
-        Args:
-            truth: In which it starts.
-            at_rest: The IMU's input before it, shape (6,).
-            fresh: Whether IMU and encoders are drawn.
-            observation: The environment's observation.
-        """
-        if truth.rows.shape != self.shape:
-            return None
-        for part, now in zip(self._map, self._cell_map(truth), strict=True):
+    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
+        """Start an episode, in a truth that has the same places."""
+        maps = _maps(truth, self._spec.fitted.instruments)
+        assert maps is not None
+        for part, now in zip(self.places.map, maps, strict=True):
             part[...] = now
         if self._telemetry is not None:
             position, inertial = self._telemetry.inputs
             position[0], inertial[0] = truth.joint_position[-1], at_rest
-        return self._read(truth, 0.0, 1 + fresh, observation)
-
-    def _cell_map(self, truth: Any) -> tuple[NDArray[np.float64], ...]:
-        """Return the cells' map of a truth, as a copy; nothing without cells."""
-        found = None if self._cells is None else self._cells.cell_map(truth)
-        return () if found is None else tuple(part.copy() for part in found)
+        seen = self._read(truth, 0.0, 1 + fresh, observation)
+        assert seen is not None
+        return seen
 
     def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
-        """Read a control step; ``None``, with nothing done, for one that it does not take.
-
-        Args:
-            truth: The control step.
-            time: The host's at its end in s.
-            observation: The environment's observation.
-        """
-        return self._read(truth, time, 0, observation) if truth.rows.shape == self.shape else None
+        """Read a control step; ``None``, with nothing done, for one that it does not take."""
+        return self._read(truth, time, 0, observation) if truth.rows.shape == self.places.shape else None
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen | None:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
@@ -203,7 +233,7 @@ class NativeSensing:
         if self._sense(self.address, rows.ctypes.data, time, begins) < 0:
             return None
         if self._view is None:
-            return self._raw, None
+            return self._raw, {}
         raw, counts, state = _SEEN(self._seen.copy())
         return raw, self._view.compose(observation, counts, None if self._observed is None else state)
 
@@ -214,6 +244,10 @@ class NativeSensing:
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
         return () if self._telemetry is None else self._telemetry.packets(int(self._records["packets"]))
+
+
+SensingBackend = PythonSensing | NativeSensing
+"""Who reads all sensors of one robot, and holds their state."""
 
 
 class ManySensing:
@@ -237,7 +271,7 @@ class ManySensing:
         self._at, self.raw, self.rows = np.array(places, dtype=np.uintp).T.copy()
         self.packets = np.zeros(len(robots), dtype=np.int32)
         self.count_packets(range(len(robots)))
-        self._shapes = {robot.shape for robot in robots}
+        self._shapes = {robot.places.shape for robot in robots}
 
     def __reduce__(self) -> Any:
         # Addresses are of no use elsewhere: a copy of the sensors makes its own.
@@ -273,44 +307,27 @@ class ManySensing:
         return which if (packets >= 0).all() else which[packets >= 0]
 
 
-def native_sensing(
-    truth: Any,
-    instruments: Instruments,
-    devices: Mapping[str, NativeDevice | None],
-    telemetry: Any,
-    telemetry_state: Any,
-    dt: float,
-    kept: tuple[NDArray[np.float64], NDArray[np.float32]],
-    view: RawView | None,
-) -> NativeSensing | None:
-    """Make the library's reader of a robot; ``None`` where Python reads, as one of its parts does not fit.
+def native_sensing(python: PythonSensing) -> SensingBackend:
+    """Return a reader that goes on by the library, or as it is where a part of the robot does not fit.
 
     Args:
-        truth: As of :class:`NativeSensing`, like all that is not described here.
-        instruments: The instruments under the feet.
-        devices: The same as the library has it; ``None`` for those that do not fit.
-        telemetry: The telemetry; ``None`` where nobody listens.
-        telemetry_state: Its state; ``None`` before an episode.
-        dt: Duration of a control step in s.
-        kept: The values that are kept.
-        view: The view.
+        python: The Python's, which is used up.
     """
-    if any(device is None for device in devices.values()) or truth.rows.dtype != np.float64:
-        return None
-    if any(part.cell_map(truth) is None for part in instruments.parts if isinstance(part, CellsUnderFeet)):
-        return None
+    fitted, telemetry, view, places = python.fitted, python.telemetry, python.view, python.places
+    devices = {name: device for name, device in fitted.native.items() if device is not None}
+    if places is None or len(devices) < len(fitted.native):
+        return python
     if view is not None and view.bounds[0].dtype != np.float32:
-        return None
+        return python
+    listened = None
     if telemetry is not None:
-        if type(telemetry) is not NativeTelemetry:
-            return None
-        if telemetry.inputs[0].shape != truth.joint_position.shape:
-            return None
-        state = telemetry.empty() if telemetry_state is None else telemetry_state
-        if type(state) is not NativeTelemetryState:
-            return None
-        telemetry = telemetry, state
-    for part in instruments.parts:
-        check_wire(part.config, dt)
-    found: Any = devices
-    return NativeSensing(truth, instruments, found, telemetry, dt, kept, view)
+        shape = (places.shape[0], places.joints)
+        if not isinstance(telemetry, NativeTelemetry) or telemetry.inputs[0].shape != shape:
+            return python
+        state = telemetry.in_library(python.telemetry_state)
+        if state is None:
+            return python
+        listened = telemetry, state
+    for part in fitted.instruments.parts:
+        check_wire(part.config, python.dt)
+    return NativeSensing(python, devices, listened)

@@ -5,7 +5,7 @@ Wrappers of one robot and of many are made of it, so that a seed gives a robot t
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,8 +16,8 @@ from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
-from surefoot.robot.sensing.instruments import InstrumentsState
-from surefoot.robot.sensing.native import NativeSensing, native_sensing
+from surefoot.robot.sensing.native import SensingBackend, native_sensing, places_in
+from surefoot.robot.sensing.python import HardwareState, PythonSensing
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.streams import wants_fresh
 from surefoot.sensors.telemetry.computer import Telemetry
@@ -25,23 +25,6 @@ from surefoot.sensors.transport.link import Packets
 
 _EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
 """Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
-
-
-class HardwareState(NamedTuple):
-    """State that stays as it is while the power is on, whatever happens to the robot.
-
-    Attributes:
-        instruments: The instruments under the feet.
-        faults: Its faults, or ``()``; of faults by chance as well, which last for an episode.
-        telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
-            where nobody listens.
-        severity: Factor of its errors, or ``None`` where it is the same for all robots.
-    """
-
-    instruments: InstrumentsState
-    faults: Any
-    telemetry: Any
-    severity: float | None = None
 
 
 class RobotSensors:
@@ -58,7 +41,6 @@ class RobotSensors:
             each reset. They may be changed, for the next one.
         listening: Whether telemetry is sent from the next reset on.
         clock: The host's time since the reset in s, shape (1,).
-        sensing: The library's reader, if it has read the last step.
         sensors_fresh: Whether the last reset drew fresh sensors.
         held: The last reading of each channel that has arrived in counts, shape (K,).
         newest: Values of the newest packet that has arrived.
@@ -71,13 +53,10 @@ class RobotSensors:
         self.held = equipment.instruments.zero_code.astype(np.float32)
         self.newest: NDArray[np.float64] = np.zeros(equipment.packet.size)
         self._streams: dict[str, Any] = equipment.streams(None)
-        self._hardware: HardwareState | None = None
         self._telemetry: Telemetry | None = None
-        self._telemetry_state: Any = None
-        self.sensing: NativeSensing | None = None
-        self._sends = listening
+        self._backend: SensingBackend | None = None
+        self._chosen_for: Any = None
         self._raw: NDArray[np.float64] | None = None
-        self._packets: Packets = ()
 
     def reset(
         self,
@@ -86,7 +65,7 @@ class RobotSensors:
         seed: int | None = None,
         choice: str | None = None,
         observation: Any = None,
-    ) -> dict[str, Any] | None:
+    ) -> dict[str, Any]:
         """Start an episode, with fresh or kept sensors.
 
         Args:
@@ -97,31 +76,23 @@ class RobotSensors:
             observation: The environment's observation, where there is a view.
 
         Returns:
-            The observation; ``None`` where the view is left to the caller.
+            The observation; empty without a view.
         """
         if seed is not None:
             self._streams = self.equipment.streams(seed)
-        if self._telemetry is None or self._telemetry.dt != dt or self._sends != self.listening:
-            self._leave_library()
-            self._sends = self.listening
         if self._telemetry is None or self._telemetry.dt != dt:
             self._telemetry = self.equipment.telemetry(dt, len(truth.time))
             self.newest[:] = 0.0
-        self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
-        self.clock[0], draws = 0.0, self.sensors_fresh or self._telemetry_state is None
-        self._renew(self.sensors_fresh)
+        self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._backend is not None)
+        self.clock[0] = 0.0
+        hardware = self._choose(truth, self._renew(self.sensors_fresh))
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
         at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
-        sensing = self._by_library(truth)
-        read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
-        if read is not None:
-            self._raw, seen = read
-            return seen
-        self._leave_library()
-        self._begin(truth, at_rest, draws)
-        return None
+        draws = hardware is not None and hardware.telemetry is None
+        self._raw, seen = self.backend.begin(truth, at_rest, draws, observation)
+        return seen
 
-    def step(self, truth: Any, observation: Any = None) -> dict[str, Any] | None:
+    def step(self, truth: Any, observation: Any = None) -> dict[str, Any]:
         """Read a control step.
 
         Args:
@@ -129,26 +100,23 @@ class RobotSensors:
             observation: The environment's observation, where there is a view.
 
         Returns:
-            The observation; ``None`` where the view is left to the caller.
+            The observation; empty without a view.
         """
         self.clock += self.telemetry.dt
-        sensing = self.sensing or self._by_library(truth)
-        read = None if sensing is None else sensing.step(truth, self.time, observation)
-        if read is not None:
-            self._raw, seen = read
-            return seen
-        self._leave_library()
-        self._read(truth, self.telemetry.dt)
-        if self._telemetry_state is not None:
-            self._packets, self._telemetry_state = self.telemetry.advance(
-                truth.joint_position,
-                truth.inertial,
-                self.time,
-                self._telemetry_state,
-                self._streams["telemetry"],
-            )
-        self._note()
-        return None
+        read = self.backend.step(truth, self.time, observation)
+        if read is None:
+            # A step of other substeps than the first: Python goes on until the next reset.
+            self._backend, self._chosen_for = self.backend.python(), None
+            read = self._backend.step(truth, self.time, observation)
+        self._raw, seen = read
+        return seen
+
+    @property
+    def backend(self) -> SensingBackend:
+        """Who reads in this episode."""
+        if self._backend is None:
+            raise RuntimeError("There are no sensors before the first reset(), which draws them.")
+        return self._backend
 
     @property
     def time(self) -> float:
@@ -158,19 +126,20 @@ class RobotSensors:
     @property
     def packets(self) -> Packets:
         """Telemetry that arrived during the last step, in order; only while somebody listens."""
-        return self._packets if self.sensing is None else self.sensing.packets()
+        return () if self._backend is None else self._backend.packets()
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
-        return None if self.sensing is None else self.sensing.packet_rows()
+        return self.backend.packet_rows()
 
     def keep_in(
         self, held: NDArray[np.float32], newest: NDArray[np.float64], clock: NDArray[np.float64]
     ) -> None:
         """Keep :attr:`held`, :attr:`newest` and :attr:`clock` in other arrays from here on."""
-        self._leave_library()
         held[...], newest[...], clock[...] = self.held, self.newest, self.clock
         self.held, self.newest, self.clock = held, newest, clock
+        if self._backend is not None:
+            self._backend.keep_in(newest, held)
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -188,7 +157,7 @@ class RobotSensors:
 
     def true_parameters(self) -> Parameters:
         """Return the map that undoes the feet's errors now, shape (K,) each: truth, to score against."""
-        return self._fitted.instruments.true_map(self._devices.instruments)
+        return self._fitted.instruments.true_map(self.backend.hardware().instruments)
 
     @property
     def condition(self) -> Condition:
@@ -211,24 +180,27 @@ class RobotSensors:
 
     def hardware(self) -> HardwareState:
         """Return the present hardware, telemetry's part included, as the Python has it."""
-        found, conditions = self._devices, self.conditions
+        found, conditions = self.backend.hardware(), self.conditions
         if conditions.chances:
             found = found._replace(faults=())
         if conditions.lowest < conditions.highest:
             found = found._replace(severity=self.condition.severity)
-        if self._telemetry_state is None:
-            return found
-        return found._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
+        return found
 
     def exchange(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
-        self._leave_library()
-        if hardware.severity is not None:
-            self._fitted = self.equipment.fit(self.condition._replace(severity=hardware.severity))
-        faults = self._devices.faults if self.conditions.chances else hardware.faults
-        self._hardware = hardware._replace(faults=faults, severity=None)
-        if self._telemetry_state is not None:
-            self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
+        backend = self.backend
+        faults = backend.hardware().faults if self.conditions.chances else hardware.faults
+        taken = hardware._replace(faults=faults, severity=None)
+        if hardware.severity in (None, self.condition.severity):
+            backend.take(taken)
+            return
+        # Of another severity the instruments are others.
+        self._fitted = self.equipment.fit(self.condition._replace(severity=hardware.severity))
+        python = backend.python()
+        python.fitted = self._fitted
+        python.take(taken)
+        self._backend = native_sensing(python)
 
     def take_map(self, path: str | PathLike[str]) -> None:
         """Go on with load cells that the map in a JSON file undoes."""
@@ -243,97 +215,50 @@ class RobotSensors:
 
     def notes(self) -> dict[str, str]:
         """Name the robot and the sensors that saved hardware belongs to."""
-        read = "none" if self._telemetry_state is None else "an IMU and encoders, which are read"
+        read = "none" if self.backend.hardware().telemetry is None else "an IMU and encoders, which are read"
         return {**self.equipment.notes(), "telemetry": read}
 
-    @property
-    def _devices(self) -> HardwareState:
-        """The instruments under the feet and their faults, as the Python has them."""
-        if self._hardware is None:
-            raise RuntimeError("There are no sensors before the first reset(), which draws them.")
-        return self._hardware if self.sensing is None else HardwareState(*self.sensing.python(), None)
+    def _choose(self, truth: Any, hardware: HardwareState | None) -> HardwareState | None:
+        """Choose who reads an episode, the one before if nothing is different; return what it has taken.
 
-    def _by_library(self, truth: Any) -> NativeSensing | None:
-        """Let the library read from here on; ``None`` where it cannot, and Python does."""
-        if self.sensing is None:
-            hardware, telemetry = self._devices, self.telemetry
-            self.sensing = native_sensing(
-                truth,
-                self._fitted.instruments,
-                self._fitted.native,
-                telemetry if self._sends else None,
-                self._telemetry_state,
-                telemetry.dt,
-                (self.newest, self.held),
-                self._view,
-            )
-            if self.sensing is not None:
-                self._telemetry_state = self.sensing.telemetry_state
-                self.sensing.take(*hardware[:2])
-        if self.sensing is not None:
-            self.sensing.draw_from(self._streams)
-        return self.sensing
+        Args:
+            truth: In which it starts.
+            hardware: The hardware to begin with; ``None`` for that of the episode before.
+        """
+        telemetry = self._telemetry if self.listening else None
+        chosen_for = self._fitted, telemetry, truth.rows.shape
+        if chosen_for != self._chosen_for:
+            hardware = hardware or self.backend.hardware()
+            kept = self.newest, self.held
+            python = PythonSensing(self._fitted, telemetry, self.telemetry.dt, kept, self._view)
+            python.take(hardware)
+            python.places = places_in(truth, self._fitted.instruments)
+            self._backend, self._chosen_for = native_sensing(python), chosen_for
+        elif hardware is not None:
+            self.backend.take(hardware)
+        self.backend.draw_from(self._streams)
+        return hardware
 
-    def _leave_library(self) -> None:
-        """Let Python read from here on."""
-        if self.sensing is not None:
-            self._packets, self._hardware, self.sensing = self.packets, self._devices, None
+    def _renew(self, fresh: bool) -> HardwareState | None:
+        """Return the hardware of an episode's start, without telemetry's if that is to be drawn.
 
-    def __getstate__(self) -> dict[str, Any]:
-        # The library's records and rows stay behind.
-        if self.sensing is None:
-            return vars(self)
-        return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "sensing": None}
-
-    def _renew(self, fresh: bool) -> None:
-        """Draw the hardware of an episode's start; sensors of the telemetry are drawn as that begins."""
+        ``None`` if it is that of the episode before.
+        """
         before, streams, equipment = self._fitted, self._streams, self.equipment
         condition = self.conditions.draw(
             before.condition, fresh, before.instruments.channels, streams["condition"]
         )
         changed = condition != before.condition
         if changed:
-            self._leave_library()
             self._fitted = equipment.fit(condition)
         instruments, broken = self._fitted.instruments, self._fitted.broken
         if not (fresh or changed or self.conditions.chances):
-            return
+            return None
         faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
-        drawn = instruments.init(streams) if fresh else self._devices.instruments
-        self._hardware = HardwareState(drawn, faults, None)
-        if self.sensing is not None:
-            self.sensing.take(*self._hardware[:2])
-        if fresh:
-            self.held[:] = instruments.zero_code
-
-    def _begin(self, truth: Any, at_rest: NDArray[np.float64], draws: bool) -> None:
-        """Read every chip and the link under the first load, in Python."""
-        instruments, kept = self._fitted.instruments, None if draws else self.hardware().telemetry
-        with_load = instruments.with_load(truth, self._devices.instruments)
-        self._hardware = self._devices._replace(instruments=with_load)
-        for dt in instruments.first_steps(self.telemetry.dt):
-            self._read(truth, dt)
-        if self._sends:
-            self._packets, self._telemetry_state = self.telemetry.init(
-                truth.joint_position[-1].copy(), at_rest, self._streams["telemetry"], kept
-            )
-        self._note()
-
-    def _read(self, truth: Any, dt: float) -> None:
-        hardware, fitted = self._devices, self._fitted
-        self._raw, state = fitted.instruments.read(truth, hardware.instruments, self._streams, dt)
-        hardware = hardware._replace(instruments=state)
-        if fitted.broken is not None:
-            self._raw, faults = fitted.broken.apply(self._raw, hardware.faults, self._streams["faults"], dt)
-            hardware = hardware._replace(faults=faults)
-        self._hardware = hardware
-
-    def _note(self) -> None:
-        """Keep the readings that have arrived."""
-        arrived = ~np.isnan(self.raw)
-        self.held[arrived] = self.raw[arrived]
-        if self.packets:
-            self.newest[:] = self.packets[-1].values
+        if not fresh:
+            return self.backend.hardware()._replace(faults=faults)
+        self.held[:] = instruments.zero_code
+        return HardwareState(instruments.init(streams), faults, None)
 
 
 def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:

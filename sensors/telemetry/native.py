@@ -115,7 +115,7 @@ class NativeTelemetry(Telemetry):
             return super().init(position, inertial, rng, hardware)
         state = self.empty()
         if hardware is not None:
-            self._put(state, hardware)
+            self.put(state, hardware)
         self._position[0], self._inertial[0] = position, inertial
         return self.packets(self._init(self.address, state.address, rng.address, hardware is None)), state
 
@@ -123,7 +123,7 @@ class NativeTelemetry(Telemetry):
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
-        native = state if type(state) is NativeTelemetryState else self.pack(state)
+        native = self.in_library(state)
         if native is not None and position.shape == self._shape and type(rng) is Stream:
             self._position[...], self._inertial[...] = position, inertial
             count = self._advance(self.address, native.address, rng.address, time)
@@ -141,6 +141,18 @@ class NativeTelemetry(Telemetry):
         heads, contents = self._heads, self._arrived[:count, 2:].copy()
         return tuple([Packet(int(heads[row, 0]), heads[row, 1], contents[row]) for row in range(count)])
 
+    def put_packets(self, packets: Packets) -> int:
+        """Put packets where those of the last step lie; return their number."""
+        for row, packet in zip(self._arrived, packets, strict=False):
+            row[:2], row[2:] = packet[:2], packet.values
+        return len(packets)
+
+    def in_library(self, state: Any) -> NativeTelemetryState | None:
+        """Return any state as the library's, room for one if it is ``None``; ``None`` if that has no room."""
+        if state is None:
+            return self.empty()
+        return state if isinstance(state, NativeTelemetryState) else self.pack(state)
+
     def hardware(self, state: Any) -> Hardware:
         """Return the present state of IMU and encoders."""
         if type(state) is not NativeTelemetryState:
@@ -154,10 +166,11 @@ class NativeTelemetry(Telemetry):
         if type(state) is not NativeTelemetryState:
             return super().with_hardware(state, hardware)
         after = NativeTelemetryState(state.record.copy())
-        self._put(after, hardware)
+        self.put(after, hardware)
         return after
 
-    def _put(self, state: NativeTelemetryState, hardware: Hardware) -> None:
+    def put(self, state: NativeTelemetryState, hardware: Hardware) -> None:
+        """Go on with another IMU and other encoders, in place."""
         state.record["bias"], matrix = hardware.imu
         if self._skewed:
             state.record["matrix"] = matrix
@@ -169,7 +182,7 @@ class NativeTelemetry(Telemetry):
         if len(under_way) > self._room:
             return None
         native = self.empty()
-        self._put(native, Hardware(computer.imu, computer.encoders))
+        self.put(native, Hardware(computer.imu, computer.encoders))
         record = native.record
         record["up"], record["gyroscope_bias"] = computer.attitude
         record["position"], record["velocity"] = computer.position, computer.velocity

@@ -10,7 +10,7 @@ from _native_filters import Log, same_estimate
 from _synthetic import LAYOUT, MASS
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference
-from surefoot.calibration.native import NativeState, native_filter
+from surefoot.calibration.native import native_filter
 from surefoot.native import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -45,7 +45,6 @@ def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path)
     for k in range(400):
         for calibrator in calibrators:
             calibrator.update(log.force[k], log.row(k))
-    assert isinstance(by_library.held, NativeState)
     kept = by_library.state
     by_library.save(tmp_path / "feet.npz")
     others = [copy.deepcopy(by_library), pickle.loads(pickle.dumps(by_library)), *calibrators]
@@ -68,18 +67,26 @@ def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path)
     assert by_library.state is None
 
 
-def test_a_calibrator_goes_on_in_python_where_it_must(calibrators):
+def test_samples_of_other_numbers_are_taken_in_by_python_and_the_state_stays_in_the_library(calibrators):
     log = Log("cells")
+    for k, dt in enumerate((0.0125, 1, 0.0125)):  # a whole number of seconds as well
+        estimates = [calibrator.update(log.force[k], log.row(k), dt) for calibrator in calibrators]
+        same_estimate(*estimates)
     by_library, _ = calibrators
-    by_library.update(log.force[0], log.row(0))
-    by_library.update(log.force[1], log.row(1), 1)  # a whole number of seconds
-    assert not isinstance(by_library.held, NativeState)
-    by_library.update(log.force[2], log.row(2))
-    assert isinstance(by_library.held, NativeState)
+    assert by_library.native()[1] is by_library.native()[1]
     assert by_library.state.waiting == 0
     by_library.reset()
     single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.row(0)))
     assert by_library.update(log.force[0], single).force.dtype == np.float64
+    assert by_library.update(log.force[1], log.row(1)).force.dtype == np.float64
+
+
+def test_a_state_of_another_robot_is_refused(calibrators):
+    by_library, _ = calibrators
+    other = FootCalibrator(LAYOUT, "tare", mass=MASS, lag=1)
+    other.update(np.zeros(8), Log("cells").row(0))
+    with pytest.raises(ValueError, match="A MomentState of a robot of 8 channels cannot go on from"):
+        by_library.state = other.state
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ import surefoot  # noqa: F401
 from surefoot.envs import Truth
 from surefoot.native import compiler
 from surefoot.robot import RobotSensors
-from surefoot.robot.sensing import sensors
+from surefoot.robot.sensing.native import NativeSensing
+from surefoot.robot.sensing.python import PythonSensing
 from surefoot.sensors import Fault, LoadCells, Wire
 from surefoot.sensors.native import NATIVE, installed
 from surefoot.sensors.randomness import Stream
@@ -65,7 +66,7 @@ def same(one: FootSensors, other: FootSensors) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_episodes_are_the_same(case: str) -> None:
-    """The library's robot is pickled on the way, and Python goes on for a step with the library's state."""
+    """The library's robot is pickled on the way, and Python goes on with its state until the next reset."""
     without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
 
     def made() -> FootSensors:
@@ -81,8 +82,8 @@ def test_episodes_are_the_same(case: str) -> None:
         with without:
             expected, _ = python.reset(seed=seed, options=options)
         for k in range(STEPS):
-            assert (library.robot.sensing is None) == (k == 11)
-            assert python.robot.sensing is None
+            assert isinstance(library.robot.backend, NativeSensing) == (k <= 10)
+            assert isinstance(python.robot.backend, PythonSensing)
             for part, shown in found.items():
                 np.testing.assert_allclose(shown, expected[part], rtol=1e-6, atol=1e-6, err_msg=part)
             same(library, python)
@@ -90,11 +91,9 @@ def test_episodes_are_the_same(case: str) -> None:
                 library.robot = pickle.loads(pickle.dumps(copy.deepcopy(library.robot)))
             action = rng.uniform(-0.2, 0.2, library.action_space.shape).astype(np.float32)
             if k == 10:
-                library.robot._leave_library()
-                with patch.object(sensors, "native_sensing", lambda *_: None):
-                    found, *_ = library.step(action)
-            else:
-                found, *_ = library.step(action)
+                library.robot._backend = library.robot.backend.python()
+                library.robot._chosen_for = None
+            found, *_ = library.step(action)
             with without:
                 expected, *_ = python.step(action)
 
@@ -107,7 +106,7 @@ def test_what_has_no_room_is_read_by_python(options: dict[str, Any]) -> None:
     env.reset(seed=0)
     for _ in range(3):
         env.step(np.zeros(env.action_space.shape, np.float32))
-    assert env.robot.sensing is None
+    assert isinstance(env.robot.backend, PythonSensing)
 
 
 @pytest.mark.parametrize("anew", ["reset", "copied"])
@@ -119,14 +118,14 @@ def test_a_step_of_other_substeps_than_telemetry_has_room_for_is_read_by_python(
     other = Truth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.channels)
     robot = RobotSensors(env.robot.equipment, listening=True)
     robot.reset(truth, dt, seed=0)
-    assert robot.sensing is not None
+    assert isinstance(robot.backend, NativeSensing)
     if anew == "reset":
         robot.reset(other, dt)
     else:
         robot.step(truth)
         robot = pickle.loads(pickle.dumps(robot))
     robot.step(other)
-    assert robot.sensing is None
+    assert isinstance(robot.backend, PythonSensing)
     joints = other.joint_position[-1]
     np.testing.assert_allclose(robot.packets[-1].values[: len(joints)], joints, atol=0.05)
 
@@ -144,12 +143,13 @@ def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> Non
         for _ in range(30):
             observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
             states.append(observation["state"])
-        kind = type(env.robot._telemetry_state)
-        assert (env.robot.sensing is not None) == (found is not None)
+        backend = env.robot.backend
+        kind = type(backend.telemetry_state)
+        assert isinstance(backend, NativeSensing) == (found is not None)
         seen.append(np.array(states))
         seen.append([packet.values for packet in copy.deepcopy(env).packets])
         for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
-            telemetry, state, rng = twin((env.telemetry, env.robot._telemetry_state, Stream.of(5)))
+            telemetry, state, rng = twin((env.telemetry, backend.telemetry_state, Stream.of(5)))
             assert type(state) is kind
             packets, _ = telemetry.advance(*rows, 31 / 80, state, rng)
             seen.append([packet.values for packet in packets])

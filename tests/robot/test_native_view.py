@@ -21,7 +21,7 @@ from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.foot_view import ALL, CERTAINTY, DETERMINED, EACH, PARTS, FootView
-from surefoot.robot.native import view_dtype, view_record
+from surefoot.robot.native import NativeSample, view_dtype, view_record
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 SHOWN = tuple(part for part in PARTS if part not in DETERMINED)
@@ -54,7 +54,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, metho
                 before, as_it_was = rows[-1], copy.deepcopy(rows[-1])
                 env.freeze()
             rows.append(env.step(action))
-            assert (env.robot._native is not None) == (found is not None)
+            assert isinstance(env.robot.backend, NativeSample) == (found is not None)
         np.testing.assert_array_equal(env.reference.com, nothing(2).com)
         np.testing.assert_equal(before, as_it_was, "what was handed out stays as it is")
         said.append(rows)
@@ -83,7 +83,7 @@ def test_a_copy_goes_on_in_the_library_of_its_calibrator(make_bare):
         seen = [env.step(np.zeros(env.action_space.shape, np.float32))[0] for env in (one, two)]
         np.testing.assert_equal(*seen)
     assert two.beliefs.library is two.calibrator.library is rooms()[0]
-    assert two.robot._native is not None
+    assert isinstance(two.robot.backend, NativeSample)
 
 
 class Estimates:

@@ -16,6 +16,7 @@ from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.strapdown import touching
+from surefoot.robot.native import NativeSample
 from surefoot.sensors import preset, sized
 from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
@@ -149,7 +150,7 @@ def test_the_library_does_all_of_it_as_python_does(config: Any, monkeypatch: pyt
         env.reset(seed=2)
         seen.append([env.step(trot(env, step))[0] for step in range(40)])
         assert isinstance(env.beliefs, NativeBeliefs) == native
-        assert (env.robot.by_library() is not None) == native
+        assert isinstance(env.robot.backend, NativeSample) == native
         assert (env.env.robot.packet_rows() is not None) == native
         env.close()
     for one, two in zip(*seen, strict=True):

@@ -1,12 +1,18 @@
 """Robots whose sensors are as bad as chance or a curriculum says: what is drawn, kept, set and told."""
 
+import copy
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 import surefoot  # noqa: F401
+from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.native.threads import LEAST
+from surefoot.robot.native import NativeSample
+from surefoot.robot.sensing.native import NativeSensing
 from surefoot.sensors.faults.channels import KINDS
+from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, TruthRow, VectorFootSensors, VectorSelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)
@@ -154,3 +160,33 @@ def test_the_number_of_threads_changes_nothing():
     for one, other in zip(*seen, strict=True):
         for name, part in one.items():
             np.testing.assert_array_equal(part, other[name], err_msg=name)
+
+
+@pytest.mark.skipif(not (SENSORS.installed() and CALIBRATION.installed()), reason="needs the libraries")
+def test_who_reads_and_calibrates_stays_over_steps_resets_files_and_copies(tmp_path):
+    feet = robots(2, severity=(0.0, 2.0))
+    env = VectorSelfCalibration(feet)
+
+    def step(env):
+        return env.step(np.zeros(env.action_space.shape, np.float32))[0]["foot_force"]
+
+    def backends(env):
+        return [robot.backend for robot in (*env.env.sensors.robots, *env.calibration.robots)]
+
+    env.reset(seed=1)
+    chosen, severities = backends(env), [robot.condition.severity for robot in feet.sensors.robots]
+    step(env)
+    env.reset()
+    step(env)
+    assert backends(env) == chosen
+    feet.save(tmp_path / "feet.npz")
+    env.save(tmp_path / "learnt.npz")
+    env.reset(seed=2)
+    feet.load(tmp_path / "feet.npz")
+    env.load(tmp_path / "learnt.npz")
+    assert [robot.condition.severity for robot in feet.sensors.robots] == severities
+    other = copy.deepcopy(env)
+    np.testing.assert_array_equal(step(other), step(env))
+    for now in (env, other):
+        assert list(map(type, backends(now))) == 2 * [NativeSensing] + 2 * [NativeSample]
+        assert not set(backends(now)) & set(chosen)

@@ -62,9 +62,9 @@ def test_an_imu_and_encoders_keep_their_biases(make_bare) -> None:
     env = SelfCalibration(FootSensors(make_bare(STAND)))
     env.reset(seed=3)
     steps(env, 5)
-    before = env.env.telemetry.hardware(env.env.robot._telemetry_state)
+    before = env.env.robot.hardware().telemetry
     env.reset()
-    after = env.env.telemetry.hardware(env.env.robot._telemetry_state)
+    after = env.env.robot.hardware().telemetry
     np.testing.assert_allclose(after.imu.bias, before.imu.bias, atol=2e-3)
     assert np.abs(after.imu.bias).max() > 0.01
 

@@ -195,14 +195,14 @@ class SelfCalibrationModule(BatchModule):
         self._kernel = kernel("calibration", _HEADERS, body, fits, tuple(sizes.items()), False)
         library = self._kernel.library
         constants = constants_of(library, self.method, self.setup, options)
-        native = None if constants is None else NativeFilter(library, constants)
-        fresh = None if constants is None or native is None else native.pack(constants.like)
-        if constants is None or native is None or fresh is None:
+        if constants is None:
             raise ValueError(
                 f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
                 f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
-        self._config, self._fresh = self._record(constants.config), self._record(fresh.record)
+        native = NativeFilter(library, constants)
+        fresh = native.pack(constants.like).record
+        self._config, self._fresh = self._record(constants.config), self._record(fresh)
         self._own = self._config if constants.own is None else self._record(constants.own)
         # Nothing is remembered in what they work in: robots that wait for a thread share it.
         self._workers = min(num_envs, threads_at_once(self.device))
@@ -217,7 +217,7 @@ class SelfCalibrationModule(BatchModule):
             "waiting", torch.zeros(num_envs, dtype=torch.int32, device=self.device)
         )
         self._kinds = {kind: record.dtype for kind, record in given.items()}
-        self._layouts = fresh.record.dtype, native.estimate.now.dtype
+        self._layouts = fresh.dtype, native.estimate.now.dtype
         self._view()
         self._covariance = constants.covariance
         certain = constants.covariance is not None

@@ -1,7 +1,6 @@
 """Calibrates the feet of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
 from os import PathLike
 from typing import Any
 
@@ -11,13 +10,10 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
-from surefoot.robot.native import KNOWN, STANDING, ManySamples, Samples
+from surefoot.robot.native import KNOWN, STANDING, ManySamples, NativeSample, Samples
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
-
-_PARTS = attrgetter("beliefs", "beliefs.model.revision", "calibrator.held")
-"""Parts of a robot that its samples go on with."""
 
 
 class BatchCalibration:
@@ -105,6 +101,7 @@ class BatchCalibration:
             ValueError: If the file is of other or of more robots, other sensors, another method or lag.
         """
         load_learnt(path, self.robots)
+        self._gather()
 
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
         """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
@@ -112,11 +109,12 @@ class BatchCalibration:
             robot = self.robots[i]
             self._judged = self._judged or robot.judge()
             robot.reset(seeds[i], choice)
+        self._gather()
 
     def _sample(self, which: NDArray[np.intp]) -> None:
         """Take in one sample of some robots."""
         sensors, count = self._sensors, len(self.robots)
-        readers, natives = sensors.together, self._gather()
+        readers, natives = sensors.together, self._together or self._gather()
         # What was shown of a robot that has other records since then stands in `shown` alone.
         if readers and natives and (len(which) == count or natives.sampled.all()):
             robots, now = [self.robots[i] for i in which.tolist()], sensors.time[which]
@@ -135,10 +133,10 @@ class BatchCalibration:
 
     def _gather(self) -> ManySamples | None:
         """Return the library for samples of all robots; ``None`` where Python does any of them."""
-        if self._together is None or self._together.parts != list(map(_PARTS, self.robots)):
-            natives = [own for robot in self.robots if (own := robot.by_library())]
-            parts = list(map(_PARTS, self.robots))
-            self._together = ManySamples(natives, parts) if len(natives) == len(parts) else None
+        backends = [robot.backend for robot in self.robots if robot.made]
+        if self._together is None or self._together.robots != backends:
+            natives = [one for one in backends if isinstance(one, NativeSample)]
+            self._together = ManySamples(natives) if len(natives) == len(self.robots) else None
         return self._together
 
 

@@ -16,7 +16,7 @@ from surefoot.native import cores
 from surefoot.robot.sensing.condition import Faults
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment
-from surefoot.robot.sensing.native import ManySensing
+from surefoot.robot.sensing.native import ManySensing, NativeSensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
@@ -73,7 +73,7 @@ class BatchSensors:
         listeners: Who takes in their readings.
         threads: How many threads sensors and calibrators may use, all cores by default.
         time: The hosts' times since their resets in s, shape (N,).
-        together: The library's reader of all robots; ``None`` where it has not read the last step of each.
+        together: The library's reader of all robots; ``None`` where Python reads any of them.
 
     Raises:
         TypeError: If copies have no row of truth, or show readings already.
@@ -261,6 +261,7 @@ class BatchSensors:
             ValueError: If the file is of other or of more robots, or of other sensors.
         """
         load_hardware(path, self.robots)
+        self._gather()
 
     def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
@@ -287,7 +288,7 @@ class BatchSensors:
         Returns:
             Robots that are left to read, shape (N,).
         """
-        together, left = self._gather(), np.ones(len(steps), dtype=bool)
+        together, left = self.together, np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
             which, dt = np.flatnonzero(steps), self._meaning.dt
             read = together.step(which, truth, self.time[which] + dt, self.threads)
@@ -295,14 +296,14 @@ class BatchSensors:
             left[read] = False
         return left
 
-    def _gather(self, alone: Sequence[int] = ()) -> ManySensing | None:
-        """Return the library's reader of all robots, after some were read alone."""
-        readers = [robot.sensing for robot in self.robots]
+    def _gather(self, alone: Sequence[int] = ()) -> None:
+        """Gather the library's readers of all robots, after some were read alone or have others."""
+        readers = [robot.backend for robot in self.robots]
         if self.together is None or self.together.robots != readers:
-            self.together = ManySensing([one for one in readers if one]) if None not in readers else None
-        elif alone:
+            native = [one for one in readers if isinstance(one, NativeSensing)]
+            self.together = ManySensing(native) if len(native) == len(readers) else None
+        else:
             self.together.count_packets(alone)
-        return self.together
 
     def _put_side_by_side(self) -> None:
         """Keep what hosts have of their sensors in arrays with the robots in front."""

@@ -1,0 +1,80 @@
+"""All of one sample of one robot by Python, which is the specification of :mod:`surefoot.robot.native`."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import FootCalibrator
+from surefoot.calibration.estimate import Estimate
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
+from surefoot.robot.beliefs.native import NativeBeliefs
+from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.foot_view import DETERMINED, FootView
+from surefoot.robot.sensing.sensors import RobotSensors
+
+AnyBeliefs = Beliefs | MomentumBeliefs | NativeBeliefs
+
+Told = tuple[dict[str, NDArray[Any]], dict[str, Any]]
+"""What is shown of a sample, and the ``info`` of its estimate, in fresh arrays."""
+
+
+class PythonSample:
+    """The specification.
+
+    Args:
+        beliefs: The robot's.
+        calibrator: Its calibrator.
+        view: The view of its feet.
+
+    Attributes:
+        sampled: Whether it has taken in any sample.
+    """
+
+    def __init__(self, beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> None:
+        self._beliefs, self._calibrator, self._view = beliefs, calibrator, view
+        self._estimate: Estimate
+        self.sampled = False
+
+    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
+        """Take in the packets that have arrived and one sample; a fall takes back the latest learning.
+
+        Args:
+            sensors: The robot's sensors, which have read the sample.
+            then: The moment that its reference describes, in s of the host's clock since the reset.
+            command: The robot's command to itself, if any.
+            hold: Whether nothing is learnt of it.
+        """
+        beliefs = self._beliefs
+        if believe(beliefs, sensors, then, command, hold):
+            self._calibrator.retract()
+        self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
+        self.sampled = True
+        shown = self._view.show(estimate, np.asarray(beliefs.soles(sensors.time)))
+        return shown, info_of(estimate, beliefs.info())
+
+    def estimate(self) -> Estimate:
+        """Return the last estimate."""
+        return self._estimate
+
+
+def believe(beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool) -> bool:
+    """Find the reference of one sample; return whether the robot has just fallen.
+
+    Arguments are those of :meth:`PythonSample.sample`.
+    """
+    beliefs.update(sensors.packets)
+    return beliefs.sample(then, command, hold)
+
+
+def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
+    """Return the ``info`` of an estimate, which may hold arrays of the one before, as copies."""
+    told = {
+        "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
+        "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
+        "flags": estimate.flags.copy(),
+        "vgrf": estimate.vgrf.copy(),
+        "reference": reference,
+    }
+    shares = {name: getattr(estimate, name) for name in DETERMINED}
+    return told | {name: share.copy() for name, share in shares.items() if share is not None}

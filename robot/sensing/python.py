@@ -1,0 +1,161 @@
+"""All sensors of one robot by Python, which is the specification of :mod:`surefoot.robot.sensing.native`."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot.sensing.equipment import Fitted
+from surefoot.robot.sensing.instruments import InstrumentsState
+from surefoot.robot.sensing.raw_view import RawView
+from surefoot.sensors.randomness import Stream
+from surefoot.sensors.telemetry.computer import Telemetry
+from surefoot.sensors.transport.link import Packets
+
+Seen = tuple[NDArray[np.float64], dict[str, Any]]
+"""A reading in counts, shape (K,), and the observation, in fresh arrays; without a view the next one
+overwrites the reading, and the observation is empty."""
+
+
+class HardwareState(NamedTuple):
+    """State that stays as it is while the power is on, whatever happens to the robot.
+
+    Attributes:
+        instruments: The instruments under the feet.
+        faults: Its faults, or ``()``; of faults by chance as well, which last for an episode.
+        telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
+            where nobody listens.
+        severity: Factor of its errors, or ``None`` where it is the same for all robots.
+    """
+
+    instruments: InstrumentsState
+    faults: Any
+    telemetry: Any
+    severity: float | None = None
+
+
+class PythonSensing:
+    """The specification. It takes a control step of any number of substeps.
+
+    Args:
+        fitted: The instruments under the feet.
+        telemetry: The telemetry; ``None`` where nobody listens.
+        dt: Duration of a control step in s.
+        kept: Where the newest packet's values and the counts that are held lie.
+        view: The view, if an observation is put together.
+
+    Attributes:
+        fitted: The same, as all of these.
+        places: Where the library finds loads (:class:`~surefoot.robot.sensing.native.Places`);
+            ``None`` if it does not.
+        state: The hardware; telemetry's part as it was taken.
+        telemetry_state: The telemetry's state; ``None`` before an episode.
+        streams: Where chance comes from, by the names of devices.
+        arrived: The packets of the last step.
+    """
+
+    state: HardwareState
+    telemetry_state: Any
+    streams: Mapping[str, Stream]
+
+    def __init__(
+        self,
+        fitted: Fitted,
+        telemetry: Telemetry | None,
+        dt: float,
+        kept: tuple[NDArray[np.float64], NDArray[np.float32]],
+        view: RawView | None,
+    ) -> None:
+        self.fitted, self.telemetry, self.dt, self.kept, self.view = fitted, telemetry, dt, kept, view
+        self.telemetry_state, self.streams = None, {}
+        self.arrived: Packets = ()
+        self.places: Any = None
+
+    def take(self, hardware: HardwareState) -> None:
+        """Go on with other hardware; IMU and encoders stay where it has none."""
+        self.state = hardware
+        if self.telemetry and self.telemetry_state is not None and hardware.telemetry is not None:
+            self.telemetry_state = self.telemetry.with_hardware(self.telemetry_state, hardware.telemetry)
+
+    def hardware(self) -> HardwareState:
+        """Return the present hardware, as a copy."""
+        if self.telemetry is None or self.telemetry_state is None:
+            return self.state
+        return self.state._replace(telemetry=self.telemetry.hardware(self.telemetry_state))
+
+    def draw_from(self, streams: Mapping[str, Stream]) -> None:
+        """Let chance come from other streams, by the names of devices."""
+        self.streams = streams
+
+    def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
+        """Keep the newest packet's values and the counts that are held in other arrays from here on."""
+        self.kept = newest, held
+
+    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
+        """Start an episode: read every chip and the link under the first load.
+
+        Args:
+            truth: In which it starts.
+            at_rest: The IMU's input before it, shape (6,).
+            fresh: Whether IMU and encoders are drawn.
+            observation: The environment's observation, where there is a view.
+        """
+        instruments, (under_feet, *_) = self.fitted.instruments, self.state
+        self.state = self.state._replace(instruments=instruments.with_load(truth, under_feet))
+        first, *more = instruments.first_steps(self.dt)
+        raw = self._read(truth, first)
+        for dt in more:
+            raw = self._read(truth, dt)
+        if self.telemetry is not None:
+            self.arrived, self.telemetry_state = self.telemetry.init(
+                truth.joint_position[-1].copy(),
+                at_rest,
+                self.streams["telemetry"],
+                None if fresh else self.hardware().telemetry,
+            )
+        return self._show(raw, observation)
+
+    def step(self, truth: Any, time: float, observation: Any) -> Seen:
+        """Read a control step.
+
+        Args:
+            truth: The control step.
+            time: The host's at its end in s.
+            observation: The environment's observation, where there is a view.
+        """
+        raw = self._read(truth, self.dt)
+        if self.telemetry is not None:
+            self.arrived, self.telemetry_state = self.telemetry.advance(
+                truth.joint_position, truth.inertial, time, self.telemetry_state, self.streams["telemetry"]
+            )
+        return self._show(raw, observation)
+
+    def packets(self) -> Packets:
+        """Return telemetry that arrived during the last step, in order."""
+        return self.arrived
+
+    def packet_rows(self) -> None:
+        """Return ``None``: the library alone has rows of packets."""
+
+    def python(self) -> "PythonSensing":
+        """Return the reader in Python that goes on from here: this."""
+        return self
+
+    def _read(self, truth: Any, dt: float) -> NDArray[np.float64]:
+        """Read the feet."""
+        fitted, (instruments, faults, *_) = self.fitted, self.state
+        raw, instruments = fitted.instruments.read(truth, instruments, self.streams, dt)
+        if fitted.broken is not None:
+            raw, faults = fitted.broken.apply(raw, faults, self.streams["faults"], dt)
+        self.state = self.state._replace(instruments=instruments, faults=faults)
+        return raw
+
+    def _show(self, raw: NDArray[np.float64], observation: Any) -> Seen:
+        """Keep the readings that have arrived, and show them."""
+        newest, held = self.kept
+        arrived = ~np.isnan(raw)
+        held[arrived] = raw[arrived]
+        if self.arrived:
+            newest[:] = self.arrived[-1].values
+        return raw, {} if self.view is None else self.view.show(observation, held, newest)
