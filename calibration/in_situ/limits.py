@@ -30,7 +30,9 @@ class Limit(float):
 # At the door: channels, masses, gravity.
 SAMPLES = Limit(4, "samples", "a mean and three slopes of gravity")
 REPEATED = Limit(0.03, "share of samples", "chosen: six channels with noise seldom read the same twice")
-HELD = Limit(0.05, "share of a channel's spread", "sound 0; an accelerometer that is held for 1 s 0.1")
+HELD = Limit(0.05, "share of the spread", "sound 0; an accelerometer that is held for 1 s 0.07")
+STUCK = Limit(0.5, "share of the spread", "sound 0.25, poses that settle; an accelerometer that hangs 0.98")
+CAME = Limit(0.67, "share of gravity's jump", "rounded gravity 1/2, held for n samples 1 - 1/n")
 SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs end in 0.03 and more")
 TIES = Limit(5, "samples", "equal readings at an end; chosen")
 TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
