@@ -26,8 +26,8 @@ _UNITS = {
 }
 """Likely units of gravity vectors of these lengths."""
 
-_NEXT, _ROUNDED = 20, 5e-3
-"""Values next to an end that are counted, and the share of a spread that rounding may be off by."""
+_NEXT = 20
+"""Values next to an end that are counted."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
 """Reason in the message."""
@@ -256,7 +256,10 @@ def _check_ends(
         # How far held samples should read beyond their end, against the deviation of the others.
         left = values - columns @ np.linalg.lstsq(columns[others], values[others], rcond=None)[0]
         beyond = -sign * float(np.mean(left[whole & held]))
-        if beyond > max(np.std(left[others]) + ends[-1] - ends[-2], _ROUNDED * (ends[-1] - ends[0])):
+        # Where all stays, rounding is off by one and the same amount in all samples.
+        apart = len(np.unique(beside[whole & held], axis=0))
+        deviations = max(1.0, limits.ROUNDED / np.sqrt(apart))
+        if beyond > deviations * np.std(left[others]) + ends[-1] - ends[-2]:
             reason = (
                 f"'{data.name}': {what} is clipped: {times[-1]} samples read exactly {sign * ends[-1]:g}"
                 f"{_span(data, held)}, none reads beyond, and the limb went on turning."

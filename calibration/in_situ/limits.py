@@ -36,6 +36,7 @@ CAME = Limit(0.67, "share of gravity's jump", "rounded gravity 1/2, held for n s
 SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs end in 0.03 and more")
 TIES = Limit(5, "samples", "equal readings at an end; chosen")
 TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
+ROUNDED = Limit(4.0, "deviations", "a sum of six rounded values is off by 4.2 at most")
 HEAVIEST = Limit(100.0, "kg", "nobody hangs more on a limb; 0.1 kg in grams")
 FARTHEST = Limit(5.0, "m", "no limb is longer; 5 mm in mm")
 SHORTEST_GRAVITY = Limit(8.8, "m/s^2", "9.78 less a bias of 1")
