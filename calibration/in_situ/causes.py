@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import orthonormal
+from surefoot.calibration.arrays import of_unit_length, orthonormal
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
 from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.compress import change_signals, motion_of
+from surefoot.calibration.in_situ.compress import SetRows, change_signals, motion_of
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
@@ -42,7 +42,6 @@ from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
     Solution,
     beside_channels,
-    deviance,
     minima,
     solve,
 )
@@ -71,6 +70,9 @@ _GLANCE = 8
 
 _DELAYS = np.geomspace(0.03, 6.0, 24)
 """Delays in s between the IMU and the readings, either way, and time constants of filters."""
+
+_ROUNDING = 1e-9
+"""Share of the largest mixture of channels at or below which another is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -188,22 +190,48 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     rows = sum(part.rows for part in evidence.problem.sets)
     # The best of n alternatives gains 2 log n by chance.
     penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
-    scores = np.array([_deviance(cause.solution) for cause in tried]) + penalties
+    channels = _independent_channels([part.source for part in evidence.problem.sets])
+    scores = np.array([_deviance(cause.solution, channels) for cause in tried]) + penalties
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     order = np.argsort(scores)
     return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _deviance(solution: Solution) -> float:
-    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves."""
+def _independent_channels(rows: Sequence[SetRows]) -> Matrix:
+    """Return mixtures of channels of which none follows from the others, shape (k, q).
+
+    Readings have variance one in each channel before they are mixed.
+    """
+    centred = []
+    for one in rows:
+        readings, constant = one.columns[:, 1 + one.inputs :], one.columns[:, :1]
+        constant = constant / np.linalg.norm(constant)
+        centred.append(readings - constant @ (constant.T @ readings))
+    unit, size = of_unit_length(np.concatenate(centred))
+    _, singular, mixtures = np.linalg.svd(unit, full_matrices=False)
+    std = size / np.sqrt(sum(float(np.sum(one.weight**2)) for one in rows))
+    return np.asarray(mixtures[singular > _ROUNDING * singular[0]].T / std[:, None])
+
+
+def _deviance(solution: Solution, channels: Matrix) -> float:
+    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
+
+    Args:
+        solution: The fit.
+        channels: Mixtures of channels of which none follows from the others, shape (k, q).
+    """
     spectra, rows = [], [part.source for part in solution.problem.sets]
     for one, B in zip(rows, solution.predicted, strict=True):
         weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
-        left, constant = readings - u @ B.T, weight / np.linalg.norm(weight)
+        left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
         spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
     value = likeliest_colour(spectra, motion_of(rows), rows[0].walks)[1]
-    return value if np.isfinite(value) else deviance(solution)
+    if np.isfinite(value):
+        return value
+    # Few rows show no colour.
+    modes = np.concatenate([one.modes for one in spectra])
+    return len(modes) * float(np.linalg.slogdet(modes.T @ modes)[1])
 
 
 # Events within a set: signals that act on its readings.
@@ -300,7 +328,7 @@ def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: b
     basis, _ = orthonormal(np.column_stack([constant, np.linspace(-1.0, 1.0, len(rows)), u]), 1e-9)
     raw = data.raw[rows]
     residual = raw - basis @ (basis.T @ raw)
-    white = np.linalg.cholesky(np.linalg.pinv(residual.T @ residual / len(rows), hermitian=True))
+    white, _ = orthonormal(residual, _ROUNDING)
     acts = np.column_stack([constant, u[:, DIRECT]]) if loads else constant
     gains = []
     for first, last in spans:
@@ -308,7 +336,7 @@ def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: b
         z = columns - basis @ (basis.T @ columns)
         seen = np.sum(z**2, axis=0) > 1e-9 * np.maximum(np.sum(columns**2, axis=0), 1e-300)
         along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
-        gains.append(float(np.sum((along.T @ residual @ white) ** 2)))
+        gains.append(len(rows) * float(np.sum((along.T @ white) ** 2)))
     return np.array(gains)
 
 

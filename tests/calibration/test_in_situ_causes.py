@@ -206,3 +206,11 @@ def test_a_turned_imu_that_moves_is_named(slower):
     ]
     with pytest.raises(CalibrationRefused, match=r"Likeliest: the IMU is turned by 1[01] degrees"):
         calibrate_in_situ(turned)
+
+
+def test_a_channel_that_follows_from_others_hides_no_cause():
+    sets = leg_sets()
+    sets = [sets[0], with_raw(sets[1], leap), *sets[2:]]
+    wide = [replace(one, raw=np.column_stack([one.raw, one.raw[:, 0] + one.raw[:, 1]])) for one in sets]
+    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35.0 s"):
+        calibrate_in_situ(wide)
