@@ -40,6 +40,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
+    CONVERGED,
     Solution,
     beside_channels,
     minima,
@@ -217,6 +218,8 @@ def _independent_channels(rows: Sequence[SetRows]) -> Matrix:
 def _deviance(solution: Solution, channels: Matrix) -> float:
     """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
 
+    Noise counts as at least the error of a search: without noise any cause would fit to some rounding.
+
     Args:
         solution: The fit.
         channels: Mixtures of channels of which none follows from the others, shape (k, q).
@@ -226,12 +229,13 @@ def _deviance(solution: Solution, channels: Matrix) -> float:
         weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
         left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
         spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
-    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks)[1]
+    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks, CONVERGED**2)[1]
     if np.isfinite(value):
         return value
     # Few rows show no colour.
     modes = np.concatenate([one.modes for one in spectra])
-    return len(modes) * float(np.linalg.slogdet(modes.T @ modes)[1])
+    scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
+    return len(modes) * float(np.linalg.slogdet(scatter)[1])
 
 
 # Events within a set: signals that act on its readings.

@@ -212,5 +212,13 @@ def test_a_channel_that_follows_from_others_hides_no_cause():
     sets = leg_sets()
     sets = [sets[0], with_raw(sets[1], leap), *sets[2:]]
     wide = [replace(one, raw=np.column_stack([one.raw, one.raw[:, 0] + one.raw[:, 1]])) for one in sets]
-    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35.0 s"):
+    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
         calibrate_in_situ(wide)
+
+
+def test_a_log_without_noise_names_its_cause():
+    sets, _ = noisy_sets("leg", np.random.default_rng(0), noise=0.0)
+    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
+        calibrate_in_situ([sets[0], with_raw(sets[1], leap), *sets[2:]])
+    with pytest.raises(CalibrationRefused, match=r"Likeliest: the added mass of 'data set 3' is 0\.703 kg"):
+        calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
