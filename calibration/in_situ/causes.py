@@ -218,7 +218,8 @@ def _independent_channels(rows: Sequence[SetRows]) -> Matrix:
 def _deviance(solution: Solution, channels: Matrix) -> float:
     """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
 
-    Noise counts as at least the error of a search: without noise any cause would fit to some rounding.
+    The priors that the fit has, such as a maker's, count as well: they hold a cause back that needs a sensor
+    that is far off. Noise counts as at least the error of a search: without noise any cause would fit to some rounding.
 
     Args:
         solution: The fit.
@@ -230,12 +231,13 @@ def _deviance(solution: Solution, channels: Matrix) -> float:
         left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
         spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
     value = likeliest_colour(spectra, motion_of(rows), rows[0].walks, CONVERGED**2)[1]
-    if np.isfinite(value):
-        return value
-    # Few rows show no colour.
-    modes = np.concatenate([one.modes for one in spectra])
-    scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
-    return len(modes) * float(np.linalg.slogdet(scatter)[1])
+    if not np.isfinite(value):
+        # Few rows show no colour.
+        modes = np.concatenate([one.modes for one in spectra])
+        scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
+        value = len(modes) * float(np.linalg.slogdet(scatter)[1])
+    value += solution.prior_square
+    return value if np.isfinite(value) else np.inf
 
 
 # Events within a set: signals that act on its readings.

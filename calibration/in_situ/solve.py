@@ -69,6 +69,11 @@ class Solution:
         return self.outer[: self.problem.parameters]
 
     @property
+    def prior_square(self) -> float:
+        """Sum of the squared rows of the priors."""
+        return 2.0 * self.cost - float(np.sum(self.residual**2))
+
+    @property
     def changes(self) -> Vector:
         """Sizes of the changes of the added parameters, shape (q,)."""
         return self.outer[self.problem.outer - len(self.problem.changes) :]

@@ -222,3 +222,11 @@ def test_a_log_without_noise_names_its_cause():
         calibrate_in_situ([sets[0], with_raw(sets[1], leap), *sets[2:]])
     with pytest.raises(CalibrationRefused, match=r"Likeliest: the added mass of 'data set 3' is 0\.703 kg"):
         calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
+
+
+def test_a_cause_that_needs_a_sensor_far_from_the_makers_is_held_back():
+    """Two sets leave the scale to the maker: one of 0.76 times the other's gain would fit as well."""
+    factory = MATRIX * (1.0 + 0.03 * np.random.default_rng(1).standard_normal((6, 6)))
+    first, second = leg_sets()[:2]
+    with pytest.raises(CalibrationRefused, match=r"Likeliest: the readings of 'data set 2' are 1\.300 times"):
+        calibrate_in_situ([first, replace(second, raw=1.3 * second.raw)], factory_matrix=factory)
