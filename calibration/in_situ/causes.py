@@ -170,8 +170,9 @@ def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> F
     shares: dict[str, float] = {}
     for cause, share in found:
         shares[cause.words] = shares.get(cause.words, 0.0) + share
-    named = [f"{words} ({_format_percent(share)})" for words, share in list(shares.items())[:2]]
-    cure = found[0][0].cure
+    likeliest = sorted(shares, key=lambda words: -shares[words])
+    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
+    cure = next(cause.cure for cause, _ in found if cause.words == likeliest[0])
     if drift is not None:
         cure += f" If that is not it: {symptom.cure}"
     return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
@@ -366,12 +367,12 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         "something pulls at the limb as it turns, such as a cable",
         "Let cables hang loose, or fix them.",
     )
-    for words, cure, columns, known in (
-        (bent, BENT_CURE, squares, 0),
-        (bent, BENT_CURE, cubes, 0),
-        (pulls, loose, postures, STATIC),
+    for words, cure, columns, known, choices in (
+        (bent, BENT_CURE, squares, 0, 2),
+        (bent, BENT_CURE, cubes, 0, 2),
+        (pulls, loose, postures, STATIC, 1),
     ):
-        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, 1)
+        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
     if moved and all(len(one) for one in moved):
         cure = "Give the gyroscope's readings as well, or move slowly."

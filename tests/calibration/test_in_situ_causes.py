@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 
 from surefoot.calibration.in_situ import calibrate_in_situ
 from surefoot.calibration.in_situ.calibrate import _gather_evidence
+from surefoot.calibration.in_situ.causes import _try_bending
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
@@ -230,3 +231,10 @@ def test_a_cause_that_needs_a_sensor_far_from_the_makers_is_held_back():
     first, second = leg_sets()[:2]
     with pytest.raises(CalibrationRefused, match=r"Likeliest: the readings of 'data set 2' are 1\.300 times"):
         calibrate_in_situ([first, replace(second, raw=1.3 * second.raw)], factory_matrix=factory)
+
+
+def test_a_cause_that_is_tried_in_two_ways_has_the_odds_of_one():
+    odds = {}
+    for cause in _try_bending(evidence_of(leg_sets())):
+        odds[cause.words] = odds.get(cause.words, 0.0) + 1.0 / cause.choices
+    assert set(odds.values()) == {1.0}
