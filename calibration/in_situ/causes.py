@@ -72,6 +72,9 @@ _GLANCE = 8
 _DELAYS = np.geomspace(0.03, 6.0, 24)
 """Delays in s between the IMU and the readings, either way, and time constants of filters."""
 
+_ACCURACY = 2e-3
+"""Share of a delay to which it is found: a message has three digits."""
+
 _ROUNDING = 1e-9
 """Share of the largest mixture of channels at or below which another is rounding."""
 
@@ -220,7 +223,8 @@ def _deviance(solution: Solution, channels: Matrix) -> float:
     """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
 
     The priors that the fit has, such as a maker's, count as well: they hold a cause back that needs a sensor
-    that is far off. Noise counts as at least the error of a search: without noise any cause would fit to some rounding.
+    that is far off. Noise counts as at least the error of a search: without noise any cause would fit to some
+    rounding.
 
     Args:
         solution: The fit.
@@ -283,23 +287,22 @@ def _try_events(evidence: Evidence) -> Iterator[Cause]:
     for event in _EVENTS:
         found = [_best_time(evidence, j, event) for j in range(count)]
         j = int(np.argmax([one.gain for one in found]))
-        _, first, last, choices = found[j]
+        _, first, last = found[j]
         data, name = evidence.sets[j], evidence.sets[j].name
         acts = np.column_stack([np.ones(len(data.raw)), np.nan_to_num(data.gravity)][: 1 + event.loads])
         columns = [np.zeros((len(one.raw), acts.shape[1])) for one in evidence.sets]
         columns[j][first:last] = acts[first:last]
         words = event.words.format(name=name, begin=evidence.when(j, first), end=evidence.when(j, last - 1))
         free = acts.shape[1] * channels + 1 + event.ends
-        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, choices * count)
+        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, count)
 
 
 class _Span(NamedTuple):
-    """The likeliest span of samples of an event, how much it explains, and the number of spans tried."""
+    """The likeliest span of samples of an event, and how much it explains."""
 
     gain: float
     first: int
     last: int
-    tried: int
 
 
 def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
@@ -322,7 +325,7 @@ def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
         ends = near(last, width) if event.ends else [n]
         fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
         first, last, gain = best([*fine, (first, last)])
-    return _Span(gain, first, last, len(spans))
+    return _Span(gain, first, last)
 
 
 def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: bool) -> Vector:
@@ -396,9 +399,27 @@ def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     if not evidence.timed:
         return
     for words, cure, change, values in _READINGS:
-        tried = {x: [_change(data, change, x) for data in evidence.sets] for x in values}
-        x = min(tried, key=lambda one: _share_left(tried[one]))
-        yield evidence.read_as(words.format(abs(x)), cure, tried[x], 1, len(tried))
+        x = _likeliest_size(evidence.sets, change, values)
+        sets = [_change(data, change, x) for data in evidence.sets]
+        yield evidence.read_as(words.format(abs(x)), cure, sets, int(len(values) > 1), 1)
+
+
+def _likeliest_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
+    """Return the size of a change of gravity that explains most: the best of a grid, made finer."""
+    from scipy.optimize import minimize_scalar  # Late: it takes longer to import than all the rest.
+
+    def left(x: float) -> float:
+        return _share_left([_change(data, change, x) for data in sets])
+
+    best = int(np.argmin([left(x) for x in values])) if len(values) > 1 else 0
+    near = values[max(best - 1, 0) : best + 2]
+    if len(near) == 1:
+        return near[0]
+    accuracy = _ACCURACY * abs(values[best])
+    found = minimize_scalar(
+        left, bounds=(min(near), max(near)), method="bounded", options={"xatol": accuracy}
+    )
+    return float(found.x)
 
 
 def _change(data: InSituSet, change: "_Change", x: float) -> InSituSet:
@@ -437,16 +458,16 @@ def _hold(data: InSituSet, _: float) -> InSituSet:
 _Change = Callable[[InSituSet, float], InSituSet]
 
 _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
-    ("the IMU came about {:.2g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
-    ("the readings came about {:.2g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
+    ("the IMU came about {:.3g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
+    ("the readings came about {:.3g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
     (
-        "the readings came about {:.2g} s after the IMU, as through a low-pass filter",
+        "the readings came about {:.3g} s after the IMU, as through a low-pass filter",
         _CLOCK,
         _delay,
         tuple(_DELAYS),
     ),
     (
-        "the driver takes a zero off that follows the readings within {:.2g} s",
+        "the driver takes a zero off that follows the readings within {:.3g} s",
         "Log the sensor's own readings, with no automatic zero in the driver.",
         _take_zero_off,
         tuple(10.0 * _DELAYS),
