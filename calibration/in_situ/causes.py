@@ -3,8 +3,9 @@ r"""Causes why sets contradict each other: each known cause is tried, and ranked
 A cause adds signals to the readings (a leap, a touch, a limb that bends), changes what was added (another
 mass, another place, another limb), or reads gravity in another way (a late clock, held values, turned axes).
 With each the fit is made again, on the same compressed rows. Beforehand all kinds of causes are equally
-likely, and so are the choices of one kind, such as the sets in which it may be. The evidence is Schwarz's
-(1978), so that the odds of a cause with d unknowns more, one of c choices, are
+likely, and so are the choices of one kind, such as the sets in which it may be; times and delays are
+unknowns. The evidence is Schwarz's (1978), with the priors of the fit in the likelihood L of n rows. The odds
+of a cause with d unknowns more, one of c choices, are
 
 .. math:: -2 \log p = -2 \log L + d \log n + 2 \log c,
 
