@@ -196,7 +196,7 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     rows = sum(part.rows for part in evidence.problem.sets)
     # The best of n alternatives gains 2 log n by chance.
     penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
-    channels = _independent_channels([part.source for part in evidence.problem.sets])
+    channels = _separate_channels([part.source for part in evidence.problem.sets])
     scores = np.array([_deviance(cause.solution, channels) for cause in tried]) + penalties
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
@@ -204,7 +204,7 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _independent_channels(rows: Sequence[SetRows]) -> Matrix:
+def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
     """Return mixtures of channels of which none follows from the others, shape (k, q).
 
     Readings have variance one in each channel before they are mixed.
@@ -400,26 +400,24 @@ def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     if not evidence.timed:
         return
     for words, cure, change, values in _READINGS:
-        x = _likeliest_size(evidence.sets, change, values)
+        x = _find_size(evidence.sets, change, values)
         sets = [_change(data, change, x) for data in evidence.sets]
         yield evidence.read_as(words.format(abs(x)), cure, sets, int(len(values) > 1), 1)
 
 
-def _likeliest_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
+def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
     """Return the size of a change of gravity that explains most: the best of a grid, made finer."""
     from scipy.optimize import minimize_scalar  # Late: it takes longer to import than all the rest.
 
-    def left(x: float) -> float:
+    def measure(x: float) -> float:
         return _share_left([_change(data, change, x) for data in sets])
 
-    best = int(np.argmin([left(x) for x in values])) if len(values) > 1 else 0
+    best = int(np.argmin([measure(x) for x in values])) if len(values) > 1 else 0
     near = values[max(best - 1, 0) : best + 2]
     if len(near) == 1:
         return near[0]
-    accuracy = _ACCURACY * abs(values[best])
-    found = minimize_scalar(
-        left, bounds=(min(near), max(near)), method="bounded", options={"xatol": accuracy}
-    )
+    options = {"xatol": _ACCURACY * abs(values[best])}
+    found = minimize_scalar(measure, bounds=(min(near), max(near)), method="bounded", options=options)
     return float(found.x)
 
 
