@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import of_unit_length, orthonormal
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
+from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
 from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
 from surefoot.calibration.in_situ.compress import SetRows, change_signals, motion_of
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
@@ -399,7 +399,10 @@ def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     """Yield clocks that disagree, filters, and values that were held."""
     if not evidence.timed:
         return
+    held = max(map(measure_repeated, evidence.sets)) > limits.REPEATED
     for words, cure, change, values in _READINGS:
+        if change is _hold and not held:
+            continue
         x = _find_size(evidence.sets, change, values)
         sets = [_change(data, change, x) for data in evidence.sets]
         yield evidence.read_as(words.format(abs(x)), cure, sets, int(len(values) > 1), 1)

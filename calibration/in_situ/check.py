@@ -94,9 +94,7 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             reason = f"Channels {a} and {b} hold the same readings: one is a copy of the other."
             found.append(Finding("copied channel", reason, "Check the names of the columns and the wiring."))
     for data in sets:
-        again = (data.raw[1:] == data.raw[:-1]) & np.isfinite(data.raw[1:])
-        share = float(np.mean(np.all(again, axis=1))) if len(again) else 0.0
-        if share > limits.REPEATED:
+        if (share := measure_repeated(data)) > limits.REPEATED:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples repeat the one before in all channels: the "
                 "driver is slower than the log, or hangs."
@@ -115,6 +113,12 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             cure = "Log the IMU as often as the sensor."
             found.append(Finding("held gravity", reason, cure, moved, limit))
     return found
+
+
+def measure_repeated(data: InSituSet) -> float:
+    """Return the share of samples that repeat the one before in all channels."""
+    again = (data.raw[1:] == data.raw[:-1]) & np.isfinite(data.raw[1:])
+    return float(np.mean(np.all(again, axis=1))) if len(again) else 0.0
 
 
 def _measure_variance(raw: NDArray[np.float64]) -> float:

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 from surefoot.calibration.in_situ import calibrate_in_situ
 from surefoot.calibration.in_situ.calibrate import _gather_evidence
-from surefoot.calibration.in_situ.causes import _try_bending
+from surefoot.calibration.in_situ.causes import _try_bending, _try_reading
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
@@ -291,3 +291,10 @@ def test_a_cause_that_is_tried_in_two_ways_has_the_odds_of_one():
     for cause in _try_bending(evidence_of(leg_sets())):
         odds[cause.words] = odds.get(cause.words, 0.0) + 1.0 / cause.choices
     assert set(odds.values()) == {1.0}
+
+
+def test_readings_that_seldom_repeat_are_not_held():
+    """A cause without an unknown that changes nothing is as likely as none."""
+    assert not any(
+        cause.words.startswith("readings repeat") for cause in _try_reading(evidence_of(leg_sets()))
+    )
