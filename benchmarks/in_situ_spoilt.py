@@ -466,7 +466,7 @@ SPOILTS: dict[str, Spoilt] = {
     "rope in set 4": Spoilt(r"from 'set 4' on|added mass of 'set 4'", {"": weigh(-1.4, [0.0, 0.0, 0.3], 3)}),
     "cable pulls": Spoilt(r"cable", {f"{size} N/rad": pull(size, False) for size in (6.0, 20.0)}),
     "cable drags": Spoilt(r"cable", {"2 N": pull(2.0, True)}),
-    "mass falls off": Spoilt(r"hangs in 'set 4' changed|leaps at|added mass of 'set 4'", {"": readings(cut)}),
+    "mass falls off": Spoilt(r"hangs in 'set 4' changed at (39|40|41)\.", {"": readings(cut)}),
     "labels late": Spoilt(r"leaps at|touched|hangs in .* changed", {"6 s": relabel}),
     "gain of a set": Spoilt(
         r"readings of 'set 3'|gain .*in 'set 3'",

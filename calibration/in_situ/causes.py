@@ -3,8 +3,9 @@ r"""Causes why sets contradict each other: each known cause is tried, and ranked
 A cause adds signals to the readings (a leap, a touch, a limb that bends), changes what was added (another
 mass, another place, another limb), or reads gravity in another way (a late clock, held values, turned axes).
 With each the fit is made again, on the same compressed rows. Beforehand all kinds of causes are equally
-likely, and so are the choices of one kind, such as the sets in which it may be. The evidence is Schwarz's
-(1978), so that the odds of a cause with d unknowns more, one of c choices, are
+likely, and so are the choices of one kind, such as the sets in which it may be; times and delays are
+unknowns. The evidence is Schwarz's (1978), with the priors of the fit in the likelihood L of n rows. The odds
+of a cause with d unknowns more, one of c choices, are
 
 .. math:: -2 \log p = -2 \log L + d \log n + 2 \log c,
 
@@ -22,11 +23,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import orthonormal
+from surefoot.calibration.arrays import of_unit_length, orthonormal
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
+from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
 from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.compress import change_signals, motion_of
+from surefoot.calibration.in_situ.compress import SetRows, change_signals, motion_of
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
@@ -40,9 +41,9 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
+    CONVERGED,
     Solution,
     beside_channels,
-    deviance,
     minima,
     solve,
 )
@@ -71,6 +72,12 @@ _GLANCE = 8
 
 _DELAYS = np.geomspace(0.03, 6.0, 24)
 """Delays in s between the IMU and the readings, either way, and time constants of filters."""
+
+_ACCURACY = 2e-3
+"""Share of a delay to which it is found: a message has three digits."""
+
+_ROUNDING = 1e-9
+"""Share of the largest mixture of channels at or below which another is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -167,8 +174,9 @@ def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> F
     shares: dict[str, float] = {}
     for cause, share in found:
         shares[cause.words] = shares.get(cause.words, 0.0) + share
-    named = [f"{words} ({_format_percent(share)})" for words, share in list(shares.items())[:2]]
-    cure = found[0][0].cure
+    likeliest = sorted(shares, key=lambda words: -shares[words])
+    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
+    cure = next(cause.cure for cause, _ in found if cause.words == likeliest[0])
     if drift is not None:
         cure += f" If that is not it: {symptom.cure}"
     return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
@@ -188,22 +196,54 @@ def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
     rows = sum(part.rows for part in evidence.problem.sets)
     # The best of n alternatives gains 2 log n by chance.
     penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
-    scores = np.array([_deviance(cause.solution) for cause in tried]) + penalties
+    channels = _separate_channels([part.source for part in evidence.problem.sets])
+    scores = np.array([_deviance(cause.solution, channels) for cause in tried]) + penalties
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     order = np.argsort(scores)
     return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _deviance(solution: Solution) -> float:
-    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves."""
+def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
+    """Return mixtures of channels of which none follows from the others, shape (k, q).
+
+    Readings have variance one in each channel before they are mixed.
+    """
+    centred = []
+    for one in rows:
+        readings, constant = one.columns[:, 1 + one.inputs :], one.columns[:, :1]
+        constant = constant / np.linalg.norm(constant)
+        centred.append(readings - constant @ (constant.T @ readings))
+    unit, size = of_unit_length(np.concatenate(centred))
+    _, singular, mixtures = np.linalg.svd(unit, full_matrices=False)
+    std = size / np.sqrt(sum(float(np.sum(one.weight**2)) for one in rows))
+    return np.asarray(mixtures[singular > _ROUNDING * singular[0]].T / std[:, None])
+
+
+def _deviance(solution: Solution, channels: Matrix) -> float:
+    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
+
+    The priors that the fit has, such as a maker's, count as well: they hold a cause back that needs a sensor
+    that is far off. Noise counts as at least the error of a search: without noise any cause would fit to some
+    rounding.
+
+    Args:
+        solution: The fit.
+        channels: Mixtures of channels of which none follows from the others, shape (k, q).
+    """
     spectra, rows = [], [part.source for part in solution.problem.sets]
     for one, B in zip(rows, solution.predicted, strict=True):
         weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
-        left, constant = readings - u @ B.T, weight / np.linalg.norm(weight)
+        left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
         spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
-    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks)[1]
-    return value if np.isfinite(value) else deviance(solution)
+    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks, CONVERGED**2)[1]
+    if not np.isfinite(value):
+        # Few rows show no colour.
+        modes = np.concatenate([one.modes for one in spectra])
+        scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
+        value = len(modes) * float(np.linalg.slogdet(scatter)[1])
+    value += solution.prior_square
+    return value if np.isfinite(value) else np.inf
 
 
 # Events within a set: signals that act on its readings.
@@ -248,23 +288,22 @@ def _try_events(evidence: Evidence) -> Iterator[Cause]:
     for event in _EVENTS:
         found = [_best_time(evidence, j, event) for j in range(count)]
         j = int(np.argmax([one.gain for one in found]))
-        _, first, last, choices = found[j]
+        _, first, last = found[j]
         data, name = evidence.sets[j], evidence.sets[j].name
         acts = np.column_stack([np.ones(len(data.raw)), np.nan_to_num(data.gravity)][: 1 + event.loads])
         columns = [np.zeros((len(one.raw), acts.shape[1])) for one in evidence.sets]
         columns[j][first:last] = acts[first:last]
         words = event.words.format(name=name, begin=evidence.when(j, first), end=evidence.when(j, last - 1))
         free = acts.shape[1] * channels + 1 + event.ends
-        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, choices * count)
+        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, count)
 
 
 class _Span(NamedTuple):
-    """The likeliest span of samples of an event, how much it explains, and the number of spans tried."""
+    """The likeliest span of samples of an event, and how much it explains."""
 
     gain: float
     first: int
     last: int
-    tried: int
 
 
 def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
@@ -287,7 +326,7 @@ def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
         ends = near(last, width) if event.ends else [n]
         fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
         first, last, gain = best([*fine, (first, last)])
-    return _Span(gain, first, last, len(spans))
+    return _Span(gain, first, last)
 
 
 def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: bool) -> Vector:
@@ -300,7 +339,7 @@ def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: b
     basis, _ = orthonormal(np.column_stack([constant, np.linspace(-1.0, 1.0, len(rows)), u]), 1e-9)
     raw = data.raw[rows]
     residual = raw - basis @ (basis.T @ raw)
-    white = np.linalg.cholesky(np.linalg.pinv(residual.T @ residual / len(rows), hermitian=True))
+    white, _ = orthonormal(residual, _ROUNDING)
     acts = np.column_stack([constant, u[:, DIRECT]]) if loads else constant
     gains = []
     for first, last in spans:
@@ -308,7 +347,7 @@ def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: b
         z = columns - basis @ (basis.T @ columns)
         seen = np.sum(z**2, axis=0) > 1e-9 * np.maximum(np.sum(columns**2, axis=0), 1e-300)
         along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
-        gains.append(float(np.sum((along.T @ residual @ white) ** 2)))
+        gains.append(len(rows) * float(np.sum((along.T @ white) ** 2)))
     return np.array(gains)
 
 
@@ -332,12 +371,12 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         "something pulls at the limb as it turns, such as a cable",
         "Let cables hang loose, or fix them.",
     )
-    for words, cure, columns, known in (
-        (bent, BENT_CURE, squares, 0),
-        (bent, BENT_CURE, cubes, 0),
-        (pulls, loose, postures, STATIC),
+    for words, cure, columns, known, choices in (
+        (bent, BENT_CURE, squares, 0, 2),
+        (bent, BENT_CURE, cubes, 0, 2),
+        (pulls, loose, postures, STATIC, 1),
     ):
-        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, 1)
+        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
     if moved and all(len(one) for one in moved):
         cure = "Give the gyroscope's readings as well, or move slowly."
@@ -360,10 +399,29 @@ def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     """Yield clocks that disagree, filters, and values that were held."""
     if not evidence.timed:
         return
+    held = max(map(measure_repeated, evidence.sets)) > limits.REPEATED
     for words, cure, change, values in _READINGS:
-        tried = {x: [_change(data, change, x) for data in evidence.sets] for x in values}
-        x = min(tried, key=lambda one: _share_left(tried[one]))
-        yield evidence.read_as(words.format(abs(x)), cure, tried[x], 1, len(tried))
+        if change is _hold and not held:
+            continue
+        x = _find_size(evidence.sets, change, values)
+        sets = [_change(data, change, x) for data in evidence.sets]
+        yield evidence.read_as(words.format(abs(x)), cure, sets, int(len(values) > 1), 1)
+
+
+def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
+    """Return the size of a change of gravity that explains most: the best of a grid, made finer."""
+    from scipy.optimize import minimize_scalar  # Late: it takes longer to import than all the rest.
+
+    def measure(x: float) -> float:
+        return _share_left([_change(data, change, x) for data in sets])
+
+    best = int(np.argmin([measure(x) for x in values])) if len(values) > 1 else 0
+    near = values[max(best - 1, 0) : best + 2]
+    if len(near) == 1:
+        return near[0]
+    options = {"xatol": _ACCURACY * abs(values[best])}
+    found = minimize_scalar(measure, bounds=(min(near), max(near)), method="bounded", options=options)
+    return float(found.x)
 
 
 def _change(data: InSituSet, change: "_Change", x: float) -> InSituSet:
@@ -402,16 +460,16 @@ def _hold(data: InSituSet, _: float) -> InSituSet:
 _Change = Callable[[InSituSet, float], InSituSet]
 
 _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
-    ("the IMU came about {:.2g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
-    ("the readings came about {:.2g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
+    ("the IMU came about {:.3g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
+    ("the readings came about {:.3g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
     (
-        "the readings came about {:.2g} s after the IMU, as through a low-pass filter",
+        "the readings came about {:.3g} s after the IMU, as through a low-pass filter",
         _CLOCK,
         _delay,
         tuple(_DELAYS),
     ),
     (
-        "the driver takes a zero off that follows the readings within {:.2g} s",
+        "the driver takes a zero off that follows the readings within {:.3g} s",
         "Log the sensor's own readings, with no automatic zero in the driver.",
         _take_zero_off,
         tuple(10.0 * _DELAYS),

@@ -26,8 +26,8 @@ _UNITS = {
 }
 """Likely units of gravity vectors of these lengths."""
 
-_NEXT, _ROUNDED = 20, 5e-3
-"""Values next to an end that are counted, and the share of a spread that rounding may be off by."""
+_NEXT = 20
+"""Values next to an end that are counted."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
 """Reason in the message."""
@@ -94,37 +94,66 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
             reason = f"Channels {a} and {b} hold the same readings: one is a copy of the other."
             found.append(Finding("copied channel", reason, "Check the names of the columns and the wiring."))
     for data in sets:
-        again = (data.raw[1:] == data.raw[:-1]) & np.isfinite(data.raw[1:])
-        share = float(np.mean(np.all(again, axis=1))) if len(again) else 0.0
-        if share > limits.REPEATED:
+        if (share := measure_repeated(data)) > limits.REPEATED:
             reason = (
                 f"'{data.name}': {share:.0%} of the samples repeat the one before in all channels: the "
                 "driver is slower than the log, or hangs."
             )
             cure = "Log each sample of the sensor once, at the time at which it was read."
             found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
-        if (moved := _measure_held(data)) > limits.HELD:
+    spread = max(_measure_variance(data.raw) for data in sets)
+    for data in sets:
+        moved, leads = _measure_held(data, spread)
+        limit = limits.HELD if leads else limits.STUCK
+        if moved > limit:
             reason = (
                 f"'{data.name}': gravity repeats the sample before while readings move on, by {moved:.0%} of "
                 "their spread: the accelerometer stands still, or is slower than the log."
             )
             cure = "Log the IMU as often as the sensor."
-            found.append(Finding("held gravity", reason, cure, moved, limits.HELD))
+            found.append(Finding("held gravity", reason, cure, moved, limit))
     return found
 
 
-def _measure_held(data: InSituSet) -> float:
-    """Return by which share of its spread a channel moves, beside white noise, while gravity does not."""
+def measure_repeated(data: InSituSet) -> float:
+    """Return the share of samples that repeat the one before in all channels."""
+    again = (data.raw[1:] == data.raw[:-1]) & np.isfinite(data.raw[1:])
+    return float(np.mean(np.all(again, axis=1))) if len(again) else 0.0
+
+
+def _measure_variance(raw: NDArray[np.float64]) -> float:
+    """Return the variance of whole rows, shape (n, k), summed over channels."""
+    whole = raw[np.isfinite(raw).all(axis=1)]
+    return float(np.sum(np.var(whole, axis=0))) if len(whole) else 0.0
+
+
+def _measure_held(data: InSituSet, spread: float) -> tuple[float, bool]:
+    """Return how far readings move, beside white noise, while gravity repeats, and whether gravity follows.
+
+    A limb that rests repeats gravity as well, while a zero walks or a filter settles. Where gravity is held,
+    readings have come to where it jumps when the hold ends; where it is rounded, half of the way.
+
+    Args:
+        data: The set.
+        spread: Variance of the readings in counts^2; the move is a share of its root.
+    """
     whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
     raw, gravity = data.raw[whole], data.gravity[whole]
     if len(raw) < 2:
-        return 0.0
+        return 0.0, False
     same = np.all(gravity[1:] == gravity[:-1], axis=1)
     run = np.append(0, np.cumsum(~same))
     mean = np.stack([np.bincount(run, one) / np.bincount(run) for one in raw.T], axis=1)
-    moved = np.sum((raw - mean[run]) ** 2, axis=0) - np.sum(np.diff(raw, axis=0)[same] ** 2, axis=0) / 2.0
-    total = np.sum((raw - raw.mean(axis=0)) ** 2, axis=0)
-    return float(np.sqrt(np.max(np.maximum(moved, 0.0) / np.maximum(total, np.finfo(float).tiny))))
+    noise = np.sum(np.diff(raw, axis=0)[same] ** 2) / 2.0
+    moved = max(float(np.sum((raw - mean[run]) ** 2) - noise), 0.0) / len(raw)
+    # The samples at which a hold ends, and the step of the readings that belongs to gravity's jump there.
+    ends = np.flatnonzero(~same & np.append(False, same[:-1]))
+    u = np.column_stack([np.ones(len(gravity)), gravity])
+    response = np.linalg.lstsq(u, raw, rcond=None)[0]
+    step = (u[ends + 1] - u[ends]) @ response
+    came = float(np.sum((raw[ends] - u[ends] @ response) * step))
+    leads = came > limits.CAME * float(np.sum(step**2)) > 0.0
+    return float(np.sqrt(moved / max(spread, np.finfo(float).tiny))), leads
 
 
 def _check_idle(sets: Sequence[InSituSet]) -> list[Finding]:
@@ -231,7 +260,10 @@ def _check_ends(
         # How far held samples should read beyond their end, against the deviation of the others.
         left = values - columns @ np.linalg.lstsq(columns[others], values[others], rcond=None)[0]
         beyond = -sign * float(np.mean(left[whole & held]))
-        if beyond > max(np.std(left[others]) + ends[-1] - ends[-2], _ROUNDED * (ends[-1] - ends[0])):
+        # Where all stays, rounding is off by one and the same amount in all samples.
+        apart = len(np.unique(beside[whole & held], axis=0))
+        deviations = max(1.0, limits.ROUNDED / np.sqrt(apart))
+        if beyond > deviations * np.std(left[others]) + ends[-1] - ends[-2]:
             reason = (
                 f"'{data.name}': {what} is clipped: {times[-1]} samples read exactly {sign * ends[-1]:g}"
                 f"{_span(data, held)}, none reads beyond, and the limb went on turning."

@@ -179,7 +179,9 @@ class Spectrum:
         return cls(seen / (2.0 * rows * spacing), left[seen], dct(residual, norm="ortho", axis=0)[seen])
 
 
-def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = True) -> tuple[Colour, float]:
+def likeliest_colour(
+    spectra: Sequence[Spectrum], motion: float, walks: bool = True, floor: float = 0.0
+) -> tuple[Colour, float]:
     """Return the colour that explains residuals best, and its deviance with Schwarz's penalty.
 
     It is white unless another is worth its parameters.
@@ -188,11 +190,13 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float, walks: bool = T
         spectra: Of the sets, in channels none of which follows from the others.
         motion: Frequency of the limb's motion.
         walks: Whether offsets may walk at random.
+        floor: Variance of white noise that each channel has at least.
     """
     spectra = [one for one in spectra if len(one.left) >= _LEAST_MODES]
     if not spectra:
         return Colour(), np.nan
     frequency, left, power = _bands(spectra)
+    power += floor * left[:, None, None] * np.eye(power.shape[1])
     total, channels = float(np.sum(left)), power.shape[1]
     # The likeliest covariance goes with the channels, so that their units and mixture change nothing.
     overall = np.sum(power, axis=0)

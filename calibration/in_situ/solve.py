@@ -34,7 +34,7 @@ _SEARCHES, _TURNED_SEARCHES = 3, 36
 _AS_GOOD = 10.0
 """Minima that cost this much more than the lowest are none."""
 
-_CONVERGED, _EVALUATIONS = 1e-8, 60
+CONVERGED, _EVALUATIONS = 1e-8, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
@@ -67,6 +67,11 @@ class Solution:
     def limb(self) -> Vector:
         """phi_b, shape (p,)."""
         return self.outer[: self.problem.parameters]
+
+    @property
+    def prior_square(self) -> float:
+        """Sum of the squared rows of the priors."""
+        return 2.0 * self.cost - float(np.sum(self.residual**2))
 
     @property
     def changes(self) -> Vector:
@@ -214,7 +219,7 @@ def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) ->
         jac=lambda x: residual.jacobian(x * scale) * scale,
         method="lm",
         max_nfev=evaluations,
-        **dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED),
+        **dict.fromkeys(("xtol", "ftol", "gtol"), CONVERGED),
     )
     return float(found.cost), found.x * scale
 

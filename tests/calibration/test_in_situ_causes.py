@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 
 from surefoot.calibration.in_situ import calibrate_in_situ
 from surefoot.calibration.in_situ.calibrate import _gather_evidence
+from surefoot.calibration.in_situ.causes import _try_bending, _try_reading
 from surefoot.calibration.in_situ.colour import Colour, Part
 from surefoot.calibration.in_situ.compress import _triangularise
 from surefoot.calibration.in_situ.covariance import _doublings
@@ -94,7 +95,7 @@ def lose(raw, one, j):
     return raw - (j == 3) * (np.arange(len(raw)) > 400)[:, None] * load @ RESPONSE.T
 
 
-def late(raw, one, seconds):
+def delay(raw, one, seconds):
     return np.stack([np.interp(one.time - seconds, one.time, column) for column in raw.T], axis=1)
 
 
@@ -109,16 +110,16 @@ def pull(raw, one, _):
     return raw + angle @ along @ RESPONSE.T
 
 
-def rotated(sets):
+def rotate(sets):
     R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
     return [replace(one, gravity=one.gravity @ R) for one in sets]
 
 
-def swapped(sets):
+def swap_axes(sets):
     return [replace(one, added_com=one.added_com[[1, 0, 2]]) for one in sets]
 
 
-def exchanged(sets):
+def exchange(sets):
     return [
         replace(sets[0], added_mass=sets[3].added_mass, added_com=sets[3].added_com),
         *sets[1:3],
@@ -131,51 +132,100 @@ def gain_of_channel(raw, _, j):
 
 
 CAUSES = {
-    "a step": (lambda s: [s[0], with_raw(s[1], leap), *s[2:]], "the zero of 'data set 2' leaps at 35.0 s"),
+    "a step": (
+        lambda s: [s[0], with_raw(s[1], leap), *s[2:]],
+        "the zero of 'data set 2' leaps at 35.0 s",
+        "Cut the set there into two",
+    ),
     "a push": (
         lambda s: [*s[:3], with_raw(s[3], push)],
         "something touched the limb in 'data set 4' from 30.0 s to 41.9 s",
+        "Leave that time out",
     ),
-    "a mass falls off": (each(lose), "what hangs in 'data set 4' changed at 40.1 s"),
-    "a cable": (each(pull), "something pulls at the limb as it turns, such as a cable"),
-    "readings late": (each(lambda raw, one, _: late(raw, one, 1.0)), "the readings came about 0.95 s after"),
-    "IMU late": (each(lambda raw, one, _: late(raw, one, -1.5)), "the IMU came about 1.5 s after"),
-    "a filter": (each(lambda raw, *_: low_pass(raw, 2.0)), "the readings came about 1.9 s after the IMU, as"),
-    "a zero that follows": (each(lambda raw, *_: raw - low_pass(raw, 12.0)), "the driver takes a zero off"),
+    "a mass falls off": (each(lose), "what hangs in 'data set 4' changed at 40.1 s", "with a mass each"),
+    "a cable": (each(pull), "something pulls at the limb as it turns, such as a cable", "cables hang loose"),
     "readings held": (
         each(lambda raw, *_: raw[np.arange(600) // 20 * 20]),
         "readings repeat the",
+        "each sample of the sensor once",
     ),
-    "an IMU that is turned": (rotated, "the IMU is turned by 10 degrees"),
-    "axes swapped": (swapped, "axes of all places or of the IMU are swapped"),
-    "sets exchanged": (exchanged, "what was added in 'data set 1' and 'data set 4' is exchanged"),
+    "an IMU that is turned": (rotate, "the IMU is turned by 10 degrees", "Give its rotation"),
+    "axes swapped": (
+        swap_axes,
+        "axes of all places or of the IMU are swapped",
+        "Measure places in the sensor",
+    ),
+    "sets exchanged": (
+        exchange,
+        "what was added in 'data set 1' and 'data set 4' is exchanged",
+        "Weigh what was added",
+    ),
     "another limb": (
         each(lambda raw, one, j: raw + (j >= 2) * 0.3 * one.gravity @ RESPONSE[:, :3].T),
         "from 'data set 3' on 0.30",
+        "Leave the limb",
     ),
     "gain of a set": (
         each(lambda raw, _, j: 1.1 * raw if j == 2 else raw),
         "the readings of 'data set 3' are 1.100 times as large",
+        "Set the amplifier",
     ),
-    "gain of a channel": (each(gain_of_channel), "channel 3 has another gain from 'data set 3' on"),
+    "gain of a channel": (
+        each(gain_of_channel),
+        "channel 3 has another gain from 'data set 3' on",
+        "the amplifier's gain",
+    ),
 }
 
+DELAYS = {
+    "readings late": (
+        each(lambda raw, one, _: delay(raw, one, 1.0)),
+        "readings came about (.*) s after",
+        1.0,
+    ),
+    "IMU late": (each(lambda raw, one, _: delay(raw, one, -1.5)), "IMU came about (.*) s after", 1.5),
+    "a filter": (each(lambda raw, *_: low_pass(raw, 2.0)), "about (.*) s after the IMU, as through a", 2.0),
+}
 
 QUICK = ("a step", "a mass falls off", "IMU late", "a filter")
 """What is tried at each change; the rest takes half a minute."""
 
 
-@pytest.mark.parametrize(
-    ("spoil", "cause"),
-    [
+def rows_of(table):
+    return [
         pytest.param(*row, id=name, marks=() if name in QUICK else pytest.mark.slow)
-        for name, row in CAUSES.items()
-    ],
-)
-def test_the_true_cause_is_named_first(spoil, cause):
+        for name, row in table.items()
+    ]
+
+
+@pytest.mark.parametrize(("spoil", "cause", "cure"), rows_of(CAUSES))
+def test_the_true_cause_is_named_first(spoil, cause, cure):
     with pytest.raises(CalibrationRefused, match=re.escape(f"Likeliest: {cause}")) as raised:
         calibrate_in_situ(spoil(leg_sets()))
-    assert raised.value.cure.endswith(".")
+    assert cure in raised.value.cure
+
+
+@pytest.mark.parametrize(("spoil", "cause", "truth"), rows_of(DELAYS))
+def test_a_delay_is_named_first_and_found(spoil, cause, truth):
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: the [^(]*{cause}") as raised:
+        calibrate_in_situ(spoil(leg_sets()))
+    assert find_number(cause, raised.value) == pytest.approx(truth, rel=0.02)
+    assert "Stamp both by one clock" in raised.value.cure
+
+
+@pytest.mark.slow  # delays are above
+def test_a_zero_that_follows_is_named_first_and_found():
+    """The fit takes such a zero for an IMU that is 0.08 s late as well; the time is 5 % longer for that."""
+    cause = "takes a zero off that follows the readings within (.*) s"
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: the driver {cause}") as raised:
+        calibrate_in_situ(each(lambda raw, *_: raw - low_pass(raw, 12.0))(leg_sets()))
+    assert find_number(cause, raised.value) == pytest.approx(12.0, rel=0.1)
+    assert "no automatic zero" in raised.value.cure
+
+
+def find_number(words, error):
+    """Find the number of the likeliest cause in a message."""
+    return float(re.search(words, re.search(r"Likeliest: (.*?) \(", str(error))[1])[1])
 
 
 LEVERS = np.repeat([1.0, 0.15], 3)
@@ -186,7 +236,7 @@ def test_masses_that_did_not_hang_there_are_no_matrix_in_other_units():
     rng = np.random.default_rng(4)
     aged = (np.eye(6) + 0.15 * rng.standard_normal((6, 6)) * np.outer(LEVERS, 1.0 / LEVERS)) @ MATRIX
     with pytest.raises(CalibrationRefused, match="Likeliest: what was added in 'data set 1' and"):
-        calibrate_in_situ(exchanged(leg_sets()), factory_matrix=aged)
+        calibrate_in_situ(exchange(leg_sets()), factory_matrix=aged)
 
 
 @pytest.mark.slow  # at rest it is above
@@ -204,5 +254,47 @@ def test_a_turned_imu_that_moves_is_named(slower):
         )
         for one in sets
     ]
-    with pytest.raises(CalibrationRefused, match=r"Likeliest: the IMU is turned by 1[01] degrees"):
+    words = "the IMU is turned by (.*) degrees"
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}") as raised:
         calibrate_in_situ(turned)
+    # Whole degrees are named. Forces of the slow turning, which nobody gave, move the estimate by 0.4.
+    truth = np.degrees(Rotation.from_matrix(R).magnitude())  # 10.2
+    assert find_number(words, raised.value) == pytest.approx(truth, abs=0.4 + 0.5)
+
+
+def test_a_channel_that_follows_from_others_hides_no_cause():
+    sets = leg_sets()
+    sets = [sets[0], with_raw(sets[1], leap), *sets[2:]]
+    wide = [replace(one, raw=np.column_stack([one.raw, one.raw[:, 0] + one.raw[:, 1]])) for one in sets]
+    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
+        calibrate_in_situ(wide)
+
+
+def test_a_log_without_noise_names_its_cause():
+    sets, _ = noisy_sets("leg", np.random.default_rng(0), noise=0.0)
+    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
+        calibrate_in_situ([sets[0], with_raw(sets[1], leap), *sets[2:]])
+    with pytest.raises(CalibrationRefused, match=r"Likeliest: the added mass of 'data set 3' is 0\.703 kg"):
+        calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
+
+
+def test_a_cause_that_needs_a_sensor_far_from_the_makers_is_held_back():
+    """Two sets leave the scale to the maker: one of 0.76 times the other's gain would fit as well."""
+    factory = MATRIX * (1.0 + 0.03 * np.random.default_rng(1).standard_normal((6, 6)))
+    first, second = leg_sets()[:2]
+    with pytest.raises(CalibrationRefused, match=r"Likeliest: the readings of 'data set 2' are 1\.300 times"):
+        calibrate_in_situ([first, replace(second, raw=1.3 * second.raw)], factory_matrix=factory)
+
+
+def test_a_cause_that_is_tried_in_two_ways_has_the_odds_of_one():
+    odds = {}
+    for cause in _try_bending(evidence_of(leg_sets())):
+        odds[cause.words] = odds.get(cause.words, 0.0) + 1.0 / cause.choices
+    assert set(odds.values()) == {1.0}
+
+
+def test_readings_that_seldom_repeat_are_not_held():
+    """A cause without an unknown that changes nothing is as likely as none."""
+    assert not any(
+        cause.words.startswith("readings repeat") for cause in _try_reading(evidence_of(leg_sets()))
+    )

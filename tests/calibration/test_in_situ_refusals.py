@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from _in_situ import ADDED_COM_LEG, ADDED_MASS, make_set, moving_sets, noisy_sets, swept_gravity
 from _in_situ_leg import COM, MASS, MATRIX, RESPONSE, leg_sets, sound_fit, with_raw
+from scipy.signal import lfilter
 
 from surefoot.calibration.in_situ import InSituOptions, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -321,3 +322,48 @@ def test_a_limb_that_bends_a_little_is_answered_if_it_may_and_is_as_unsure():
     assert 0.003 < fit.bending < 0.01
     assert (fit.matrix_std > fit.bending * np.abs(fit.matrix)).all()
     assert fit.limb_mass_std > fit.bending * fit.limb.mass
+
+
+def pose_sets(walk, settle, rows):
+    """Sets in 24 postures of equal gravity each, of a zero that walks (counts a sample) and a filter (s)."""
+    rng, sets = np.random.default_rng(0), []
+    for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True):
+        a, b = np.radians(rng.uniform(-40.0, 40.0, (2, 24)))
+        posture = 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=1)
+        gravity = np.repeat(posture, rows, axis=0)
+        one = make_set(MATRIX, 0.0, (MASS, COM), (added, place), gravity)
+        kept = np.exp(-0.1 / settle) if settle else 0.0
+        raw = lfilter([1.0 - kept], [1.0, -kept], one.raw, axis=0, zi=kept * one.raw[:1])[0]
+        raw = raw + rng.standard_normal(raw.shape) + walk * np.cumsum(rng.standard_normal(raw.shape), axis=0)
+        sets.append(replace(one, raw=raw, time=np.arange(len(raw)) / 10.0))
+    return sets
+
+
+@pytest.mark.parametrize(
+    ("walk", "settle", "rows"),
+    [
+        pytest.param(5.0, 0.0, 25, id="a slow zero"),
+        pytest.param(0.0, 0.1, 75, id="a filter"),
+    ],
+)
+def test_gravity_that_repeats_while_a_limb_rests_is_not_held(walk, settle, rows):
+    fit = calibrate_in_situ(pose_sets(walk, settle, rows))
+    assert fit.result is FitResult.DETERMINED
+    assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std
+    assert fit.limb.mass == pytest.approx(MASS, rel=0.03)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5])
+def test_gravity_that_is_rounded_is_not_held(step):
+    rounded = [replace(one, gravity=step * np.round(one.gravity / step)) for one in leg_sets()]
+    assert calibrate_in_situ(rounded).limb.mass == pytest.approx(MASS, rel=0.01)
+
+
+@pytest.mark.parametrize(("rows", "sets"), [(10, range(4)), (400, [2])], ids=["held", "stuck"])
+def test_gravity_that_is_held_while_a_limb_turns_is_refused(rows, sets):
+    held = [
+        replace(one, gravity=one.gravity[np.arange(600) // rows * rows]) if j in sets else one
+        for j, one in enumerate(leg_sets())
+    ]
+    with pytest.raises(CalibrationRefused, match=f"'data set {sets[0] + 1}': gravity repeats"):
+        calibrate_in_situ(held)
