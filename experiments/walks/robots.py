@@ -109,21 +109,22 @@ def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[
 def _run(motion: Motion, sensors: str, seed: int, duration: float, method: str) -> dict[str, Any]:
     env = FootSensors(motion.env(), SENSORS[sensors])
     calibrated = SelfCalibration(env, method)
-    calibrated.reset(seed=seed)
+    _, info = calibrated.reset(seed=seed)
     setup, rng = calibrated.calibrator.setup, np.random.default_rng([_STREAM, seed])
     cop: list[tuple[Floats, Floats]] = []
     vgrf: list[tuple[Floats, Floats]] = []
     falls, ended = 0, False
     for _ in range(round(duration / setup.dt)):
-        truth, estimate = env.source.truth, calibrated.estimate
-        cop.append((truth.cop_sole[-1].copy(), np.array(estimate.cop_foot)))
-        vgrf.append((truth.vgrf(), np.array(estimate.vgrf)))
+        # Readings are means over a step, and so is this truth.
+        truth, estimate = info["surefoot"]["truth"], calibrated.estimate
+        cop.append((np.array(truth["cop_foot"]), np.array(estimate.cop_foot)))
+        vgrf.append((np.array(truth["vgrf"]), np.array(estimate.vgrf)))
         if ended:
-            calibrated.reset()
+            _, info = calibrated.reset()
             ended = False
             continue
         action = motion.amplitude * rng.uniform(-1.0, 1.0, env.action_space.shape)
-        _, _, fell, truncated, _ = calibrated.step(action.astype(np.float32))
+        _, _, fell, truncated, info = calibrated.step(action.astype(np.float32))
         ended = fell or truncated
         falls += bool(fell)
     counted = setup.dt * np.arange(len(cop)) >= BEGIN
