@@ -31,7 +31,7 @@ def pulls(n: int = 200, spread: float = 1.0, seed: int = 3) -> NDArray[np.float6
 
 def mixed(seed: int = 4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A matrix with known singular values, 12, 9 and 5."""
-    left, right = Rotation.random(2, rng=np.random.default_rng(seed)).as_matrix()
+    left, right = Rotation.random(2, random_state=seed).as_matrix()
     return left @ np.diag([12.0, 9.0, 5.0]) @ right, np.array([12.0, 9.0, 5.0])
 
 
