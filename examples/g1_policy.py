@@ -10,8 +10,11 @@ Robot (29 joints, 33 kg) and policies come with holosoma and holosoma-inference 
 """
 
 import argparse
+import atexit
 import json
+import shutil
 import tempfile
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -109,8 +112,9 @@ class G1Walk(MujocoEnv):
         return self.state(), 1.0, bool(self.data.qpos[2] < 0.4), False, {}
 
 
+@cache
 def write_scene() -> Path:
-    """Write the robot on a plane, 2 ms a step, into a temporary folder; return its path."""
+    """Write the robot on a plane, 2 ms a step, into a folder that Python removes; return its path."""
     robot = folder_of("holosoma") / "data/robots/g1/g1_29dof.xml"
     spec = mujoco.MjSpec.from_file(str(robot))
     spec.meshdir = str(robot.parent / spec.meshdir)
@@ -122,7 +126,9 @@ def write_scene() -> Path:
     spec.option.timestep = 0.002
     spec.add_key(name="home", qpos=np.r_[0, 0, 0.76, 1, 0, 0, 0, HOME])
     spec.compile()
-    path = Path(tempfile.mkdtemp()) / "g1_on_plane.xml"
+    folder = tempfile.mkdtemp()
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = Path(folder) / "g1_on_plane.xml"
     path.write_text(spec.to_xml())
     return path
 

@@ -182,7 +182,7 @@ def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step
         if mode is HELD:
             considered = slice(0, columns.momentum.start)
         mass = columns.mass.start
-        before = chance_of_load(mean, covariance, mass)
+        before = chance_of_load(mean, covariance, mass) if mode.load > 0.0 else 1.0
         mean, covariance = update(mean, covariance, rows.mean, innovation, variance, considered)
         if mode.load > 0.0:
             likelihoods[i] += np.log(chance_of_load(mean, covariance, mass) / before)

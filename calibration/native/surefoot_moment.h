@@ -664,11 +664,11 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
-        sf_real heavier = sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]);
+        sf_real before = m->mode_load[j] > 0 ? sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]) : 1;
         good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B) && good;
         sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
         if (m->mode_load[j] > 0) { /* keep_heavier */
-            out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / heavier);
+            out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / before);
             if (lighter > 0 && of_mass[at - 2] > 0) {
                 sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
                 mean[at - 2] = 0;
