@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import Library, NativeFilter, NativeState
+from surefoot.calibration.native import NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
-from surefoot.native import call_for_many
+from surefoot.native import Library, call_for_many
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.foot_view import DETERMINED, FootView

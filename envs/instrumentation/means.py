@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import rotate_level
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
 from surefoot.envs.instrumentation.truth import centres
-from surefoot.envs.native import Call, installed, record_at
-from surefoot.native import Library
+from surefoot.native import ENVS, Call, Library, record_at
 
 Array = NDArray[np.float64]
 
@@ -155,7 +154,7 @@ class MeanTruth:
             threads: Threads that many robots are shared among.
         """
         if rows.shape not in self._calls:
-            library = installed()
+            library = ENVS.installed()
             self._calls[rows.shape] = None if library is None else self._call(library, *rows.shape)
         found = self._calls[rows.shape]
         if found is None:

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
-from surefoot.calibration.native import Library, ReferenceRecord, installed
-from surefoot.native import c_header, require
+from surefoot.calibration.native import ReferenceRecord
+from surefoot.native import CALIBRATION, Library, c_header, require
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.lag import HISTORY
@@ -296,7 +296,7 @@ def native_beliefs(
         beliefs: The Python's, which are used up.
         library: That of the robot's calibrator; by default the one with room for all robots.
     """
-    library = library or installed()
+    library = library or CALIBRATION.installed()
     if library is None or library.real != np.float64:
         return beliefs
     try:
@@ -312,7 +312,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    native = NativeBeliefs(require(installed()), beliefs)
+    native = NativeBeliefs(require(CALIBRATION.installed()), beliefs)
     model, timing = native.constants.values()
     sizes = {
         "FEET": int(timing["feet"]),

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.truth import SensedColumns
-from surefoot.native import Record, call_for_many
+from surefoot.native import SENSORS, Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
 from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
-from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState
 from surefoot.sensors.transport.link import Packets
@@ -104,7 +103,7 @@ class NativeSensing:
         devices: Mapping[str, NativeDevice],
         telemetry: tuple[NativeTelemetry, NativeTelemetryState] | None,
     ) -> None:
-        library, instruments, view = installed(), python.fitted.instruments, python.view
+        library, instruments, view = SENSORS.installed(), python.fitted.instruments, python.view
         assert library is not None
         self._spec, self._view = python, view
         self.places: Places = python.places
@@ -264,7 +263,7 @@ class ManySensing:
     """
 
     def __init__(self, robots: Sequence[NativeSensing]) -> None:
-        library = installed()
+        library = SENSORS.installed()
         assert library is not None
         self.robots, self._sense = list(robots), library.functions.surefoot_sense_many
         places = [(robot.address, robot.raw_address, robot.rows_address) for robot in robots]

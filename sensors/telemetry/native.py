@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import Library
+from surefoot.native import SENSORS, Library
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.imu import ImuState
-from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.affine import WalkState
 from surefoot.sensors.telemetry.attitude import Attitude
@@ -255,7 +254,7 @@ def telemetry_of(
     joints: int, imu_config: Imu, encoder_config: Encoders, link: Link, dt: float, substeps: int
 ) -> Telemetry:
     """Build telemetry: by the library where there is one and the robot fits into its arrays."""
-    library, arguments = installed(), (joints, imu_config, encoder_config, link, dt, substeps)
+    library, arguments = SENSORS.installed(), (joints, imu_config, encoder_config, link, dt, substeps)
     if library is not None:
         try:
             return NativeTelemetry(library, *arguments)

@@ -23,8 +23,7 @@ from _native_robots import (
     same_info,
 )
 
-from surefoot.calibration.native import NATIVE
-from surefoot.native import compiler
+from surefoot.native import CALIBRATION, compiler
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -155,7 +154,7 @@ def play(library, expected: Beliefs | MomentumBeliefs, lag: int, plans: bool) ->
 
 
 def test_more_feet_than_there_is_room_for_are_refused(library, monkeypatch):
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     model = on_feet(9)
     beliefs = python(model)
     with pytest.raises(
@@ -204,14 +203,14 @@ def test_other_masses_are_believed_from_then_on(library, model):
 
 
 def test_copies_go_on_alike(library, model, monkeypatch):
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     packets = motion(len(model.joint_names))[:80]
     native = native_beliefs(python(model))
     assert isinstance(native, NativeBeliefs)
     native.update(packets[:60])
     native.sample(0.4, None)
     others = [copy.deepcopy(native), pickle.loads(pickle.dumps(native))]
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: None)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: None)
     others.append(pickle.loads(pickle.dumps(native)))
     assert [type(other) for other in others] == [NativeBeliefs, NativeBeliefs, Beliefs]
     for other in others:
@@ -225,7 +224,7 @@ def test_copies_go_on_alike(library, model, monkeypatch):
 
 
 def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library, monkeypatch):
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     model = ROBOTS["nao"]()
     late = python(model, lag=80)
     assert native_beliefs(late) is late
@@ -270,10 +269,10 @@ def test_what_does_not_fit_is_found(library):
 @pytest.mark.parametrize("flags", [("-O0",), pytest.param(SANITIZED, marks=pytest.mark.slow)])
 def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path, flags):
     """A program in C, with nothing of Python; and with sanitizers that look for misuse of memory."""
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     (tmp_path / "main.c").write_text(PROGRAM)
-    compile_program(NATIVE, tmp_path / "main.c", tmp_path / "main", *flags)
+    compile_program(tmp_path / "main.c", tmp_path / "main", *flags)
     native, told, lines = NativeBeliefs(library, python(model)), [], []
     for packet in motion(len(model.joint_names))[:400]:
         native.update((packet,))
@@ -292,10 +291,10 @@ def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path, 
 @pytest.mark.slow
 @pytest.mark.parametrize("flags", [(), ("-DSF_SINGLE",)])
 def test_a_million_samples_of_garbage_are_survived(model, library, monkeypatch, tmp_path, flags):
-    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     source = Path(__file__).parent / "fuzz_beliefs.c"
-    compile_program(NATIVE, source, tmp_path / "fuzz", f"-I{tmp_path}", *SANITIZED, *flags)
+    compile_program(source, tmp_path / "fuzz", f"-I{tmp_path}", *SANITIZED, *flags)
     done = subprocess.run([tmp_path / "fuzz", "1000000"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -11,12 +11,11 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.envs import Truth
-from surefoot.native import compiler
+from surefoot.native import SENSORS, compiler
 from surefoot.robot import RobotSensors
 from surefoot.robot.sensing.native import NativeSensing
 from surefoot.robot.sensing.python import PythonSensing
 from surefoot.sensors import Fault, LoadCells, Wire
-from surefoot.sensors.native import NATIVE, installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.native import NativeTelemetryState
 from surefoot.wrappers import FootSensors
@@ -67,7 +66,7 @@ def same(one: FootSensors, other: FootSensors) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_episodes_are_the_same(case: str) -> None:
     """The library's robot is pickled on the way, and Python goes on with its state until the next reset."""
-    without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
+    without, rng = patch.object(SENSORS, "_found", (None,)), np.random.default_rng(0)
 
     def made() -> FootSensors:
         robot = "Humanoid-v5" if "soles" in CASES[case] else "surefoot/NaoBalance-v0"
@@ -135,8 +134,8 @@ def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> Non
     rng = np.random.default_rng(7)
     rows = rng.normal(size=(10, 24)), rng.normal(size=(10, 6))
     seen = []
-    for found in (None, installed()):
-        monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
+    for found in (None, SENSORS.installed()):
+        monkeypatch.setattr(SENSORS, "installed", lambda found=found: found)
         env = FootSensors(gym.make("surefoot/NaoStand-v0"))
         observation, _ = env.reset(seed=4)
         states = [observation["state"]]

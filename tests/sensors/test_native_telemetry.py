@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
 
-from surefoot.native import compiler
+from surefoot.native import SENSORS, compiler
 from surefoot.sensors import Encoders, Imu, Link, preset
-from surefoot.sensors.native import NATIVE
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Hardware, Telemetry
 from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState, telemetry_of
@@ -41,7 +40,7 @@ TABLE = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
 
 
 class Motion:
@@ -164,13 +163,13 @@ def test_a_crowded_link_goes_on_in_python_and_comes_back(library) -> None:
 
 
 def test_what_does_not_fit_is_python(library, monkeypatch) -> None:
-    monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda: library)
+    monkeypatch.setattr(SENSORS, "installed", lambda: library)
     assert type(telemetry_of(*TABLE["usual"])) is NativeTelemetry
     for joints, link in ((65, Link()), (6, Link(jitter=0.5)), (6, Link(jitter=1e12))):
         assert type(telemetry_of(joints, Imu(), Encoders(), link, 1 / 80, 10)) is Telemetry
     with pytest.raises(ValueError, match=r"Link\.rate must be at most 800 per second"):
         telemetry_of(6, Imu(), Encoders(), Link(rate=900.0), 1 / 80, 10)
-    monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda: None)
+    monkeypatch.setattr(SENSORS, "installed", lambda: None)
     assert type(telemetry_of(*TABLE["usual"])) is Telemetry
 
 
@@ -191,7 +190,7 @@ def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
 def fuzzer(tmp_path_factory) -> Path:
     """The program of garbage, with sanitizers."""
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
-    compile_program(NATIVE, Path(__file__).parent / "fuzz_telemetry.c", path, *SANITIZED)
+    compile_program(Path(__file__).parent / "fuzz_telemetry.c", path, *SANITIZED)
     return path
 
 

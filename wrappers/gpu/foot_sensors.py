@@ -4,7 +4,7 @@
     counts = feet(force, step=env.common_step_counter)      # (N, K), or (N, S, K) for S substeps of a step
     feet.reset(env_ids)                                     # as managers call it
 
-A step is one kernel of ``sensors/native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
+A step is one kernel of ``native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
 """
 
 from collections.abc import Mapping, Sequence

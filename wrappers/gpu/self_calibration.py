@@ -5,7 +5,7 @@
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
-A step is one kernel of the headers in ``calibration/native/``, a robot a thread; nothing is copied to the
+A step is one kernel of the headers in ``native/``, a robot a thread; nothing is copied to the
 host. Its numbers are doubles, whatever the dtype of tensors: filters need them.
 """
 

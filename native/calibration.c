@@ -1,4 +1,4 @@
-/* The headers beside it as a shared library, with a table of where their records' fields lie. */
+/* Calibrators and beliefs as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_moment.h"
 #include "surefoot_strapdown.h"
