@@ -32,7 +32,9 @@ from surefoot.experiments.force_torque.log import read_in_situ_log
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("README.md"), *ROOT.glob("CONTRIBUTING.md"), *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n+(?:```text\n(.*?)^```)?", re.MULTILINE | re.DOTALL)
-FOLDERS = "calibration|sensors|envs|robot|wrappers|controllers|experiments|native|benchmarks|examples|tests|docs"
+FOLDERS = (
+    "calibration|sensors|envs|robot|wrappers|controllers|experiments|native|benchmarks|examples|tests|docs"
+)
 RUN_AS_WELL = ("surefoot sweep --scenarios",)
 
 pytestmark = pytest.mark.skipif(not PAGES, reason="the pages are not part of the wheel")
