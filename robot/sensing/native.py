@@ -14,7 +14,7 @@ from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, Inst
 from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.randomness import Stream
-from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState
+from surefoot.sensors.telemetry.native import NativeTelemetry
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 
@@ -32,13 +32,11 @@ class Places(NamedTuple):
 
     Attributes:
         shape: Of the rows of truth, (S, columns).
-        joints: How many joints there are.
         columns: Where sensors are read.
         map: As of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`.
     """
 
     shape: tuple[int, ...]
-    joints: int
     columns: SensedColumns
     map: Maps
 
@@ -48,7 +46,7 @@ def places_in(truth: Any, instruments: Instruments) -> Places | None:
     maps = _maps(truth, instruments)
     if maps is None or truth.rows.dtype != np.float64:
         return None
-    return Places(truth.rows.shape, truth.joint_position.shape[-1], truth.sensor_columns(), maps)
+    return Places(truth.rows.shape, truth.sensor_columns(), maps)
 
 
 def _maps(truth: Any, instruments: Instruments) -> Maps | None:
@@ -87,7 +85,7 @@ class NativeSensing:
     Args:
         python: The Python object where it goes on, which is used up.
         devices: Its devices as the library has them, and the faults, by their places in ``DEVICES``.
-        telemetry: Its telemetry and the state of that, if anybody listens.
+        telemetry: Its telemetry, if anybody listens.
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
@@ -101,17 +99,18 @@ class NativeSensing:
         self,
         python: PythonSensing,
         devices: Mapping[str, NativeDevice],
-        telemetry: tuple[NativeTelemetry, NativeTelemetryState] | None,
+        telemetry: NativeTelemetry | None,
     ) -> None:
         library, instruments, view = SENSORS.installed(), python.fitted.instruments, python.view
         assert library is not None
         self._spec, self._view = python, view
         self.places: Places = python.places
         self._states = {name: device.empty() for name, device in devices.items()}
-        self._telemetry: NativeTelemetry | None = None
-        self.telemetry_state: Any = None
+        self._telemetry = telemetry
+        self.telemetry_state: Any = python.telemetry_state
         if telemetry is not None:
-            self._telemetry, self.telemetry_state = telemetry
+            telemetry.expect(self.places.shape[0])
+            self.telemetry_state = self.telemetry_state or telemetry.empty()
         numbers = _sizes(instruments, self.places, python.dt)
         if len(instruments.parts) > 1:
             self._order = instruments.order.astype(np.int32)
@@ -204,8 +203,7 @@ class NativeSensing:
         found = copy(self._spec)
         found.take(self.hardware())
         if self._telemetry is not None:
-            found.telemetry_state = self._telemetry.unpack(self.telemetry_state)
-            found.arrived = self.packets()
+            found.telemetry_state, found.arrived = self.telemetry_state, self.packets()
         return found
 
     def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
@@ -217,20 +215,28 @@ class NativeSensing:
         if self._telemetry is not None:
             position, inertial = self._telemetry.inputs
             position[0], inertial[0] = truth.joint_position[-1], at_rest
-        seen = self._read(truth, 0.0, 1 + fresh, observation)
-        assert seen is not None
-        return seen
+        return self._read(truth, 0.0, 1 + fresh, observation)
 
-    def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
-        """Read a control step; ``None``, with nothing done, for one that it does not take."""
-        return self._read(truth, time, 0, observation) if truth.rows.shape == self.places.shape else None
+    def step(self, truth: Any, time: float, observation: Any) -> Seen:
+        """Read a control step."""
+        return self._read(truth, time, 0, observation)
 
-    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen | None:
+    def _expect(self, shape: tuple[int, ...]) -> None:
+        """Take control steps of other substeps from here on."""
+        self.places, self._records["rows"] = self.places._replace(shape=shape), shape[0]
+        if "load" in self._arrays:
+            self._arrays["load"] = load = np.zeros((shape[0], self._arrays["load"].shape[1]))
+            self._records["load"] = load.ctypes.data
+        if self._telemetry is not None:
+            self._telemetry.expect(shape[0])
+
+    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
+        if rows.shape != self.places.shape:
+            self._expect(rows.shape)
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        if self._sense(self.address, rows.ctypes.data, time, begins) < 0:
-            return None
+        self._sense(self.address, rows.ctypes.data, time, begins)
         if self._view is None:
             return self._raw, {}
         raw, counts, state = _SEEN(self._seen.copy())
@@ -283,27 +289,24 @@ class ManySensing:
 
     def step(
         self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
-    ) -> NDArray[np.intp]:
-        """Read a control step.
+    ) -> bool:
+        """Read a control step, if it has as many substeps as the first; return whether that was done.
 
         Args:
             which: Numbers of the robots that are read.
             truth: Of all robots, shape (N, S, columns).
             time: The hosts' clocks at its end in s, of those that are read.
             threads: As of :func:`~surefoot.native.call_for_many`.
-
-        Returns:
-            Numbers of those that were read; the others' steps are left to the caller.
         """
         if self._shapes != {truth.shape[1:]}:
-            return which[:0]
+            return False
         if truth.dtype != np.float64 or not truth[0].flags.c_contiguous:
             truth = np.ascontiguousarray(truth, dtype=np.float64)
         packets = np.zeros(len(which), dtype=np.int32)
         rows = (truth.ctypes.data + which * truth.strides[0]).astype(np.uintp)
         call_for_many(self._sense, (self._at[which], rows, time, packets), threads)
         self.packets[which] = packets
-        return which if (packets >= 0).all() else which[packets >= 0]
+        return True
 
 
 def native_sensing(python: PythonSensing) -> SensingBackend:
@@ -318,15 +321,8 @@ def native_sensing(python: PythonSensing) -> SensingBackend:
         return python
     if view is not None and view.bounds[0].dtype != np.float32:
         return python
-    listened = None
-    if telemetry is not None:
-        shape = (places.shape[0], places.joints)
-        if not isinstance(telemetry, NativeTelemetry) or telemetry.inputs[0].shape != shape:
-            return python
-        state = telemetry.in_library(python.telemetry_state)
-        if state is None:
-            return python
-        listened = telemetry, state
+    if telemetry is not None and not isinstance(telemetry, NativeTelemetry):
+        return python
     for part in fitted.instruments.parts:
         check_wire(part.config, python.dt)
-    return NativeSensing(python, devices, listened)
+    return NativeSensing(python, devices, telemetry)

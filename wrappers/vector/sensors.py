@@ -291,9 +291,9 @@ class BatchSensors:
         together, left = self.together, np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
             which, dt = np.flatnonzero(steps), self._meaning.dt
-            read = together.step(which, truth, self.time[which] + dt, self.threads)
-            self.time[read] += dt
-            left[read] = False
+            if together.step(which, truth, self.time[which] + dt, self.threads):
+                self.time[which] += dt
+                left[which] = False
         return left
 
     def _gather(self, alone: Sequence[int] = ()) -> None:
