@@ -44,23 +44,6 @@
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
 #define M_REAL(field) PLACE(model, field, "real")
-/* What a record holds of beliefs, which are `at` in it. */
-#define STRAPDOWN(record, name, at)                                                                          \
-    PART(record, name##_R, at.R, "real"), PART(record, name##_velocity, at.velocity, "real"),                \
-        PART(record, name##_place, at.place, "real"), PART(record, name##_spin_bias, at.spin_bias, "real"),  \
-        PART(record, name##_vertical_bias, at.vertical_bias, "real"), PART(record, name##_count, at.count, "whole")
-#define BELIEFS_OF(record, at)                                                                               \
-    PART(record, ring, at ring, "real"), PART(record, angle, at angle, "real"),                              \
-        PART(record, accelerometer, at accelerometer, "real"), PART(record, gyroscope, at gyroscope, "real"), \
-        PART(record, forward, at odometry.forward, "real"), PART(record, up, at odometry.up, "real"),        \
-        PART(record, spin, at odometry.spin, "real"), PART(record, spin_bias, at odometry.spin_bias, "real"), \
-        PART(record, force_bias, at odometry.force_bias, "real"), PART(record, count, at odometry.count, "whole"), \
-        STRAPDOWN(record, rolling, at odometry.rolling), PART(record, lean, at lean, "real"),                \
-        PART(record, highest, at highest, "real"), PART(record, clock, at clock, "double"),                  \
-        PART(record, sum, at sum, "real"), PART(record, parts, at parts, "whole"),                           \
-        PART(record, number, at number, "whole"), PART(record, seen, at seen, "whole"),                      \
-        PART(record, run, at run, "whole"), PART(record, planned, at planned, "whole"),                      \
-        PART(record, found, at found, "whole"), PART(record, upright, at upright, "whole")
 #define SHOWN(field) PLACE(shown, field, "single")
 #define R_AT(field) PLACE(sample_records, field, "word")
 #define IN_REFERENCE(field, kind)                                                                            \
@@ -196,8 +179,7 @@ static const place places[] = {
     PLACE(timing, touch, "real"), PLACE(timing, corners, "real"), PLACE(timing, radius, "real"),
     PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
 
-    BELIEFS_OF(beliefs, ), WHOLE_OF(momentum_beliefs), BELIEFS_OF(momentum_beliefs, beliefs.),
-    STRAPDOWN(momentum_beliefs, strapdown, strapdown), PLACE(momentum_beliefs, moved, "real"),
+    WHOLE_OF(momentum_beliefs),
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
     IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),

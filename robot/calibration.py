@@ -245,9 +245,6 @@ class RobotCalibration:
             return
         if before is not None and before.sampled:
             self._estimate = self.estimate
-        if isinstance(self.beliefs, NativeBeliefs) and self.beliefs.library is not calibrator.library:
-            # Copies begin in the library with room for all robots.
-            self.beliefs = native_beliefs(self.beliefs.unpack(), calibrator.library)
         self._chosen_for = self.beliefs, calibrator
         self._backend = native_sample(self.beliefs, calibrator, self._view)
 
