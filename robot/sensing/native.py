@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.truth import SensedColumns
+from surefoot.envs.instrumentation.robot import SensedColumns
 from surefoot.native import SENSORS, Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
 from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
@@ -46,7 +46,7 @@ def places_in(truth: Any, instruments: Instruments) -> Places | None:
     maps = _maps(truth, instruments)
     if maps is None or truth.rows.dtype != np.float64:
         return None
-    return Places(truth.rows.shape, truth.sensor_columns(), maps)
+    return Places(truth.rows.shape, truth.columns.sensed, maps)
 
 
 def _maps(truth: Any, instruments: Instruments) -> Maps | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.means import FootPlaces, foot_places
-from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
+from surefoot.envs.instrumentation.robot import TORSO_WIDTH, FootColumns
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
@@ -238,7 +238,7 @@ def _meaning(source: Any) -> RowMeaning:
     if hasattr(source, "channels"):
         columns = source.channels.size
     else:
-        columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
+        columns = FootColumns.width * feet + TORSO_WIDTH + len(joints) + 1
     seldom = getattr(source, "seldom", False)
     rows = 1 if seldom else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)
