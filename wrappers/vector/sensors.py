@@ -1,7 +1,6 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle
 from os import PathLike
 from typing import Any, NamedTuple, Protocol
 
@@ -13,7 +12,7 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
-from surefoot.robot.sensing.condition import Faults
+from surefoot.robot.sensing.condition import Faults, severity_of_each
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing, NativeSensing
@@ -212,15 +211,9 @@ class BatchSensors:
             IndexError: If there is no such robot.
             ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
         """
-        named = self._robots_of(robots)
-        own = isinstance(severity, list | np.ndarray)
-        values = list(severity) if own else [severity]
-        if own and len(values) != len(named):
-            raise ValueError(
-                f"'severity' must be one number, or one a robot: got {len(values)} for {len(named)} robots."
-            )
-        set_one = self.equipment.with_severity
-        found = [set_one(robot.conditions, value) for robot, value in zip(named, cycle(values), strict=False)]
+        named, set_one = self._robots_of(robots), self.equipment.with_severity
+        values = severity_of_each(severity, len(named))
+        found = [set_one(robot.conditions, value) for robot, value in zip(named, values, strict=True)]
         for robot, conditions in zip(named, found, strict=True):
             robot.conditions = conditions
 
