@@ -31,6 +31,7 @@ from surefoot.calibration.native import NativeFilter, constants_of
 from surefoot.calibration.online import MethodOptions, resolve_method
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import check_leaves
+from surefoot.calibration.weights.curves import Curves
 from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, views
@@ -144,6 +145,7 @@ class SelfCalibrationModule(BatchModule):
         lag: How many steps ago the readings were taken that a reference describes.
         initial: The map to start from, such as a :class:`FootSensorsModule`'s ``nominal``; by default
             readings are taken for newtons.
+        curves: Curves of channels that are not linear, in front of all maps.
         counter: Returns the number of the simulation step.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method.
@@ -169,6 +171,7 @@ class SelfCalibrationModule(BatchModule):
         dt: float = 1.0 / 50.0,
         lag: int = 0,
         initial: Parameters | None = None,
+        curves: Curves | None = None,
         counter: Counter | None = None,
         **options: Any,
     ) -> None:
@@ -178,6 +181,7 @@ class SelfCalibrationModule(BatchModule):
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
+        self._curves = _Straightener(curves, layout.channels, self.device)
         self._options = dict(sorted(options.items()))
         self._limits = dict(online_method(self.method, self.setup, **options).limits)
         if self.method not in _STEPS:
@@ -256,7 +260,7 @@ class SelfCalibrationModule(BatchModule):
         advances = self._begins(step)
         if advances or self._asked:
             told = _ADVANCE * advances + _FROZEN * self.frozen
-            self._run(told, counts.double().contiguous(), self._beliefs[kind])
+            self._run(told, self._curves.straighten(counts.double()).contiguous(), self._beliefs[kind])
             self._asked = False
         one: dict[str, Any] = {name: self._copy(part) for name, part in self._found.items()}
         one |= dict.fromkeys(self._untold)
@@ -362,8 +366,49 @@ class SelfCalibrationModule(BatchModule):
             "channels": " ".join(setup.layout.channel_names),
             "mass": float(setup.mass),
             "lag": int(setup.lag),
+            "curves": self._curves.said,
             "age": np.asarray(setup.age, dtype=np.float64).tolist(),
             "initial": repr([[float(value) for value in part] for part in setup.initial]),
             "num_envs": self.num_envs,
             "dt": self.dt,
         }
+
+
+class _Straightener:
+    """Curves of channels on a device, as :class:`~surefoot.calibration.weights.curves.Curves` has them.
+
+    Args:
+        curves: The curves, if there are any.
+        channels: Number of channels.
+        device: Where readings are.
+
+    Attributes:
+        said: The curves in words; empty for none.
+
+    Raises:
+        ValueError: If they are of another number of channels.
+    """
+
+    def __init__(self, curves: Curves | None, channels: int, device: torch.device) -> None:
+        if curves is not None and len(curves.knots) != channels:
+            raise ValueError(f"'curves' are of {len(curves.knots)} channels, and the layout has {channels}.")
+        self.said = repr(curves.as_plain()) if curves is not None and curves.any else ""
+        self._cubics: list[tuple[int, Tensor, Tensor]] = []
+        for i, cubic in (curves.cubics if curves is not None else {}).items():
+            knots, powers = (torch.as_tensor(part.copy(), device=device) for part in (cubic.x, cubic.c))
+            self._cubics.append((i, knots, powers))
+
+    def straighten(self, counts: Tensor) -> Tensor:
+        """Return straight readings, shape (N, K); beyond its ends a curve goes on straight."""
+        if not self._cubics:
+            return counts
+        straight = counts.clone()
+        for i, knot, powers in self._cubics:
+            raw = counts[:, i].contiguous()
+            inside = raw.clamp(knot[0], knot[-1])
+            piece = (torch.searchsorted(knot, inside, right=True) - 1).clamp(0, len(knot) - 2)
+            cubed, squared, slope, level = powers[:, piece]
+            x = inside - knot[piece]
+            rise = (3.0 * cubed * x + 2.0 * squared) * x + slope
+            straight[:, i] = ((cubed * x + squared) * x + slope) * x + level + rise * (raw - inside)
+        return straight
