@@ -101,9 +101,9 @@ class NativeSensing:
         devices: Mapping[str, NativeDevice],
         telemetry: NativeTelemetry | None,
     ) -> None:
-        library, instruments, view = SENSORS.installed(), python.fitted.instruments, python.view
+        library = SENSORS.installed()
         assert library is not None
-        self._spec, self._view = python, view
+        self._spec, self._view = python, python.view
         self.places: Places = python.places
         self._states = {name: device.empty() for name, device in devices.items()}
         self._telemetry = telemetry
@@ -111,60 +111,60 @@ class NativeSensing:
         if telemetry is not None:
             telemetry.expect(self.places.shape[0])
             self.telemetry_state = self.telemetry_state or telemetry.empty()
-        numbers = _sizes(instruments, self.places, python.dt)
-        if len(instruments.parts) > 1:
-            self._order = instruments.order.astype(np.int32)
-            numbers["order"] = self._order.ctypes.data
-        for state in self._states.values():
-            kind = state.owner.kind.name
-            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
-        observed, to, taken = _NOTHING if view is None else view.state_places()
+        observed, to, taken = _NOTHING if self._view is None else self._view.state_places()
         self._observed = observed if len(observed) else None
-        self._seen = Record(_reading_dtype(instruments.channels, len(observed)))
+        self._seen = Record(_reading_dtype(python.fitted.instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
-        arrays = {
-            "newest": python.kept[0],
-            "raw": now["raw"],
-            "observed": observed,
-            "low": low,
-            "high": high,
-            "shown": now["state"],
-            "held": python.kept[1],
-            "counts": now["counts"],
-            "from": taken,
-            "to": to,
-        }
-        if "cells" in devices:
-            arrays["map"], arrays["preload"] = self.places.map
-            numbers["readings"], loads = self.places.map[0].shape
-            arrays["load"] = np.zeros((self.places.shape[0], loads))
-        if "ankles" in devices:
-            arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
-            numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
-        packets = 0
-        if self._telemetry is not None:
-            packets = self._telemetry.put_packets(python.arrived)
-            numbers |= {
-                "telemetry": self._telemetry.address,
-                "telemetry_state": self.telemetry_state.address,
-                "values": self._telemetry.layout.size,
-            }
-        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0, "packets": packets}
-        numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
-        records = library.record_of(
-            "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
-        )
+        self._arrays = self._arrays_of(python, observed) | {"from": taken, "to": to}
+        addresses = {name: array.ctypes.data for name, array in self._arrays.items()}
+        sizes = {"shares": len(to), "numbers": len(observed)}
+        records = library.record_of("sense_records", self._numbers(python) | sizes | addresses)
         assert records is not None
-        self._records, self._arrays = records, arrays
+        self._records = records
         self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
         self.raw_address = self._raw.ctypes.data
-        self.rows_address = 0 if self._telemetry is None else self._telemetry.arrived_address
+        self.rows_address = 0 if telemetry is None else telemetry.arrived_address
         self.take(python.hardware())
         if python.streams:
             self.draw_from(python.streams)
         python.telemetry_state, python.arrived = None, ()
         del python.state
+
+    def _numbers(self, python: PythonSensing) -> dict[str, Any]:
+        """Return sizes, and places of what devices and telemetry hold, by the names in the record."""
+        instruments, telemetry = python.fitted.instruments, self._telemetry
+        numbers = _sizes(instruments, self.places, python.dt) | {"telemetry_stream": 0, "packets": 0}
+        for state in self._states.values():
+            kind = state.owner.kind.name
+            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
+            numbers[f"{kind}_stream"] = 0
+        if "cells" in self._states:
+            numbers["readings"] = len(self.places.map[0])
+        if "ankles" in self._states:
+            numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
+        if telemetry is not None:
+            numbers |= {
+                "telemetry": telemetry.address,
+                "telemetry_state": self.telemetry_state.address,
+                "values": telemetry.layout.size,
+                "packets": telemetry.put_packets(python.arrived),
+            }
+        return numbers
+
+    def _arrays_of(self, python: PythonSensing, observed: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """Return the arrays that the library reads and fills, by the names in the record."""
+        now, view, instruments = self._seen.now, self._view, python.fitted.instruments
+        (newest, held), (low, high) = python.kept, (observed, observed) if view is None else view.bounds
+        arrays = {"newest": newest, "held": held, "observed": observed, "low": low, "high": high}
+        arrays |= {"raw": now["raw"], "shown": now["state"], "counts": now["counts"]}
+        if len(instruments.parts) > 1:
+            arrays["order"] = instruments.order.astype(np.int32)
+        if "cells" in self._states:
+            arrays["map"], arrays["preload"] = self.places.map
+            arrays["load"] = np.zeros((self.places.shape[0], self.places.map[0].shape[1]))
+        if "ankles" in self._states:
+            arrays["wrench"] = np.zeros(6 * int(self._states["ankles"].owner.constants["sensors"]))
+        return arrays
 
     def __reduce__(self) -> Any:
         return native_sensing, (self.python(),)

@@ -28,6 +28,7 @@ from surefoot.calibration import (
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import NativeFilter, constants_of
+from surefoot.calibration.native.config import Constants
 from surefoot.calibration.online import MethodOptions, resolve_method
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import check_leaves
@@ -188,7 +189,15 @@ class SelfCalibrationModule(BatchModule):
             raise ValueError(
                 f"Method {self.method!r} has no kernel; methods that have one: {', '.join(_STEPS)}."
             )
-        steps = _STEPS[self.method]
+        self._make_records(self._compile(options))
+
+    def _compile(self, options: dict[str, Any]) -> Constants:
+        """Choose the kernel, and return the constants of one robot.
+
+        Raises:
+            ValueError: If there is none for such a robot.
+        """
+        steps, layout = _STEPS[self.method], self.setup.layout
         sizes = {
             "CHANNELS": layout.channels,
             "FEET": len(layout.feet),
@@ -197,37 +206,37 @@ class SelfCalibrationModule(BatchModule):
         }
         body, fits = _BODY.format(**steps._asdict()), ("surefoot_fits",)
         self._kernel = kernel("calibration", _HEADERS, body, fits, tuple(sizes.items()), False)
-        library = self._kernel.library
-        constants = constants_of(library, self.method, self.setup, options)
+        constants = constants_of(self._kernel.library, self.method, self.setup, options)
         if constants is None:
             raise ValueError(
                 f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
                 f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
-        native = NativeFilter(library, constants)
-        fresh = native.pack(constants.like).record
+        return constants
+
+    def _make_records(self, constants: Constants) -> None:
+        """Make the records of all robots."""
+        native = NativeFilter(self._kernel.library, constants)
+        places, work = native.library.places, _STEPS[self.method].work
+        fresh, given, robots = native.pack(constants.like).record, native.references, self.num_envs
         self._config, self._fresh = self._record(constants.config), self._record(fresh)
         self._own = self._config if constants.own is None else self._record(constants.own)
         # Nothing is remembered in what they work in: robots that wait for a thread share it.
-        self._workers = min(num_envs, threads_at_once(self.device))
-        size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
-        self._work = self._nothing(self._workers, size)
-        given = native.references
-        self._beliefs = {kind: self._record(record.now, num_envs) for kind, record in given.items()}
-        estimate = self._nothing(num_envs, library.places["estimate"][""][2])
-        self._state = self._register("state", self._fresh.expand(num_envs, -1))
-        self._estimate = self._register("estimate", estimate)
-        self._waiting = self._register(
-            "waiting", torch.zeros(num_envs, dtype=torch.int32, device=self.device)
+        self._workers = min(robots, threads_at_once(self.device))
+        self._work = self._nothing(
+            self._workers, 1 if work == "char" else places[work.removeprefix("sf_")][""][2]
         )
+        self._beliefs = {kind: self._record(record.now, robots) for kind, record in given.items()}
+        self._state = self._register("state", self._fresh.expand(robots, -1))
+        self._estimate = self._register("estimate", self._nothing(robots, places["estimate"][""][2]))
+        self._waiting = self._register("waiting", torch.zeros(robots, dtype=torch.int32, device=self.device))
         self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.dtype, native.estimate.now.dtype
         self._view()
         self._covariance = constants.covariance
-        certain = constants.covariance is not None
         self._untold = (
             *(() if constants.contact else ("undetermined", "contact_probability")),
-            *(() if certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
+            *(() if native.certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
         )
 
     def forward(
