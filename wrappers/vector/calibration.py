@@ -80,29 +80,6 @@ class BatchCalibration:
         """Whether nothing is learnt for now."""
         return self.robots[0].frozen
 
-    def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
-        for robot in self.robots:
-            robot.frozen = frozen
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-        """
-        save_learnt(path, self.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-            ValueError: If the file is of other or of more robots, other sensors, another method or lag.
-        """
-        load_learnt(path, self.robots)
-        self._gather()
-
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
         """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
         for i in which:
@@ -155,16 +132,27 @@ class CalibrationFace:
         return self.calibration.frozen
 
     def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again, as :meth:`BatchCalibration.freeze` does."""
-        self.calibration.freeze(frozen)
+        """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
+        for robot in self.calibration.robots:
+            robot.frozen = frozen
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, as :meth:`BatchCalibration.save` does."""
-        self.calibration.save(path)
+        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
+
+        Raises:
+            RuntimeError: If the environments have not been reset.
+        """
+        save_learnt(path, self.calibration.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file, as :meth:`BatchCalibration.load` does."""
-        self.calibration.load(path)
+        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
+
+        Raises:
+            RuntimeError: If the environments have not been reset.
+            ValueError: If the file is of other or of more robots, other sensors, another method or lag.
+        """
+        load_learnt(path, self.calibration.robots)
+        self.calibration._gather()
 
 
 def _put(rows: Sequence[Any], which: list[int], old: Any) -> Any:

@@ -199,63 +199,6 @@ class BatchSensors:
         """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
 
-    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
-        """Let the next fresh sensors of some robots be of another severity.
-
-        Args:
-            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
-                one a robot.
-            robots: Their numbers; ``None`` for all.
-
-        Raises:
-            IndexError: If there is no such robot.
-            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
-        """
-        named, set_one = self._robots_of(robots), self.equipment.with_severity
-        values = severity_of_each(severity, len(named))
-        found = [set_one(robot.conditions, value) for robot, value in zip(named, values, strict=True)]
-        for robot, conditions in zip(named, found, strict=True):
-            robot.conditions = conditions
-
-    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Let other things break on some robots, or with other probabilities, from their next resets on.
-
-        Args:
-            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
-            robots: Their numbers; ``None`` for all.
-
-        Raises:
-            IndexError: If there is no such robot.
-            ValueError: If a fault or a probability is refused.
-        """
-        named = self._robots_of(robots)
-        found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
-        for robot, conditions in zip(named, found, strict=True):
-            robot.conditions = conditions
-
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
-        maps = [robot.true_parameters() for robot in self.robots]
-        return Parameters(*map(np.array, zip(*maps, strict=True)))
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-        """
-        save_hardware(path, self.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-            ValueError: If the file is of other or of more robots, or of other sensors.
-        """
-        load_hardware(path, self.robots)
-        self._gather()
-
     def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
         count = len(self.robots)
@@ -339,25 +282,63 @@ class SensorsFace:
 
     sensors: BatchSensors
 
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
-        return self.sensors.true_parameters()
-
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
-        """Change the severity of robots, as :meth:`BatchSensors.set_severity` does."""
-        self.sensors.set_severity(severity, robots)
+        """Let the next fresh sensors of some robots be of another severity.
+
+        Args:
+            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
+                one a robot.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
+        """
+        named, set_one = self.sensors._robots_of(robots), self.sensors.equipment.with_severity
+        values = severity_of_each(severity, len(named))
+        found = [set_one(robot.conditions, value) for robot, value in zip(named, values, strict=True)]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
 
     def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Change the faults of robots, as :meth:`BatchSensors.set_faults` does."""
-        self.sensors.set_faults(faults, robots)
+        """Let other things break on some robots, or with other probabilities, from their next resets on.
+
+        Args:
+            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If a fault or a probability is refused.
+        """
+        sensors = self.sensors
+        named = sensors._robots_of(robots)
+        found = [sensors.equipment.with_faults(robot.conditions, faults) for robot in named]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
+
+    def true_parameters(self) -> Parameters:
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        maps = [robot.true_parameters() for robot in self.sensors.robots]
+        return Parameters(*map(np.array, zip(*maps, strict=True)))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the hardware's lasting state, as :meth:`BatchSensors.save` does."""
-        self.sensors.save(path)
+        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+        """
+        save_hardware(path, self.sensors.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file, as :meth:`BatchSensors.load` does."""
-        self.sensors.load(path)
+        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+            ValueError: If the file is of other or of more robots, or of other sensors.
+        """
+        load_hardware(path, self.sensors.robots)
+        self.sensors._gather()
 
 
 def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:
