@@ -18,9 +18,10 @@ from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing, NativeSensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
+from surefoot.wrappers.vector.truth_row import NO_PLAN, Lent, RowMeaning, places_of, read_rows
 
 Floats = NDArray[np.float64]
+Rows = Floats | Lent
 Mask = NDArray[np.bool_]
 
 Seeds = int | Sequence[int | None] | None
@@ -100,7 +101,7 @@ class BatchSensors:
         self.robots = [RobotSensors(self.equipment, self.view.measures) for _ in range(count)]
         self.plans: NDArray[np.bool_] | None = None
         self.listeners: list[Listener] = []
-        self._rows: Floats = np.zeros((count, 0))
+        self._substeps: Floats = np.zeros((count, 0, 0))
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
         self.together: ManySensing | None = None
@@ -113,7 +114,7 @@ class BatchSensors:
         for robot in self.robots:
             robot.listening = True
 
-    def reset(self, rows: Floats, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
+    def reset(self, rows: Rows, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
         """Read robots that were reset.
 
         Args:
@@ -131,7 +132,7 @@ class BatchSensors:
         self._mean_truth = MeanTruth(places_of(self._key))
         self.begin(rows, mask, each, asked)
 
-    def step(self, rows: Floats, starting: Mask | None = None, fell: Mask | None = None) -> None:
+    def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
         """Read all robots after a control step.
 
         Args:
@@ -140,7 +141,7 @@ class BatchSensors:
             fell: Robots whose episode was terminated, shape (N,), or ``None``.
         """
         substeps, dt = self._look(rows), self._meaning.dt
-        begins = np.zeros(len(rows), dtype=bool) if starting is None else np.asarray(starting)
+        begins = np.zeros(len(substeps), dtype=bool) if starting is None else np.asarray(starting)
         left = np.flatnonzero(self._read_together(substeps, ~begins)).tolist()
         for i in left:
             truth = read_rows(substeps[i], self._key)
@@ -157,7 +158,7 @@ class BatchSensors:
 
     def begin(
         self,
-        rows: Floats,
+        rows: Rows,
         mask: Mask,
         seeds: Sequence[int | None] | None = None,
         asked: Mapping[str, str] | None = None,
@@ -171,7 +172,7 @@ class BatchSensors:
             asked: As of :meth:`reset`.
         """
         substeps, asked = self._look(rows), asked or {}
-        seeds = [None] * len(rows) if seeds is None else seeds
+        seeds = [None] * len(substeps) if seeds is None else seeds
         which = np.flatnonzero(mask).tolist()
         for i in which:
             truth = read_rows(substeps[i], self._key)
@@ -193,7 +194,7 @@ class BatchSensors:
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """The truth: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
-        return self._mean_truth(self._substeps(self._rows), self.threads) | self.true_conditions()
+        return self._mean_truth(self._substeps, self.threads) | self.true_conditions()
 
     def true_conditions(self) -> dict[str, NDArray[Any]]:
         """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
@@ -254,23 +255,17 @@ class BatchSensors:
         self.__dict__.update(kept)
         self._put_side_by_side()
 
-    def _look(self, rows: Floats) -> Floats:
-        """Keep each robot's plan, and return the simulator's readings in each substep."""
-        self._rows, feet = rows, self._meaning.feet
-        plans = rows[:, -2 * feet :]
+    def _look(self, rows: Rows) -> Floats:
+        """Keep each robot's plan, and return the simulator's readings in each substep, (N, S, columns)."""
+        self._substeps, plans = self._meaning.read(rows)
         self.plans = None if (plans[:, 0] == NO_PLAN).all() else plans > 0.0
-        return self._substeps(rows)
+        return self._substeps
 
     def plan_of(self, robot: int) -> Planned | None:
         """Return the plan of a robot; ``None`` where nobody plans."""
         if self.plans is None:
             return None
         return Planned(*np.split(self.plans[robot], 2))
-
-    def _substeps(self, rows: Floats) -> Floats:
-        """Return the simulator's readings in each substep, shape (N, S, columns)."""
-        meaning = self._meaning
-        return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
 
 
 class SensorsFace:
@@ -341,15 +336,20 @@ class SensorsFace:
         self.sensors._gather()
 
 
-def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:
+def merge_rows(rows: Any, finals: Mapping[int, Mapping[str, Any]]) -> Any:
     """Put the rows of robots' last moments in the place of those of their first.
 
     Args:
-        rows: One row of truth a robot, shape (N, R); it is not changed.
+        rows: One row of truth a robot, shape (N, R), or what they hold; it is not changed.
         finals: The last observation of some robots' episodes, by their numbers.
     """
     if not finals:
         return rows
+    if isinstance(rows, Lent):
+        merged = Lent(*(part.copy() for part in rows))
+        for robot, final in finals.items():
+            merged.substeps[robot], merged.plans[robot] = final[TRUTH_KEY]
+        return merged
     merged = rows.copy()
     for robot, final in finals.items():
         merged[robot] = final[TRUTH_KEY]
