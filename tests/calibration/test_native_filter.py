@@ -393,6 +393,8 @@ def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monk
 
 def test_every_field_of_a_record_is_in_the_table(library):
     for fields in library.places.values():
+        if not any(fields):  # of beliefs the size alone is asked for
+            continue
         end = 0
         for _, offset, size in sorted(
             (place for name, place in fields.items() if name), key=lambda place: place[1]

@@ -169,6 +169,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     native = native_filter(library, method, setup, {})
     expected = of_robots([native.init().record] * ROBOTS)
     state, beliefs = expected.copy(), np.zeros(ROBOTS, native.references[Reference].dtype)
+    beliefs["known"] = True
     own, number = native.constants.own, native.constants.number
     constants = [one.reshape(1).view(np.uint8) for one in (native.constants.config, own) if one is not None]
     size = library.places["moment_work" if method == "moment" else "window_work"][""][2]
@@ -176,8 +177,8 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     estimate, wanted = (np.zeros(ROBOTS, native.estimate.now.dtype) for _ in range(2))
     raw, motion = walking(np.random.default_rng(5))
     for k in range(SAMPLES):
-        for name in beliefs.dtype.names:
-            beliefs[name] = getattr(motion, name)[k]
+        for name, part in motion._asdict().items():
+            beliefs[name] = part[k]
         launch(0, number, np.concatenate(constants), state, work, raw[k], beliefs, estimate)
         for robot in range(ROBOTS):
             records = expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]

@@ -62,7 +62,7 @@ class RowMeaning(NamedTuple):
         return self.rows * self.columns + 2 * self.feet
 
     def read(self, rows: "NDArray[np.float64] | Lent") -> "Lent":
-        """Return what many robots' rows hold, shape (N, size)."""
+        """Take many robots' rows apart, shape (N, size)."""
         if isinstance(rows, Lent):
             return rows
         substeps, plans = rows[:, : -2 * self.feet], rows[:, -2 * self.feet :]
