@@ -156,7 +156,7 @@ install = $(1)/bin/pip install --quiet
 endif
 
 # An install with [dev] serves the demo as well.
-NATIVE := setup.py surefoot/native/build.py $(wildcard */native/*.[ch])
+NATIVE := setup.py native/build.py $(wildcard native/*.[ch])
 SOURCES := pyproject.toml constraints.txt $(NATIVE)
 $(VENV)/.demo: $(SOURCES) | $(BIN)/python $(NEEDS_UV)
 	test -e $(VENV)/.dev || $(call install,$(VENV)) -c constraints.txt -e '.[experiments]'

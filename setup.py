@@ -12,7 +12,7 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
-BUILD = runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))
+BUILD = runpy.run_path(str(ROOT / "native" / "build.py"))
 LIBRARIES = list(BUILD["sources_below"](ROOT))
 # `make wheels` names the platform of each wheel; without, it is this machine's.
 PLATFORM = os.environ.get("SUREFOOT_PLATFORM")
@@ -33,7 +33,7 @@ def packages() -> list[str]:
 
 def place(sources: Any) -> Path:
     """Return where a library lies in a wheel."""
-    return Path("surefoot", sources.folder.relative_to(ROOT), sources.name + BUILD["ending"](PLATFORM))
+    return Path("surefoot", "native", sources.name + BUILD["ending"](PLATFORM))
 
 
 def is_current(sources: Any) -> bool:

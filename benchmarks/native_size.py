@@ -20,7 +20,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from surefoot.calibration import FeetLayout, FootLayout, OnlineSetup, Parameters, nao_shoe_layout
-from surefoot.calibration.native import NATIVE, c_source
+from surefoot.calibration.native import c_source
+from surefoot.native import FOLDER
 
 TARGETS = {
     "Cortex-M7": ("thumb-linux-musleabihf", "-mcpu=cortex_m7+fp_armv8d16sp"),
@@ -112,7 +113,7 @@ def measure(program: str, target: tuple[str, ...]) -> list[int]:
         source, command = Path(folder, "robot.c"), [sys.executable, "-m", "ziglang", "cc", "-target", *target]
         source.write_text(program)
         for option, out in (("-S", "robot.s"), ("-c", "robot.o")):
-            options = ["-fstack-size-section", f"-I{NATIVE.sources.folder}", option, "-o", f"{folder}/{out}"]
+            options = ["-fstack-size-section", f"-I{FOLDER}", option, "-o", f"{folder}/{out}"]
             subprocess.run([*command, *FLAGS, *options, source], check=True, stderr=subprocess.PIPE)
         assembly = Path(folder, "robot.s").read_text()
         sizes = dict(re.findall(r"^(\w+)_size:\s+\.(?:long|word|zero)\s+(\d+)", assembly, re.MULTILINE))

@@ -29,14 +29,11 @@ from numpy.typing import NDArray
 from step import DATA, save
 
 import surefoot  # noqa: F401
-from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.calibration.native import c_source as of_filter
-from surefoot.calibration.native import installed
-from surefoot.native import c_header, compiler, require
-from surefoot.native.build import FLAGS, SHARED
+from surefoot.native import CALIBRATION, c_header, compiler, require
+from surefoot.native.build import FLAGS, FOLDER
 from surefoot.robot.beliefs.native import c_source as of_beliefs
 from surefoot.robot.native import view_record
-from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 PARTS = "sensors", "telemetry", "beliefs", "filter", "view"
@@ -180,7 +177,7 @@ int main(int argc, char **argv) {
 
 def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     """Record a walk: the robot's constants in C, the inputs of the native step, and its forces."""
-    require(installed())
+    require(CALIBRATION.installed())
     duration = steps / 80.0 + 5.0
     env: Any = gym.make("surefoot/NaoWalk-v0", disable_env_checker=True, speed=0.04, duration=duration)
     env = SelfCalibration(FootSensors(env, "hx711-load-cells"), "moment")
@@ -201,7 +198,8 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
 def constants(env: Any, sensors: Any) -> str:
     """Return the robot in C: its constants, and its cells and random numbers as an episode begins."""
     equipment, telemetry = sensors.equipment, sensors.telemetry
-    streams, cells, library = equipment.streams(0), equipment.fitted.native["cells"], require(installed())
+    streams, cells = equipment.streams(0), equipment.fitted.native["cells"]
+    library = require(CALIBRATION.installed())
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)
     first, *more = equipment.instruments.first_steps(telemetry.dt)
@@ -229,8 +227,7 @@ def compile_program(source: str, folder: Path) -> Path:
     """Compile the program, and return where it is."""
     program, text = folder / "robot", folder / "robot.c"
     text.write_text(source + PROGRAM)
-    includes = (f"-I{path}" for path in (SHARED, CALIBRATION.sources.folder, SENSORS.sources.folder))
-    options = [*FLAGS, "-D_POSIX_C_SOURCE=199309L", *includes]
+    options = [*FLAGS, "-D_POSIX_C_SOURCE=199309L", f"-I{FOLDER}"]
     subprocess.run([*(compiler() or ("cc",)), *options, "-o", program, text, "-lm"], check=True)
     return program
 

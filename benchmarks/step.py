@@ -47,11 +47,8 @@ import gymnasium as gym
 import numpy as np
 
 import surefoot
-from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.envs import InstrumentedEnv
-from surefoot.envs.native import NATIVE as ENVS
-from surefoot.native import cores
-from surefoot.sensors.native import NATIVE as SENSORS
+from surefoot.native import CALIBRATION, ENVS, SENSORS, cores
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
 from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration

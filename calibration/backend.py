@@ -8,9 +8,10 @@ from typing import Any
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import as_number
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import Library, NativeFilter, NativeState, ReferenceRecord
+from surefoot.calibration.native import NativeFilter, NativeState, ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod
+from surefoot.native import Library
 
 AnyReference = Reference | MomentumReference | ReferenceRecord
 

@@ -12,14 +12,7 @@ from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFil
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.native import (
-    Library,
-    NativeFilter,
-    NativeState,
-    ReferenceRecord,
-    native_filter,
-    rooms,
-)
+from surefoot.calibration.native import NativeFilter, NativeState, ReferenceRecord, native_filter
 from surefoot.calibration.online import MethodOptions, online_method, resolve_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
@@ -28,6 +21,7 @@ from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
+from surefoot.native import CALIBRATION, Library
 
 
 class FootCalibrator:
@@ -106,7 +100,7 @@ class FootCalibrator:
     def _begin(self) -> None:
         """Build the method from the setup and the options, and choose who runs it."""
         self._pure = online_method(self.method, self.setup, **self._options)
-        each = (native_filter(room, self.method, self.setup, self._options) for room in rooms())
+        each = (native_filter(room, self.method, self.setup, self._options) for room in CALIBRATION.rooms())
         native = next(filter(None, each), None)
         self._backend: FilterBackend = LibraryFilter(native, self._pure) if native else self._in_python()
 

@@ -66,30 +66,8 @@ def replay(
     """
     name, options = resolve_method(method, options)
     readings = np.asarray(raw, dtype=np.float64)
-    check_kind("layout", layout, FeetLayout)
-    if not isinstance(reference, MomentumReference):
-        check_kind("reference", reference, Reference)
-    layout.check_raw(readings)
-    if readings.ndim != 2 or len(readings) == 0:
-        way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
-        raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{way_out}")
-    log = type(reference)(*(_in_float64(part) for part in reference))
-    for field, part in zip(log._fields, log, strict=True):
-        if part.shape[:1] != readings.shape[:1]:
-            raise ValueError(
-                f"'reference.{field}' must have one row for each of the {len(readings)} rows of 'raw', "
-                f"got shape {part.shape}."
-            )
-    if np.shape(dt) not in ((), readings.shape[:1]):
-        raise ValueError(
-            f"'dt' must be one number or hold one for each of the {len(readings)} rows of 'raw', "
-            f"got shape {np.shape(dt)}."
-        )
-    if np.ndim(dt) == 0:
-        check_value("dt", dt, positive=True)
-    steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(readings))
+    log, steps = _check_log(layout, readings, reference, dt)
     nominal = float(np.median(steps))
-
     cutoff = None
     if zero_phase:
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
@@ -123,6 +101,34 @@ def replay(
         estimates.append(estimate)
     columns: list[Any] = list(zip(*estimates, strict=True))
     return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
+
+
+def _check_log(
+    layout: FeetLayout, readings: NDArray[np.float64], reference: Any, dt: Any
+) -> tuple[Any, NDArray[np.float64]]:
+    """Return a log's reference in double precision, and its times between samples, or refuse them."""
+    check_kind("layout", layout, FeetLayout)
+    if not isinstance(reference, MomentumReference):
+        check_kind("reference", reference, Reference)
+    layout.check_raw(readings)
+    if readings.ndim != 2 or len(readings) == 0:
+        way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
+        raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{way_out}")
+    log = type(reference)(*(_in_float64(part) for part in reference))
+    for field, part in zip(log._fields, log, strict=True):
+        if part.shape[:1] != readings.shape[:1]:
+            raise ValueError(
+                f"'reference.{field}' must have one row for each of the {len(readings)} rows of 'raw', "
+                f"got shape {part.shape}."
+            )
+    if np.shape(dt) not in ((), readings.shape[:1]):
+        raise ValueError(
+            f"'dt' must be one number or hold one for each of the {len(readings)} rows of 'raw', "
+            f"got shape {np.shape(dt)}."
+        )
+    if np.ndim(dt) == 0:
+        check_value("dt", dt, positive=True)
+    return log, np.broadcast_to(np.asarray(dt, dtype=np.float64), len(readings))
 
 
 def _in_float64(values: Any) -> NDArray[Any]:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, rotate_level
 from surefoot.envs.instrumentation.means import FootPlaces, places_record
+from surefoot.envs.instrumentation.robot import RowColumns
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
-from surefoot.envs.native import Call, installed, record_at
-from surefoot.native import Library
+from surefoot.native import ENVS, Call, Library, record_at
 
 Floats = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
@@ -51,6 +51,19 @@ class Places(NamedTuple):
     com_velocity: int
     joints: slice
     joint_dofs: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, feet: FootPlaces, columns: RowColumns, joint_dofs: NDArray[np.intp]) -> "Places":
+        """Return those of a row."""
+        return cls(
+            feet,
+            columns.axes_torso.start,
+            columns.position_torso.start,
+            columns.gyroscope.start,
+            columns.com_velocity.start,
+            columns.joint_position,
+            joint_dofs,
+        )
 
 
 class Seen(NamedTuple):
@@ -166,7 +179,7 @@ class FeetObserver:
         """
         key = *rows.shape, qvel.shape[-1]
         if key not in self._calls:
-            library = installed()
+            library = ENVS.installed()
             self._calls[key] = None if library is None else _Observe(library, self._places, key)
         native = self._calls[key]
         if native is not None:

@@ -182,12 +182,12 @@ class RobotCalibration:
         self._backend: SampleBackend | None = None
         self._chosen_for: Any = None
         self._timing: tuple[Any, int] | None = None
-        self._estimate: Estimate | None = None
+        self._estimate: tuple[int, Estimate] | None = None
         self.calibrator: FootCalibrator
         self.initial: Parameters
         self.beliefs: Beliefs | MomentumBeliefs | NativeBeliefs
         self.frozen = self.made = False
-        self.late = self._waiting = 0
+        self.late = 0
         self._chances = Chances()
 
     def judge(self) -> bool:
@@ -244,12 +244,9 @@ class RobotCalibration:
         if before is not None and self._chosen_for == (self.beliefs, calibrator):
             return
         if before is not None and before.sampled:
-            self._estimate = self.estimate
-        if isinstance(self.beliefs, NativeBeliefs) and self.beliefs.library is not calibrator.library:
-            # Copies begin in the library with room for all robots.
-            self.beliefs = native_beliefs(self.beliefs.unpack(), calibrator.library)
+            self._keep_estimate()
         self._chosen_for = self.beliefs, calibrator
-        self._backend = native_sample(self.beliefs, calibrator, self._view)
+        self._backend = native_sample(self.beliefs, calibrator, self._view, self._chances)
 
     @property
     def backend(self) -> SampleBackend:
@@ -258,36 +255,31 @@ class RobotCalibration:
             raise gym.error.ResetNeeded("There is no estimate before the first reset().")
         return self._backend
 
-    def note(self, known: bool, standing: bool) -> None:
-        """Count the last sample, of which a reference was known, and in which a foot surely stood, or not."""
-        self._chances.add(known, standing)
-
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        hold, beliefs = self.next_sample(), self.beliefs
-        fell = believe(beliefs, self._sensors, self.reference_time, command, hold)
-        self.note(beliefs.known, beliefs.standing)
-        return fell
+        return believe(self.beliefs, self._sensors, self.reference_time, command, self.frozen, self._chances)
 
     def sample(self, command: Any) -> Told:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""
-        hold, beliefs = self.next_sample(), self.beliefs
-        shown, told = self.backend.sample(self._sensors, self.reference_time, command, hold)
-        self.note(beliefs.known, beliefs.standing)
+        shown, told = self.backend.sample(self._sensors, self.reference_time, command, self.frozen)
         told["lag"] = self.late
         return shown, told
 
     def retract(self) -> None:
         """Take back the latest learning of a robot that has fallen; the estimate is of before."""
-        self._estimate = self.estimate
+        self._keep_estimate()
         self.calibrator.retract()
 
     @property
     def estimate(self) -> Estimate:
         """The calibrator's last estimate."""
-        if self._estimate is None:
-            self._estimate = self.backend.estimate()
-        return self._estimate
+        return self._keep_estimate()
+
+    def _keep_estimate(self) -> Estimate:
+        """Return the last estimate, made of the library's record when somebody asks first."""
+        if self._estimate is None or self._estimate[0] != self._chances.samples:
+            self._estimate = self._chances.samples, self.backend.estimate()
+        return self._estimate[1]
 
     @property
     def reference(self) -> Reference | MomentumReference:
@@ -341,7 +333,9 @@ class RobotCalibration:
 
     def __getstate__(self) -> dict[str, Any]:
         # The library's record, of which an estimate is made, stays behind.
-        return {**vars(self), "_estimate": self.estimate if self.made else None, "_backend": None}
+        if self.made:
+            self._keep_estimate()
+        return {**vars(self), "_backend": None}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
@@ -362,16 +356,9 @@ class RobotCalibration:
         """Return the moment that a sample's reference describes, of the host's time, or of many."""
         return time - self.late * self._sensors.telemetry.dt - self._setup.age
 
-    def next_sample(self) -> bool:
-        """Go on by one sample; return whether nothing is to be learnt of it. :meth:`note` has to follow."""
-        self._estimate = None  # made of the library's record when somebody asks
-        hold = self.frozen or self._waiting > 0
-        self._waiting = max(self._waiting - 1, 0)
-        return hold
-
     def _wait_out(self) -> None:
         """Learn nothing while the oldest sample that a reference needs is of the last episode."""
-        self._waiting = waiting_samples(self.late, self._setup.age, self._sensors.telemetry.dt)
+        self._chances.wait(waiting_samples(self.late, self._setup.age, self._sensors.telemetry.dt))
 
     def _start_fresh(self) -> None:
         """Draw the robot's errors about itself, and start from the starting map."""
@@ -382,7 +369,8 @@ class RobotCalibration:
         self.late = usual_lag(link, period, telemetry.dt, setup.age) if setup.lag is None else setup.lag
         check_lag(self.late, telemetry, setup.age)
         self._make()
-        self.made, self._waiting = True, 0
+        self._chances.wait(0)
+        self.made = True
 
     def _make(self) -> None:
         dt = self._sensors.telemetry.dt

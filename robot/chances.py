@@ -2,16 +2,39 @@
 
 import warnings
 
+import numpy as np
+
 PATIENCE = 10.0
 """Time in s after which a calibrator should have learnt something."""
 
 
 class Chances:
-    """Counts samples that a calibrator can learn from, and warns once if it has learnt nothing of them."""
+    """Counts samples that a calibrator can learn from, and warns once if it has learnt nothing of them.
+
+    Attributes:
+        counts: How many samples nothing will be learnt of; and of those until now all, those of an upright
+            robot, those in which a foot surely stood as well, the last of these without a gap, and the most
+            without one, shape (6,). The library counts on in it.
+    """
 
     def __init__(self) -> None:
-        self._samples = self._upright = self._standing = self._run = self._longest = 0
+        self.counts = np.zeros(6, np.int64)
         self._warned = False
+
+    def wait(self, samples: int) -> None:
+        """Learn nothing of the next samples."""
+        self.counts[0] = samples
+
+    @property
+    def samples(self) -> int:
+        """Number of samples until now."""
+        return int(self.counts[1])
+
+    def next(self) -> bool:
+        """Go on to the next sample, before :meth:`add`; return whether nothing is learnt of it."""
+        waits = bool(self.counts[0] > 0)
+        self.counts[0] -= waits
+        return waits
 
     def add(self, upright: bool, standing: bool) -> None:
         """Count one sample.
@@ -20,15 +43,9 @@ class Chances:
             upright: Whether it has a reference.
             standing: Whether a foot surely stood.
         """
-        self._samples += 1
-        self._upright += upright
-        if not (upright and standing):
-            self._run = 0
-            return
-        self._standing += 1
-        self._run += 1
-        if self._run > self._longest:
-            self._longest = self._run
+        waiting, samples, before, stood, run, longest = self.counts.tolist()
+        run = run + 1 if upright and standing else 0
+        self.counts[:] = waiting, samples + 1, before + upright, stood + (run > 0), run, max(run, longest)
 
     def judge(self, learnt: bool, dt: float) -> bool:
         """Warn, once and not before :data:`PATIENCE`, if nothing was learnt; return whether that was done.
@@ -37,16 +54,17 @@ class Chances:
             learnt: Whether anything was.
             dt: Time between samples in s.
         """
-        if self._warned or (not learnt and self._samples * dt < PATIENCE):
+        _, samples, upright, standing, _, longest = self.counts.tolist()
+        if self._warned or (not learnt and samples * dt < PATIENCE):
             return False
         self._warned = True
         if learnt:
             return False
-        upright, standing = (round(100 * part / self._samples) for part in (self._upright, self._standing))
+        upright, standing = (round(100 * part / samples) for part in (upright, standing))
         warnings.warn(
-            f"SelfCalibration has learnt nothing in {self._samples * dt:.0f} s, and readings stay at the "
+            f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the "
             f"starting map: the robot was upright in {upright} % of the samples and had a foot surely on the "
-            f"ground in {standing} %, for {self._longest * dt:.1f} s at most. It learns while a robot "
+            f"ground in {standing} %, for {longest * dt:.1f} s at most. It learns while a robot "
             "stands or walks.",
             stacklevel=4,
         )

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import Library, NativeFilter, NativeState
+from surefoot.calibration.native import NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
-from surefoot.native import call_for_many
+from surefoot.native import Library, call_for_many
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
+from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DETERMINED, FootView
 from surefoot.robot.python import AnyBeliefs, PythonSample, Told
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -24,9 +25,8 @@ _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 NOTHING = None, 0
 """No packets: neither a place of rows nor a number of them."""
 
-KNOWN, STANDING, PUBLISHED = 2, 4, 1 + 8
-"""Bits of what the library tells of a sample: its reference is known, a foot surely stood, the robot fell or
-something new is handed out."""
+PUBLISHED = 1 + 8
+"""Bits of what the library tells of a sample: the robot fell, or something new is handed out."""
 
 
 class Samples(NamedTuple):
@@ -39,7 +39,7 @@ class Samples(NamedTuple):
         planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
         then: The moments of the samples, in s on the hosts' clocks.
         now: The hosts' clocks in s.
-        hold: Where nothing is learnt.
+        hold: Whether nothing is learnt.
     """
 
     rows: NDArray[np.uintp]
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
     planned: NDArray[np.bool_] | None
     then: NDArray[np.float64]
     now: NDArray[np.float64]
-    hold: list[bool]
+    hold: bool
 
 
 class NativeSample:
@@ -60,6 +60,7 @@ class NativeSample:
         state: The filter's state.
         view: The view of the feet.
         dt: Time between samples in s.
+        chances: Counts its samples.
 
     Attributes:
         sampled: Whether it has taken in any sample.
@@ -69,7 +70,13 @@ class NativeSample:
     """
 
     def __init__(
-        self, beliefs: NativeBeliefs, native: NativeFilter, state: NativeState, view: FootView, dt: float
+        self,
+        beliefs: NativeBeliefs,
+        native: NativeFilter,
+        state: NativeState,
+        view: FootView,
+        dt: float,
+        chances: Chances,
     ) -> None:
         library = beliefs.library
         self._beliefs, self._state = beliefs, state
@@ -88,11 +95,12 @@ class NativeSample:
                 "view": config.ctypes.data,
                 "held": view.held.ctypes.data,
                 "told": self.memory.ctypes.data,
+                "counts": chances.counts.ctypes.data,
                 "dt": dt,
             },
         )
         assert records is not None
-        self._kept, self._records = (config, view.held), records
+        self._kept, self._records = (config, view.held, chances), records
         self._sample, self.address = library.functions.surefoot_sample, records.ctypes.data
         self.many = library.functions.surefoot_sample_many
 
@@ -190,19 +198,16 @@ class ManySamples:
         # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
         return type(None), ()
 
-    def feed(self, which: NDArray[np.intp], samples: Samples, threads: int) -> NDArray[np.int32]:
+    def feed(self, which: NDArray[np.intp], samples: Samples, threads: int) -> None:
         """Take in a sample of each of some robots.
 
         Args:
             which: Their numbers, shape (n,).
             samples: One of each.
             threads: As of :func:`~surefoot.native.call_for_many`.
-
-        Returns:
-            What the library tells of each: :data:`KNOWN`, :data:`STANDING` and others, added, shape (n,).
         """
         found, plans = np.zeros(len(which), dtype=np.int32), np.zeros(len(which), dtype=np.uintp)
-        how = 2 * np.array(samples.hold, dtype=np.int32)
+        how = np.full(len(which), 2 * samples.hold, dtype=np.int32)
         if samples.planned is not None:
             planned = np.ascontiguousarray(samples.planned)
             how, plans = how + np.int32(1), plans + planned.ctypes.data
@@ -216,7 +221,6 @@ class ManySamples:
                 self.robots[i].sampled = True
         for i in which[found & PUBLISHED > 0].tolist():
             self.robots[i].drop_published()
-        return found
 
     def outputs(self) -> Told:
         """Return observations and ``info`` of all, as :meth:`NativeSample.outputs_of` does."""
@@ -227,12 +231,14 @@ SampleBackend = PythonSample | NativeSample
 """Who takes in all samples of one robot."""
 
 
-def native_sample(beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> SampleBackend:
+def native_sample(
+    beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView, chances: Chances
+) -> SampleBackend:
     """Return the library for one robot, or Python where that does its beliefs or its filter."""
     native = calibrator.native()
     if native is None or not isinstance(beliefs, NativeBeliefs):
-        return PythonSample(beliefs, calibrator, view)
-    return NativeSample(beliefs, *native, view, calibrator.setup.dt)
+        return PythonSample(beliefs, calibrator, view, chances)
+    return NativeSample(beliefs, *native, view, calibrator.setup.dt, chances)
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:

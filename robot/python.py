@@ -10,6 +10,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DETERMINED, FootView
 from surefoot.robot.sensing.sensors import RobotSensors
 
@@ -26,13 +27,16 @@ class PythonSample:
         beliefs: The robot's.
         calibrator: Its calibrator.
         view: The view of its feet.
+        chances: Counts its samples.
 
     Attributes:
         sampled: Whether it has taken in any sample.
     """
 
-    def __init__(self, beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView) -> None:
-        self._beliefs, self._calibrator, self._view = beliefs, calibrator, view
+    def __init__(
+        self, beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView, chances: Chances
+    ) -> None:
+        self._beliefs, self._calibrator, self._view, self._chances = beliefs, calibrator, view, chances
         self._estimate: Estimate
         self.sampled = False
 
@@ -46,7 +50,7 @@ class PythonSample:
             hold: Whether nothing is learnt of it.
         """
         beliefs = self._beliefs
-        if believe(beliefs, sensors, then, command, hold):
+        if believe(beliefs, sensors, then, command, hold, self._chances):
             self._calibrator.retract()
         self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
         self.sampled = True
@@ -58,13 +62,18 @@ class PythonSample:
         return self._estimate
 
 
-def believe(beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool) -> bool:
-    """Find the reference of one sample; return whether the robot has just fallen.
+def believe(
+    beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool, chances: Chances
+) -> bool:
+    """Find the reference of one sample, and count it; return whether the robot has just fallen.
 
     Arguments are those of :meth:`PythonSample.sample`.
     """
+    waits = chances.next()
     beliefs.update(sensors.packets)
-    return beliefs.sample(then, command, hold)
+    fell = beliefs.sample(then, command, hold or waits)
+    chances.add(beliefs.known, beliefs.standing)
+    return fell
 
 
 def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ robot's device draws the same wherever the robot stands. Its words a, b, c, d gi
 and the same of c and d, and two normal ones by Box and Muller,
 :math:`\sqrt{-2 \log(1 - u_1)}\, (\cos 2 \pi u_2, \sin 2 \pi u_2)`. A draw of n numbers takes
 :math:`\lceil n / 2 \rceil` blocks; the rest of the last one is dropped.
-``sensors/native/surefoot_random.h`` is the same in C, and draws here where it is compiled.
+``native/surefoot_random.h`` is the same in C, and draws here where it is compiled.
 """
 
 from math import prod
@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.native import installed
+from surefoot.native import SENSORS
 
 AHEAD = 256
 """Blocks that are made at a time where there is no library."""
@@ -109,7 +109,7 @@ class Stream:
         return self._draw(shape, True)
 
     def _draw(self, shape: tuple[int, ...], normal: bool) -> NDArray[np.float64]:
-        library = installed()
+        library = SENSORS.installed()
         if library is None:
             return self._next(prod(shape), normal).reshape(shape)
         out = np.empty(shape)

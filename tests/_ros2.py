@@ -10,14 +10,13 @@ from typing import Any
 import pytest
 import yaml
 
-from surefoot.calibration.native import NATIVE
-from surefoot.native.build import SHARED
+from surefoot.native import CALIBRATION, FOLDER
 
 PACKAGE = Path(__file__).parents[1] / "ros2"
 FLAGS = ("-O0", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-Wno-maybe-uninitialized")
 
 needs_cpp = pytest.mark.skipif(
-    not PACKAGE.is_dir() or shutil.which("c++") is None or NATIVE.installed() is None,
+    not PACKAGE.is_dir() or shutil.which("c++") is None or CALIBRATION.installed() is None,
     reason="needs the package in ros2/, a C++ compiler and surefoot's library in C",
 )
 
@@ -28,9 +27,9 @@ def build(source: Path, folder: Path, main: Path | None = None) -> Path:
         (folder / header).parent.mkdir(parents=True, exist_ok=True)
         (folder / header).write_text(f'#pragma once\n#include "{Path(__file__).parent}/_ros2.hpp"\n')
     # As CMake has the headers of an imported target.
-    include = [f"-isystem{path}" for path in (folder, NATIVE.sources.folder, SHARED)]
-    program = folder / "program"
-    command = ["c++", "-std=c++17", *FLAGS, *include, "-o", program, main or source, NATIVE.sources.library]
+    include = [f"-isystem{path}" for path in (folder, FOLDER)]
+    program, library = folder / "program", CALIBRATION.sources.library
+    command = ["c++", "-std=c++17", *FLAGS, *include, "-o", program, main or source, library]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return program

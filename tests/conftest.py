@@ -58,9 +58,9 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Give the library of calibrators and beliefs, compiled if there is none."""
     from _native import library_of
 
-    from surefoot.calibration.native import NATIVE
+    from surefoot.native import CALIBRATION
 
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+    return library_of(CALIBRATION, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture

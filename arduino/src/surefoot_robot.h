@@ -1,1 +1,1 @@
-../../calibration/native/surefoot_robot.h
+../../native/surefoot_robot.h

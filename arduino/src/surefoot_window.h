@@ -1,1 +1,1 @@
-../../calibration/native/surefoot_window.h
+../../native/surefoot_window.h

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.arrays import MAD_TO_STD
+from surefoot.calibration.arrays import MAD_TO_STD, of_unit_length
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
@@ -165,19 +165,10 @@ def calibrate_accelerometer(
     kept, gated = force[still], int(np.sum(~still))
     plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
     solved = least_squares(_distances, start, args=(kept,), **plain)
-    jacobian = _slopes(solved.x, kept)
-    length = np.linalg.norm(jacobian, axis=0)
-    _, singular, right = np.linalg.svd(jacobian / np.where(length > 0.0, length, 1.0), full_matrices=False)
-    rank = int(np.sum(singular > tolerance * singular[0]))
-    if rank < unknowns:
-        raise CalibrationRefused(
-            f"The orientations determine {rank} of the {unknowns} unknowns of the model {model!r}.",
-            _CURE if model == "bias" else f"{_CURE[:-1]}, or take a model with fewer unknowns.",
-        )
+    back, singular = _determine(_slopes(solved.x, kept), model, tolerance)
     bias, K = _unpack(solved.x)
     square = float(np.sum(solved.fun**2))
     free = len(kept) - unknowns
-    back = (right.T / singular) / length[:, None]
     # From readings in units of gravity to the caller's: b by g, while K keeps its size.
     unit = np.where(np.arange(unknowns) < _BIAS.stop, gravity, 1.0)
     return AccelerometerFit(
@@ -190,7 +181,7 @@ def calibrate_accelerometer(
             dropped=dropped,
             gated=gated,
             residual_rms=gravity * float(np.sqrt(square / len(kept))),
-            rank=rank,
+            rank=unknowns,
             unknowns=unknowns,
             condition=float(singular[0] / singular[-1]),
         ),
@@ -289,6 +280,25 @@ def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.fl
     # Q / radius^2 = K'K; Cholesky gives the upper factor.
     K = np.linalg.cholesky(Q / square_radius).T
     return np.concatenate([centre, K[_ROWS, _COLUMNS]])[:unknowns]
+
+
+def _determine(
+    jacobian: NDArray[np.float64], model: str, tolerance: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the map from unit residuals to the unknowns, and the singular values.
+
+    Raises:
+        CalibrationRefused: If an unknown is not determined.
+    """
+    unit, length = of_unit_length(jacobian)
+    _, singular, right = np.linalg.svd(unit, full_matrices=False)
+    rank, unknowns = int(np.sum(singular > tolerance * singular[0])), _UNKNOWNS[model]
+    if rank < unknowns:
+        raise CalibrationRefused(
+            f"The orientations determine {rank} of the {unknowns} unknowns of the model {model!r}.",
+            _CURE if model == "bias" else f"{_CURE[:-1]}, or take a model with fewer unknowns.",
+        )
+    return (right.T / singular) / length[:, None], singular
 
 
 def _check_samples(force: NDArray[np.float64], gravity: float, unknowns: int, dropped: int) -> None:

@@ -6,19 +6,13 @@ library also makes the references, for :mod:`surefoot.robot`.
 
 from surefoot.calibration.native.config import c_source, constants_of
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
-from surefoot.calibration.native.library import NATIVE, installed, rooms
 from surefoot.calibration.native.reference import ReferenceRecord
-from surefoot.native import Library
 
 __all__ = [
-    "NATIVE",
-    "Library",
     "NativeFilter",
     "NativeState",
     "ReferenceRecord",
     "c_source",
     "constants_of",
-    "installed",
     "native_filter",
-    "rooms",
 ]

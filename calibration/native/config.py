@@ -15,16 +15,15 @@ from surefoot.calibration.moment import tare as tares
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.filter import MomentFilter
-from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
 from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
-from surefoot.native import Library, c_header, require
+from surefoot.native import CALIBRATION, Library, c_header, require
 
 _METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
-"""Numbers of methods in ``library.c``."""
+"""Numbers of methods in ``native/calibration.c``."""
 
 _STATES = "moment_state", "window_state", "tare_state", "front"
 _OWN = "moment_config", "window_config", "tare_config", None
@@ -35,7 +34,7 @@ class Constants(NamedTuple):
     """The constants of one robot and one method.
 
     Attributes:
-        number: Of the method in ``library.c``.
+        number: Of the method in ``native/calibration.c``.
         config: The record of the robot's, shape ().
         own: That of the method's, if it has one.
         state: Name of the record of the state.
@@ -120,7 +119,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    found = constants_of(require(installed()), method, setup, options)
+    found = constants_of(require(CALIBRATION.installed()), method, setup, options)
     if found is None:
         raise ValueError(f"The library is not made for such a robot; {page('native')} has its limits.")
     record, own, name = found.config, found.own, _OWN[found.number]

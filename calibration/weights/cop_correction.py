@@ -170,18 +170,7 @@ def fit_cop_correction(
 
     basis = _correction_basis(cop[kept], cell_force[kept])
     target = hole[kept] - cop[kept]
-    # To one length, or the cut-off would be a matter of units; cells alike, so that none is preferred.
-    length = np.linalg.norm(basis, axis=0)
-    length[6:] = np.sqrt(np.mean(length[6:] ** 2))
-    left, singular, right = np.linalg.svd(basis / length, full_matrices=False)
-    rank = int(np.sum(singular > tolerance * singular[0]))
-    if rank < unknowns - 1:
-        raise CalibrationRefused(
-            f"The placements determine {rank} of the correction's {unknowns} coefficients.",
-            "Use holes in at least three rows and three columns, and two weights over the same holes.",
-        )
-    to_coefficients = (right[:rank].T / singular[:rank]) / length[:, None]
-    coefficients = to_coefficients @ (left[:, :rank].T @ target)
+    coefficients, to_coefficients, rank, condition = _solve(basis, target, tolerance)
     residual = target - basis @ coefficients
     free = len(target) - rank
     variance = np.sum(residual**2, axis=0) / free if free else np.full(2, np.nan)
@@ -197,7 +186,7 @@ def fit_cop_correction(
             residual_rms=_rms(np.linalg.norm(residual, axis=1)),
             rank=rank,
             unknowns=unknowns,
-            condition=float(singular[0] / singular[-1]) if rank == unknowns else np.inf,
+            condition=condition,
         ),
         score_fitted=empty,
         score_held_out=empty,
@@ -209,6 +198,29 @@ def fit_cop_correction(
         score_fitted=fit.score(cell_force[~out], weight[~out], hole[~out]),
         score_held_out=fit.score(cell_force[out], weight[out], hole[out]),
     )
+
+
+def _solve(
+    basis: NDArray[np.float64], target: NDArray[np.float64], tolerance: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int, float]:
+    """Solve for the coefficients; return them, the map from unit errors to them, the rank and the condition.
+
+    Raises:
+        CalibrationRefused: If more than one of them is not determined.
+    """
+    # To one length, or the cut-off would be a matter of units; cells alike, so that none is preferred.
+    length, unknowns = np.linalg.norm(basis, axis=0), basis.shape[1]
+    length[6:] = np.sqrt(np.mean(length[6:] ** 2))
+    left, singular, right = np.linalg.svd(basis / length, full_matrices=False)
+    rank = int(np.sum(singular > tolerance * singular[0]))
+    if rank < unknowns - 1:
+        raise CalibrationRefused(
+            f"The placements determine {rank} of the correction's {unknowns} coefficients.",
+            "Use holes in at least three rows and three columns, and two weights over the same holes.",
+        )
+    to_coefficients = (right[:rank].T / singular[:rank]) / length[:, None]
+    condition = float(singular[0] / singular[-1]) if rank == unknowns else np.inf
+    return to_coefficients @ (left[:, :rank].T @ target), to_coefficients, rank, condition
 
 
 def _check_shapes(

@@ -89,6 +89,11 @@ class Curves:
             straight[..., i] = cubic(inside) + slope * (raw[..., i] - inside)
         return straight
 
+    @property
+    def cubics(self) -> Mapping[int, PchipInterpolator]:
+        """The cubic of each channel that has one."""
+        return self._cubics
+
     def as_plain(self) -> list[dict[str, list[float]] | None]:
         """Return them as values that JSON can hold."""
         return [None if one is None else dict(zip(_KEYS, one.tolist(), strict=True)) for one in self.knots]

@@ -17,7 +17,6 @@ from surefoot.envs.exercise.balance import AnkleBalance
 from surefoot.envs.exercise.motion import plan_motion
 from surefoot.envs.exercise.moves import Schedule
 from surefoot.envs.instrumentation.means import foot_places
-from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.observation import FORCE_BOUND, Places, Seen, closeness
@@ -224,17 +223,8 @@ class ExerciseEnv(BipedEnv):
 def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
     """Return where in the sensor data of a robot with two feet things are that are shown."""
     layout, start = instrumentation.layout, instrumentation.columns(model).start
-    torso = start + FootColumns.width * len(layout.feet)
-    joints = torso + TorsoColumns.width
-    return Places(
-        foot_places(layout, start),
-        axes_torso=torso + TorsoColumns.axes.start,
-        position_torso=torso + TorsoColumns.position.start,
-        gyroscope=torso + TorsoColumns.gyroscope.start,
-        com_velocity=torso + TorsoColumns.com_velocity.start,
-        joints=slice(joints, joints + len(layout.joint_names)),
-        joint_dofs=np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names]),
-    )
+    dofs = np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names])
+    return Places.of(foot_places(layout, start), layout.columns_after(start), dofs)
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import rotate_level
-from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
+from surefoot.envs.instrumentation.robot import MeasuredRobot, RowColumns
 from surefoot.envs.instrumentation.truth import centres
-from surefoot.envs.native import Call, installed, record_at
-from surefoot.native import Library
+from surefoot.native import ENVS, Call, Library, record_at
 
 Array = NDArray[np.float64]
 
@@ -45,6 +44,17 @@ class FootPlaces(NamedTuple):
     com: int
     force_cell: Callable[[Array, Array], Array] | None
     flat: tuple[bool, ...]
+
+    @classmethod
+    def of(
+        cls, columns: RowColumns, force_cell: Callable[[Array, Array], Array] | None, flat: tuple[bool, ...]
+    ) -> "FootPlaces":
+        """Return those of a row."""
+        ankle, contact, sole, axes = (
+            tuple(part[:, 0].tolist())
+            for part in (columns.ankle, columns.ground, columns.position_sole, columns.axes_sole)
+        )
+        return cls(ankle, contact, columns.up, sole, axes, columns.com.start, force_cell, flat)
 
     def level(self, row: Sequence[float]) -> tuple[float, float, float]:
         """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
@@ -155,7 +165,7 @@ class MeanTruth:
             threads: Threads that many robots are shared among.
         """
         if rows.shape not in self._calls:
-            library = installed()
+            library = ENVS.installed()
             self._calls[rows.shape] = None if library is None else self._call(library, *rows.shape)
         found = self._calls[rows.shape]
         if found is None:
@@ -207,17 +217,6 @@ def _force_of_wrench(shares: Array, row: Array, wrench: Array) -> Array:
 
 def foot_places(layout: MeasuredRobot, start: int = 0) -> FootPlaces:
     """Return where the feet's columns are in rows of an instrumented robot, which begin at ``start``."""
-
-    def each(part: slice) -> tuple[int, ...]:
-        return tuple(start + FootColumns.width * foot + part.start for foot in range(len(layout.feet)))
-
-    return FootPlaces(
-        ankle=each(FootColumns.ankle),
-        contact=each(FootColumns.contact),
-        up=-1.0,
-        position_sole=each(FootColumns.position_sole),
-        axes_sole=each(FootColumns.axes_sole),
-        com=start + FootColumns.width * len(layout.feet) + TorsoColumns.com.start,
-        force_cell=None if layout.flaw else partial(_force_of_wrench, layout.force_of_wrench),
-        flat=tuple(not foot.flaw for foot in layout.feet),
-    )
+    force_cell = None if layout.flaw else partial(_force_of_wrench, layout.force_of_wrench)
+    flat = tuple(not foot.flaw for foot in layout.feet)
+    return FootPlaces.of(layout.columns_after(start), force_cell, flat)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.envs.instrumentation.drawing import draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
-from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns, encoders, measure_robot
+from surefoot.envs.instrumentation.robot import TORSO, TORSO_WIDTH, FootColumns, encoders, measure_robot
 from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
 from surefoot.envs.instrumentation.swap import sensors_off
 from surefoot.envs.instrumentation.truth import FeetTruth
@@ -52,9 +52,7 @@ class SensorReader:
         self._scratch_row = self._scratch.sensordata[columns]
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
         self._first = first
-        feet, joints = FootColumns.width * len(self._layout.feet), len(self._layout.joint_names)
-        self._gyroscope = slice(feet + TorsoColumns.gyroscope.start, feet + TorsoColumns.gyroscope.stop)
-        self._joints = slice(feet + TorsoColumns.width, feet + TorsoColumns.width + joints)
+        self._gyroscope, self._joints = self._layout.columns.gyroscope, self._layout.columns.joint_position
         torso = model.body(self._layout.torso).id
         self._encoders = model.jnt_qposadr[list(encoders(model, torso))]
         joint = model.body_jntadr[torso]
@@ -209,7 +207,7 @@ class FeetReader:
         for i, foot in enumerate(feet):
             self._read_foot(i, foot)
         self._add_contacts(feet)
-        torso = slice(split, split + TorsoColumns.width)
+        torso = slice(split, split + TORSO_WIDTH)
         self._read_torso(row[torso])
         row[torso.stop : -1] = own.qpos[self._encoders]
         row[-1] = own.time
@@ -246,15 +244,15 @@ class FeetReader:
     def _read_torso(self, row: Array) -> None:
         """Read the torso's frame, the whole robot's motion and the IMU."""
         model, own, torso, spatial = self._model, self._data, self._torso, np.zeros(6)
-        row[TorsoColumns.position] = own.xpos[torso]
-        row[TorsoColumns.axes] = own.xmat[torso].reshape(3, 3).T.ravel()
-        row[TorsoColumns.com] = own.subtree_com[torso]
-        row[TorsoColumns.com_velocity] = own.subtree_linvel[torso]
-        row[TorsoColumns.angular_momentum] = own.subtree_angmom[torso]
+        row[TORSO["position_torso"]] = own.xpos[torso]
+        row[TORSO["axes_torso"]] = own.xmat[torso].reshape(3, 3).T.ravel()
+        row[TORSO["com"]] = own.subtree_com[torso]
+        row[TORSO["com_velocity"]] = own.subtree_linvel[torso]
+        row[TORSO["angular_momentum"]] = own.subtree_angmom[torso]
         mujoco.mj_objectAcceleration(model, own, *self._imu, spatial, 1)
-        row[TorsoColumns.accelerometer] = spatial[3:]
+        row[TORSO["accelerometer"]] = spatial[3:]
         mujoco.mj_objectVelocity(model, own, *self._imu, spatial, 1)
-        row[TorsoColumns.gyroscope] = spatial[:3]
+        row[TORSO["gyroscope"]] = spatial[:3]
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,18 +27,72 @@ class FootColumns:
     width: Final = 27
 
 
-class TorsoColumns:
-    """Columns after the feet: frame of the torso, motion of the whole robot, IMU."""
+TORSO: Final = {
+    "position_torso": slice(0, 3),
+    "axes_torso": slice(3, 12),
+    "com": slice(12, 15),
+    "com_velocity": slice(15, 18),
+    "angular_momentum": slice(18, 21),
+    "accelerometer": slice(21, 24),
+    "gyroscope": slice(24, 27),
+    "inertial": slice(21, 27),
+}
+"""Columns after the feet: frame of the torso, motion of the whole robot, IMU."""
 
-    position: Final = slice(0, 3)
-    axes: Final = slice(3, 12)
-    com: Final = slice(12, 15)
-    com_velocity: Final = slice(15, 18)
-    angular_momentum: Final = slice(18, 21)
-    accelerometer: Final = slice(21, 24)
-    gyroscope: Final = slice(24, 27)
-    inertial: Final = slice(21, 27)
-    width: Final = 27
+TORSO_WIDTH: Final = 27
+
+
+class SensedColumns(NamedTuple):
+    """Where in a row the sensors' loads stand: the first column of each part.
+
+    Attributes:
+        joints: Of the encoders' angles.
+        inertial: Of accelerometer and gyroscope.
+        ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
+        cells: The data of which the cells' forces are made by ``cell_map()``.
+        stride: Columns from one foot's to the next one's.
+        soles: How many feet have force, torque, place and the sole's frame there, of which wrenches are made
+            first; 0 where these stand there.
+    """
+
+    joints: int
+    inertial: int
+    ankles: int
+    cells: int
+    stride: int
+    soles: int = 0
+
+
+class RowColumns(NamedTuple):
+    """Where in a row of readings the parts stand, of a robot with F feet.
+
+    Attributes:
+        ankle: Force and torque at each ankle, of the robot on the foot, shape (F, 6).
+        ground: Force and torque in the contacts and the place at which they act, in the world, shape (F, 9).
+        up: 1 if these are the ground's on the robot, -1 if the robot's on the ground.
+        position_sole: Origins of the sole frames in the world, shape (F, 3).
+        axes_sole: Their axes one after another, shape (F, 9).
+        position_torso: Origin of the torso's frame; with its axes and what follows of the whole robot.
+        sensed: What sensors read.
+        time: The simulated time.
+    """
+
+    ankle: NDArray[np.intp]
+    ground: NDArray[np.intp]
+    up: float
+    position_sole: NDArray[np.intp]
+    axes_sole: NDArray[np.intp]
+    position_torso: slice
+    axes_torso: slice
+    com: slice
+    com_velocity: slice
+    angular_momentum: slice
+    accelerometer: slice
+    gyroscope: slice
+    inertial: slice
+    joint_position: slice
+    sensed: SensedColumns
+    time: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +136,37 @@ class MeasuredRobot:
                 shares[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = plate.across.T.reshape(3, 2, 4)
         return shares.reshape(len(shares), -1)
 
+    @cached_property
+    def columns(self) -> RowColumns:
+        """Where in a row the parts stand."""
+        return self.columns_after(0)
+
+    def columns_after(self, start: int) -> RowColumns:
+        """Return where the parts stand in rows in which others stand before them, so many."""
+        feet = start + FootColumns.width * np.arange(len(self.feet))[:, None]
+        torso = int(start + FootColumns.width * len(self.feet))
+        joints = torso + TORSO_WIDTH
+        ankle, ground, sole, axes = (
+            feet + np.arange(part.start, part.stop)
+            for part in (
+                FootColumns.ankle, FootColumns.contact, FootColumns.position_sole, FootColumns.axes_sole
+            )
+        )  # fmt: skip
+        return RowColumns(
+            ankle, ground, -1.0, sole, axes,
+            **{name: slice(torso + part.start, torso + part.stop) for name, part in TORSO.items()},
+            joint_position=slice(joints, joints + len(self.joint_names)),
+            sensed=SensedColumns(
+                joints, torso + TORSO["inertial"].start, int(ankle[0, 0]), int(ground[0, 0]),
+                FootColumns.width, len(self.feet),
+            ),
+            time=joints + len(self.joint_names),
+        )  # fmt: skip
+
     @property
     def size(self) -> int:
         """Columns of a row: 27 a foot, 27 for the torso, one a joint, and the time."""
-        return FootColumns.width * len(self.feet) + TorsoColumns.width + len(self.joint_names) + 1
+        return FootColumns.width * len(self.feet) + TORSO_WIDTH + len(self.joint_names) + 1
 
 
 def measure_robot(

@@ -9,14 +9,14 @@ The cells are springs under a massless plate that covers the sole (:class:`SoleP
 share the ground's force, and their centre of pressure is that of the contacts.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
+from surefoot.envs.instrumentation.robot import MeasuredRobot, RowColumns
 
 Array = NDArray[np.float64]
 
@@ -24,54 +24,48 @@ CONTACT_FORCE = 5.0
 """Vertical force in N above which a centre of pressure is defined."""
 
 
-class SensedColumns(NamedTuple):
-    """Where in a row the sensors' loads stand: the first column of each part.
-
-    Attributes:
-        joints: Of the encoders' angles.
-        inertial: Of accelerometer and gyroscope.
-        ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
-        cells: The data of which the cells' forces are made by ``cell_map()``.
-        stride: Columns from one foot's to the next one's.
-        soles: How many feet have force, torque, place and the sole's frame there (:func:`wrench_at_sole`), of
-            which wrenches are made first; 0 where these stand there.
-    """
-
-    joints: int
-    inertial: int
-    ankles: int
-    cells: int
-    stride: int
-    soles: int = 0
-
-
-class FeetTruth:
+class RobotTruth(ABC):
     """The loads of F feet and the torso in one substep, or in many; its arrays are not to be changed.
 
     Args:
-        rows: Readings, shape (..., 27 F + 28 + J); they are kept and not copied.
-        layout: The robot, in whose order the columns are.
+        rows: Readings, shape (..., columns); they are kept and not copied.
+        columns: Where the parts stand.
     """
 
-    def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
-        self.rows = rows
-        self.layout = layout
-        self._end = FootColumns.width * len(layout.feet)
+    def __init__(self, rows: Array, columns: RowColumns) -> None:
+        self.rows, self.columns = rows, columns
+
+    @property
+    @abstractmethod
+    def cell_data(self) -> Array:
+        """The data of which the cells' forces are made."""
+
+    @abstractmethod
+    def cell_map(self) -> tuple[Array, Array]:
+        """Return the map from :attr:`cell_data` to the cells' forces: factors, and N to add."""
+
+    @abstractmethod
+    def shear_map(self) -> Array:
+        """Return the map from :attr:`cell_data` to the cells' horizontal forces: along x of all, then y."""
 
     @property
     def time(self) -> Array:
         """Simulated time in s, shape (...)."""
-        return self.rows[..., -1]
+        return self.rows[..., self.columns.time]
 
     @property
     def wrench_ankle(self) -> Array:
-        """Wrenches that the feet pass up at the ankles in the feet's axes in N and N m, shape (..., F, 6)."""
-        return -self._feet[..., FootColumns.ankle]
+        """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (..., F, 6).
+
+        The ground's load on the foot, and gravity less inertia of all that hangs below the sensor
+        (:attr:`RobotDrawing.below_ankle`): a foot in the air reads its own weight, downwards.
+        """
+        return -self.rows.take(self.columns.ankle, axis=-1)
 
     @property
     def force_world(self) -> Array:
         """Forces of everything that touches a foot on it, in the world in N, shape (..., F, 3)."""
-        return -self._feet[..., FootColumns.force]
+        return self._ground[..., :3]
 
     @cached_property
     def wrench_sole(self) -> Array:
@@ -79,27 +73,117 @@ class FeetTruth:
 
         Whatever else touches a foot, such as the other foot, counts as ground.
         """
-        if self.rows.size == self.layout.size:
-            # A single row, as every step of one environment makes: plain floats are faster than arrays.
-            row = self.rows.ravel().tolist()
-            starts = range(_START, self._end, FootColumns.width)
-            wrench = [wrench_at_sole(row[at : at + 21], -1.0) for at in starts]
-            return np.array(wrench).reshape(*self.rows.shape[:-1], -1, 6)
-        feet = self._feet
-        force = -feet[..., FootColumns.force]
-        arm = feet[..., FootColumns.place] - feet[..., FootColumns.position_sole]
-        world = np.stack([force, cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
-        return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
+        ground = self._ground
+        force, torque, place = ground[..., :3], ground[..., 3:6], ground[..., 6:]
+        world = np.stack([force, torque + cross(place - self.position_sole, force)], axis=-2)
+        return (world @ self.R_world_sole).reshape(*ground.shape[:-1], 6)
+
+    @property
+    def _ground(self) -> Array:
+        """The ground's load on the feet: force, torque and the place at which they act, shape (..., F, 9)."""
+        ground: Array = self.rows.take(self.columns.ground, axis=-1)
+        ground[..., :6] *= self.columns.up
+        return ground
 
     @property
     def position_sole(self) -> Array:
         """Origins of the sole frames in the world in m, shape (..., F, 3)."""
-        return self._feet[..., FootColumns.position_sole]
+        return self.rows.take(self.columns.position_sole, axis=-1)
 
     @property
     def R_world_sole(self) -> Array:  # noqa: N802
         """Rotations from the sole frames to the world, shape (..., F, 3, 3)."""
-        return _rotation(self._feet[..., FootColumns.axes_sole])
+        return _rotation(self.rows.take(self.columns.axes_sole, axis=-1))
+
+    @cached_property
+    def force_cell(self) -> Array:
+        """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F)."""
+        factors, added = self.cell_map()
+        force: Array = self.cell_data @ factors + added
+        return force
+
+    @property
+    def shear_cell(self) -> Array:
+        """Horizontal forces of the load cells in N, along x of all, and then along y, shape (..., 8 F)."""
+        shear: Array = self.cell_data @ self.shear_map()
+        return shear
+
+    @property
+    def position_torso(self) -> Array:
+        """Origin of the torso's frame in the world in m, shape (..., 3)."""
+        return self.rows[..., self.columns.position_torso]
+
+    @property
+    def R_world_torso(self) -> Array:  # noqa: N802
+        """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
+        return _rotation(self.rows[..., self.columns.axes_torso])
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass of the robot in the world in m, shape (..., 3)."""
+        return self.rows[..., self.columns.com]
+
+    @property
+    def com_velocity(self) -> Array:
+        """Velocity of the centre of mass in the world in m/s, shape (..., 3)."""
+        return self.rows[..., self.columns.com_velocity]
+
+    @property
+    def angular_momentum(self) -> Array:
+        """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."""
+        return self.rows[..., self.columns.angular_momentum]
+
+    @property
+    def accelerometer(self) -> Array:
+        """Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3)."""
+        return self.rows[..., self.columns.accelerometer]
+
+    @property
+    def gyroscope(self) -> Array:
+        """Angular velocity of the torso in its own axes in rad/s, shape (..., 3)."""
+        return self.rows[..., self.columns.gyroscope]
+
+    @property
+    def inertial(self) -> Array:
+        """Accelerometer and gyroscope, shape (..., 6)."""
+        return self.rows[..., self.columns.inertial]
+
+    @property
+    def joint_position(self) -> Array:
+        """Angles of the hinge joints in rad, shape (..., J)."""
+        return self.rows[..., self.columns.joint_position]
+
+    def vgrf(self) -> Array:
+        """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
+        return self.contacts()[..., 2] + 0.0
+
+    def cop_world(self) -> Array:
+        """Centre of pressure of all feet together at the last row in the world in m, shape (..., 2).
+
+        NaN where all feet together bear no more than 5 N.
+        """
+        return centre_of_pressure(self.contacts())
+
+    def contacts(self) -> Array:
+        """The ground's load on each foot at the last row, a single one or the last substep's, (..., F, 9).
+
+        Force in N, torque in N m and the place in m at which they act, in the world.
+        """
+        ground = self._ground
+        return ground if self.rows.ndim == 1 else ground[..., -1, :, :]
+
+
+class FeetTruth(RobotTruth):
+    """The truth of a robot whose sensors were added, as of :class:`RobotTruth`.
+
+    Args:
+        rows: Readings, shape (..., 27 F + 28 + J); they are kept and not copied.
+        layout: The robot, in whose order the columns are.
+    """
+
+    def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
+        super().__init__(rows, layout.columns)
+        self.layout = layout
 
     @property
     def cop_sole(self) -> Array:
@@ -111,25 +195,9 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
-    def sensor_columns(self) -> SensedColumns:
-        """Return where in a row the sensors' loads stand."""
-        return SensedColumns(
-            joints=self._end + TorsoColumns.width,
-            inertial=self._end + TorsoColumns.inertial.start,
-            ankles=FootColumns.ankle.start,
-            cells=_START,
-            stride=FootColumns.width,
-            soles=len(self.layout.feet),
-        )
-
-    def cell_map(self) -> tuple[Array, Array]:
-        """Return the map from :attr:`wrench_sole` to cells' forces: factors (6 F, 4 F) and N to add (4 F)."""
-        factors = self.layout.force_of_wrench
-        return factors, np.zeros(factors.shape[1])
-
-    @cached_property
-    def force_cell(self) -> Array:
-        """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F).
+    @property
+    def cell_data(self) -> Array:
+        """Wrenches at the soles, shape (..., 6 F).
 
         A cell is pulled where the ground pushes outside the cells.
 
@@ -138,107 +206,21 @@ class FeetTruth:
         """
         self._refuse_flaws()
         wrench = self.wrench_sole
-        return wrench.reshape(*wrench.shape[:-2], -1) @ self.layout.force_of_wrench
+        return wrench.reshape(*wrench.shape[:-2], -1)
 
-    @property
-    def shear_cell(self) -> Array:
-        """Horizontal forces of the load cells in N, along x of all, and then along y, shape (..., 8 F)."""
-        wrench = self.wrench_sole
-        return wrench.reshape(*wrench.shape[:-2], -1) @ self.shear_map()
+    def cell_map(self) -> tuple[Array, Array]:
+        """As of :class:`RobotTruth`: factors (6 F, 4 F), and no force to add, (4 F)."""
+        factors = self.layout.force_of_wrench
+        return factors, np.zeros(factors.shape[1])
 
     def shear_map(self) -> Array:
-        """Return the map from :attr:`wrench_sole` to the cells' horizontal forces, (6 F, 8 F): x, then y."""
+        """As of :class:`RobotTruth`, shape (6 F, 8 F)."""
         return self.layout.shear_of_wrench
-
-    @property
-    def position_torso(self) -> Array:
-        """Origin of the torso's frame in the world in m, shape (..., 3)."""
-        return self._body[..., TorsoColumns.position]
-
-    @property
-    def R_world_torso(self) -> Array:  # noqa: N802
-        """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
-        return _rotation(self._body[..., TorsoColumns.axes])
-
-    @property
-    def com(self) -> Array:
-        """Centre of mass of the robot in the world in m, shape (..., 3)."""
-        return self._body[..., TorsoColumns.com]
-
-    @property
-    def com_velocity(self) -> Array:
-        """Velocity of the centre of mass in the world in m/s, shape (..., 3)."""
-        return self._body[..., TorsoColumns.com_velocity]
-
-    @property
-    def angular_momentum(self) -> Array:
-        """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."""
-        return self._body[..., TorsoColumns.angular_momentum]
-
-    @property
-    def accelerometer(self) -> Array:
-        """Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3)."""
-        return self._body[..., TorsoColumns.accelerometer]
-
-    @property
-    def gyroscope(self) -> Array:
-        """Angular velocity of the torso in its own axes in rad/s, shape (..., 3)."""
-        return self._body[..., TorsoColumns.gyroscope]
-
-    @property
-    def inertial(self) -> Array:
-        """Accelerometer and gyroscope, shape (..., 6)."""
-        return self._body[..., TorsoColumns.inertial]
-
-    @property
-    def joint_position(self) -> Array:
-        """Angles of the hinge joints in rad, shape (..., J)."""
-        return self.rows[..., self._end + TorsoColumns.width : -1]
-
-    def vgrf(self) -> Array:
-        """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
-        return 0.0 - self._last[..., FootColumns.force][..., 2]
-
-    def cop_world(self) -> Array:
-        """Centre of pressure of all feet together at the last row in the world in m, shape (..., 2).
-
-        NaN where all feet together bear no more than 5 N.
-        """
-        cop: Array = centre_of_pressure(self.contacts())
-        return cop
-
-    def contacts(self) -> Array:
-        """The ground's load on each foot at the last row, shape (..., F, 9).
-
-        Force in N, torque in N m and the place in m at which they act, in the world.
-        """
-        ground: Array = self._last[..., FootColumns.contact] * _UP
-        return ground
-
-    @property
-    def _feet(self) -> Array:
-        return self.rows[..., : self._end].reshape(*self.rows.shape[:-1], -1, FootColumns.width)
-
-    @property
-    def _body(self) -> Array:
-        return self.rows[..., self._end : self._end + TorsoColumns.width]
-
-    @property
-    def _last(self) -> Array:
-        """The feet at the last row; a single row is the last one."""
-        return self._feet if self.rows.ndim == 1 else self._feet[..., -1, :, :]
 
     def _refuse_flaws(self) -> None:
         """Raise ValueError if a foot has no area."""
         if self.layout.flaw:
             raise ValueError(self.layout.flaw)
-
-
-_START: Final = FootColumns.ankle.stop
-"""First of a foot's 21 columns after its ankle."""
-
-_UP = np.array([-1.0] * 6 + [1.0] * 3)
-"""Turns force and torque of a contact sensor on the ground into those on the robot."""
 
 
 def wrench_at_sole(foot: Sequence[float], up: float) -> list[float]:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
-from surefoot.calibration.native import NATIVE, c_source
-from surefoot.native import compiler
+from surefoot.calibration.native import c_source
+from surefoot.native import FOLDER, compiler
 
 STRICT = ("-pedantic", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 
@@ -28,7 +28,7 @@ def build_robot(setup: OnlineSetup, folder: Path, **options: float) -> list[Path
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.h").write_text(c_source(setup, **options))
-    includes = (f"-I{folder}", f"-I{NATIVE.sources.folder}")
+    includes = (f"-I{folder}", f"-I{FOLDER}")
     ways = {"main.c": [*(compiler() or ("cc",)), "-std=c99"]}
     if plus := shutil.which("c++"):
         ways["main.cpp"] = [plus, "-std=c++20"]

@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration import OnlineSetup, Parameters
 from surefoot.calibration.native.config import constants_of
-from surefoot.calibration.native.library import installed
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walks.replay import age_of
 from surefoot.files import write_text
 from surefoot.names import page
-from surefoot.native import require
+from surefoot.native import CALIBRATION, require
 from surefoot.robot.beliefs.lag import packets_per_join, usual_lag
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs
@@ -51,7 +50,7 @@ def node_parameters(
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    library = require(installed())
+    library = require(CALIBRATION.installed())
     found = constants_of(library, "moment", setup, {})
     if found is None or found.own is None:
         raise ValueError(f"The library is not made for such a robot; {page('native')} has its limits.")

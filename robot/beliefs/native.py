@@ -7,34 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
-from surefoot.calibration.native import Library, ReferenceRecord, installed
-from surefoot.native import c_header, require
+from surefoot.calibration.native import ReferenceRecord
+from surefoot.native import CALIBRATION, Library, c_header, require
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
-from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
-from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.references import Beliefs
-from surefoot.robot.beliefs.strapdown import Strapdown
-from surefoot.sensors.telemetry.computer import TelemetryLayout
-from surefoot.sensors.transport.link import Packet, Packets
+from surefoot.sensors.transport.link import Packets
 
 AT_ONCE = 8
 """Packets that are handed over together."""
 
-_OWN = "clock", "seen", "run", "parts", "sum"
-_ODOMETRY = "forward", "up", "spin", "spin_bias", "force_bias", "count"
-_STRAPDOWN = "R", "velocity", "place", "spin_bias", "vertical_bias", "count"
-_UPRIGHT = "lean", "highest", "upright"
-"""Attributes of parts of beliefs, by whose names the library has them."""
-
 
 class NativeBeliefs:
-    """The library for one robot; it goes on where a Python object is, which stays as it is.
+    """The library for one robot, which begins an episode.
 
     Args:
         library: The library.
-        believed: The Python object.
+        believed: The Python object of the same robot.
 
     Attributes:
         believed: The result of the last :meth:`sample`; the next one overwrites it.
@@ -46,9 +36,9 @@ class NativeBeliefs:
     def __init__(self, library: Library, believed: Beliefs | MomentumBeliefs) -> None:
         self.library, self._functions, self._spec = library, library.functions, _without_rows(believed)
         self.model = believed.model
-        momentum = believed if isinstance(believed, MomentumBeliefs) else None
+        self._momentum = isinstance(believed, MomentumBeliefs)
         beliefs, F = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed, self.model.feet
-        self._layout, self.feet, self._momentum = beliefs.layout, F, momentum is not None
+        self.feet = F
         needed, window = plan_window(beliefs.lag)
         timing = {
             "averaged": beliefs.averaged, "needed": needed, "window": window, "dt": beliefs.dt,
@@ -56,37 +46,22 @@ class NativeBeliefs:
             "gravity": self.model.gravity, "feet": F, "rolls": beliefs.rolls,
             **believed.constants._asdict(),
         }  # fmt: skip
-        joints = beliefs.layout.joint_position.stop
-        vectors = "accelerometer", "gyroscope", "forward", "up", "spin", "spin_bias", "force_bias", "lean"
-        numbers = "highest", "clock", "number", "seen", "run", "count", "parts", "upright"
-        shapes = dict.fromkeys(vectors, (3,)) | dict.fromkeys(numbers, ()) | {
-            "ring": (HISTORY, beliefs.rows.width, 3), "angle": (joints,), "sum": (6,),
-            "planned": (window, 2 * F), "found": (2 * F,), **_strapdown_shapes("rolling"),
-        }  # fmt: skip
-        record = "beliefs"
-        if momentum is not None:
-            record = "momentum_beliefs"
-            shapes |= {"moved": (HISTORY, momentum.rows.width, 3), **_strapdown_shapes("strapdown")}
-        found, state = library.record_of("timing", timing), library.record(record, shapes)
+        found = library.record_of("timing", timing)
         kinds = (MomentumReference if self._momentum else Reference), Reference, MomentumReference
         self.believed, self._other, self._moved = (ReferenceRecord(library, kind, F) for kind in kinds)
-        if found is None or state is None:
-            raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
-        self._timing, self._state = found, np.zeros((), state)
+        if found is None:
+            raise ValueError("The robot has a longer lag than the library has room for.")
+        self._timing, self._state = found, np.zeros(_size(library, self._momentum), np.uint8)
         self._rows = np.zeros((AT_ONCE, 2 + beliefs.layout.size))
         self._slots = [(row[:2], row[2:]) for row in self._rows]
         self._planned, self._soles = np.zeros(2 * F, np.bool_), np.zeros((F, 4), library.real)
         self._stance, self._swing = self._planned[:F], self._planned[F:]
-        self._force_bias = self._state["force_bias"]
+        self._joints = beliefs.layout.joint_position.stop
         self._model: NDArray[Any] | None = None
         self._adopt()
-        self._pack(beliefs)
-        if momentum is not None:
-            self._state["moved"] = momentum.ring
-            self._put(momentum.strapdown, _STRAPDOWN, "strapdown_")
-        self.believed.fill(believed.believed)
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
+        self.begin_episode()
 
     def begin_episode(self) -> "NativeBeliefs":
         """Go on at an episode's start; as :meth:`Beliefs.begin_episode`, but in place."""
@@ -106,7 +81,7 @@ class NativeBeliefs:
         model = None if tree is None else library.record_of("model", {**sizes, **tree})
         if (
             model is None
-            or model["hinges"] != self._state["angle"].size
+            or model["hinges"] != self._joints
             or not library.functions.surefoot_beliefs_fit(
                 model.ctypes.data, self._timing.ctypes.data, self._momentum
             )
@@ -124,12 +99,6 @@ class NativeBeliefs:
         """The records of the robot by the names that they have in headers: model and timing."""
         assert self._model is not None
         return {"model": self._model, "timing": self._timing}
-
-    @property
-    def force_bias(self) -> NDArray[np.float64]:
-        """As of :class:`Beliefs`."""
-        bias: NDArray[np.float64] = self._force_bias.copy()
-        return bias
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
@@ -207,75 +176,14 @@ class NativeBeliefs:
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)
         return self._soles.astype(np.float64)
 
-    def unpack(self) -> Beliefs | MomentumBeliefs:
-        """Return the Python object that goes on from here; it shares nothing but the model."""
-        started: Beliefs | MomentumBeliefs = self._spec.begin_episode()
-        state, believed = self._state, self.believed.reference()
-        if not isinstance(started, MomentumBeliefs):
-            self._unpack(started)
-            started.believed = believed
-            return started
-        self._unpack(started.beliefs)
-        # What it believes of accelerations is made anew at each sample.
-        started.believed, started.ring[...] = believed, state["moved"]
-        started.run, started.number = int(state["run"]), int(state["number"])
-        self._get(started.strapdown, _STRAPDOWN, "strapdown_")
-        return started
-
-    def _unpack(self, found: Beliefs) -> None:
-        state, odometry = self._state, found.odometry
-        self._get(found, _OWN)
-        self._get(found.upright, _UPRIGHT)
-        if isinstance(odometry, Odometry):
-            self._get(odometry, _ODOMETRY)
-        else:
-            self._get(odometry.strapdown, _STRAPDOWN, "rolling_")
-            odometry.count = int(state["count"])
-        found.ring[...] = state["ring"]
-        found.plan.runs.extend(state["planned"].tolist())
-        found.kinematics.runs = state["found"].tolist()
-        if found.seen:
-            values = np.zeros(self._layout.size)
-            for name, part in _packet_places(self._layout):
-                values[part] = state[name]
-            found.last = Packet(int(state["number"]), 0.0, values)
-
-    def _pack(self, beliefs: Beliefs) -> None:
-        state, last, odometry = self._state, beliefs.last, beliefs.odometry
-        self._put(beliefs, _OWN)
-        self._put(beliefs.upright, _UPRIGHT)
-        if isinstance(odometry, Odometry):
-            self._put(odometry, _ODOMETRY)
-            self._put(Strapdown(beliefs.period, self.model.gravity), _STRAPDOWN, "rolling_")
-        else:
-            self._put(Odometry(beliefs.period), _ODOMETRY)
-            self._put(odometry.strapdown, _STRAPDOWN, "rolling_")
-            state["count"] = odometry.count
-        state["ring"] = beliefs.ring
-        runs = list(beliefs.plan.runs)
-        # The oldest one counts until there are as many as are kept.
-        state["planned"] = runs[:1] * (len(state["planned"]) - len(runs)) + runs
-        state["found"] = beliefs.kinematics.runs
-        if last is not None:
-            state["number"] = last.number
-            for name, part in _packet_places(beliefs.layout):
-                state[name] = last.values[part]
-
-    def _put(self, part: Any, names: tuple[str, ...], prefix: str = "") -> None:
-        """Take over a part of beliefs into the library's record."""
-        for name in names:
-            self._state[prefix + name] = getattr(part, name)
-
-    def _get(self, part: Any, names: tuple[str, ...], prefix: str = "") -> None:
-        """Take over a part of beliefs from the library's record."""
-        for name in names:
-            value, like = self._state[prefix + name], getattr(part, name)
-            setattr(
-                part, name, value.copy() if isinstance(like, np.ndarray) else _of_kind(like, value.tolist())
-            )
-
     def __reduce__(self) -> Any:
-        return native_beliefs, (self.unpack(),)
+        told = self.believed.now, self._planned
+        return _going_on, (self._spec, self._momentum, self._state.tobytes(), *map(np.copy, told))
+
+    def take(self, state: bytes, believed: NDArray[Any], planned: NDArray[np.bool_]) -> None:
+        """Go on from another one's numbers."""
+        self._state[:] = np.frombuffer(state, np.uint8)
+        self.believed.now[...], self._planned[:] = believed, planned
 
 
 def _without_rows(beliefs: Any) -> Any:
@@ -287,16 +195,24 @@ def _without_rows(beliefs: Any) -> Any:
     return bare
 
 
+def _going_on(spec: Any, momentum: bool, state: bytes, *told: NDArray[Any]) -> NativeBeliefs:
+    """Return a copy of beliefs, in the library that has such a record."""
+    rooms = [one for one in CALIBRATION.rooms() if _size(one, momentum) == len(state)]
+    native = NativeBeliefs(require(rooms[0] if rooms else None), spec)
+    native.take(state, *told)
+    return native
+
+
 def native_beliefs(
     beliefs: Beliefs | MomentumBeliefs, library: Library | None = None
 ) -> Beliefs | MomentumBeliefs | NativeBeliefs:
-    """Return beliefs that go on by a library, or as they are where there is none for such a robot.
+    """Return beliefs by a library that begin an episode, or as they are where there is none for such a robot.
 
     Args:
         beliefs: The Python's, which are used up.
         library: That of the robot's calibrator; by default the one with room for all robots.
     """
-    library = library or installed()
+    library = library or CALIBRATION.installed()
     if library is None or library.real != np.float64:
         return beliefs
     try:
@@ -312,7 +228,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    native = NativeBeliefs(require(installed()), beliefs)
+    native = NativeBeliefs(require(CALIBRATION.installed()), beliefs)
     model, timing = native.constants.values()
     sizes = {
         "FEET": int(timing["feet"]),
@@ -325,19 +241,6 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     return c_header(header, sizes, {"sf_model model": model, "sf_timing timing": timing})
 
 
-def _strapdown_shapes(name: str) -> dict[str, tuple[int, ...]]:
-    shapes = (3, 3), (3,), (3,), (3,), (), ()
-    return {f"{name}_{part}": shape for part, shape in zip(_STRAPDOWN, shapes, strict=True)}
-
-
-def _of_kind(like: Any, value: Any) -> Any:
-    return tuple(value) if isinstance(like, tuple) else type(like)(value)
-
-
-def _packet_places(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:
-    """Return where a packet holds the numbers that are kept of it."""
-    return (
-        ("angle", layout.joint_position),
-        ("accelerometer", layout.accelerometer),
-        ("gyroscope", layout.gyroscope),
-    )
+def _size(library: Library, momentum: bool) -> int:
+    """Return the size in bytes of the record of beliefs, without momentum or with it."""
+    return library.places["momentum_beliefs" if momentum else "beliefs"][""][2]

@@ -98,6 +98,25 @@ def severity_range(severity: Any) -> tuple[float, float]:
     return low, high
 
 
+def severity_of_each(severity: Any, robots: int) -> list[Any]:
+    """Return the severity of each of some robots.
+
+    Args:
+        severity: A number or a tuple (lowest, highest) for all; or a list or an array of such, one a robot.
+        robots: How many.
+
+    Raises:
+        ValueError: If there are more or fewer values than robots.
+    """
+    if not isinstance(severity, list | np.ndarray):
+        return [severity] * robots
+    if len(severity) != robots:
+        raise ValueError(
+            f"'severity' must be one number, or one a robot: got {len(severity)} for {robots} robots."
+        )
+    return list(severity)
+
+
 def faults_of(
     faults: Any, feet: Sequence[str], cells: Sequence[str]
 ) -> tuple[tuple[Fault, ...], tuple[FaultChance, ...]]:

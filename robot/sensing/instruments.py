@@ -138,7 +138,7 @@ class CellsUnderFeet:
                 return found
             across = truth.shear_map()
             return np.hstack([found[0], across]), np.append(found[1], np.zeros(across.shape[1]))
-        if not truth.sensor_columns().soles:
+        if not truth.columns.sensed.soles:
             return None
         parts = [np.kron(np.eye(self.channels), np.eye(6)[:, [i]]) for i in (2, 0, 1)]
         factors = np.hstack(parts)[:, : self.config.loads]

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.truth import SensedColumns
-from surefoot.native import Record, call_for_many
+from surefoot.envs.instrumentation.robot import SensedColumns
+from surefoot.native import SENSORS, Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
 from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
-from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
-from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState
+from surefoot.sensors.telemetry.native import NativeTelemetry
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 
@@ -33,13 +32,11 @@ class Places(NamedTuple):
 
     Attributes:
         shape: Of the rows of truth, (S, columns).
-        joints: How many joints there are.
         columns: Where sensors are read.
         map: As of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`.
     """
 
     shape: tuple[int, ...]
-    joints: int
     columns: SensedColumns
     map: Maps
 
@@ -49,7 +46,7 @@ def places_in(truth: Any, instruments: Instruments) -> Places | None:
     maps = _maps(truth, instruments)
     if maps is None or truth.rows.dtype != np.float64:
         return None
-    return Places(truth.rows.shape, truth.joint_position.shape[-1], truth.sensor_columns(), maps)
+    return Places(truth.rows.shape, truth.columns.sensed, maps)
 
 
 def _maps(truth: Any, instruments: Instruments) -> Maps | None:
@@ -88,7 +85,7 @@ class NativeSensing:
     Args:
         python: The Python object where it goes on, which is used up.
         devices: Its devices as the library has them, and the faults, by their places in ``DEVICES``.
-        telemetry: Its telemetry and the state of that, if anybody listens.
+        telemetry: Its telemetry, if anybody listens.
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
@@ -102,71 +99,72 @@ class NativeSensing:
         self,
         python: PythonSensing,
         devices: Mapping[str, NativeDevice],
-        telemetry: tuple[NativeTelemetry, NativeTelemetryState] | None,
+        telemetry: NativeTelemetry | None,
     ) -> None:
-        library, instruments, view = installed(), python.fitted.instruments, python.view
+        library = SENSORS.installed()
         assert library is not None
-        self._spec, self._view = python, view
+        self._spec, self._view = python, python.view
         self.places: Places = python.places
         self._states = {name: device.empty() for name, device in devices.items()}
-        self._telemetry: NativeTelemetry | None = None
-        self.telemetry_state: Any = None
+        self._telemetry = telemetry
+        self.telemetry_state: Any = python.telemetry_state
         if telemetry is not None:
-            self._telemetry, self.telemetry_state = telemetry
-        numbers = _sizes(instruments, self.places, python.dt)
-        if len(instruments.parts) > 1:
-            self._order = instruments.order.astype(np.int32)
-            numbers["order"] = self._order.ctypes.data
-        for state in self._states.values():
-            kind = state.owner.kind.name
-            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
-        observed, to, taken = _NOTHING if view is None else view.state_places()
+            telemetry.expect(self.places.shape[0])
+            self.telemetry_state = self.telemetry_state or telemetry.empty()
+        observed, to, taken = _NOTHING if self._view is None else self._view.state_places()
         self._observed = observed if len(observed) else None
-        self._seen = Record(_reading_dtype(instruments.channels, len(observed)))
+        self._seen = Record(_reading_dtype(python.fitted.instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
-        arrays = {
-            "newest": python.kept[0],
-            "raw": now["raw"],
-            "observed": observed,
-            "low": low,
-            "high": high,
-            "shown": now["state"],
-            "held": python.kept[1],
-            "counts": now["counts"],
-            "from": taken,
-            "to": to,
-        }
-        if "cells" in devices:
-            arrays["map"], arrays["preload"] = self.places.map
-            numbers["readings"], loads = self.places.map[0].shape
-            arrays["load"] = np.zeros((self.places.shape[0], loads))
-        if "ankles" in devices:
-            arrays["wrench"] = np.zeros(6 * int(devices["ankles"].constants["sensors"]))
-            numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
-        packets = 0
-        if self._telemetry is not None:
-            packets = self._telemetry.put_packets(python.arrived)
-            numbers |= {
-                "telemetry": self._telemetry.address,
-                "telemetry_state": self.telemetry_state.address,
-                "values": self._telemetry.layout.size,
-            }
-        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0, "packets": packets}
-        numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
-        records = library.record_of(
-            "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
-        )
+        self._arrays = self._arrays_of(python, observed) | {"from": taken, "to": to}
+        addresses = {name: array.ctypes.data for name, array in self._arrays.items()}
+        sizes = {"shares": len(to), "numbers": len(observed)}
+        records = library.record_of("sense_records", self._numbers(python) | sizes | addresses)
         assert records is not None
-        self._records, self._arrays = records, arrays
+        self._records = records
         self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
         self.raw_address = self._raw.ctypes.data
-        self.rows_address = 0 if self._telemetry is None else self._telemetry.arrived_address
+        self.rows_address = 0 if telemetry is None else telemetry.arrived_address
         self.take(python.hardware())
         if python.streams:
             self.draw_from(python.streams)
         python.telemetry_state, python.arrived = None, ()
         del python.state
+
+    def _numbers(self, python: PythonSensing) -> dict[str, Any]:
+        """Return sizes, and places of what devices and telemetry hold, by the names in the record."""
+        instruments, telemetry = python.fitted.instruments, self._telemetry
+        numbers = _sizes(instruments, self.places, python.dt) | {"telemetry_stream": 0, "packets": 0}
+        for state in self._states.values():
+            kind = state.owner.kind.name
+            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
+            numbers[f"{kind}_stream"] = 0
+        if "cells" in self._states:
+            numbers["readings"] = len(self.places.map[0])
+        if "ankles" in self._states:
+            numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
+        if telemetry is not None:
+            numbers |= {
+                "telemetry": telemetry.address,
+                "telemetry_state": self.telemetry_state.address,
+                "values": telemetry.layout.size,
+                "packets": telemetry.put_packets(python.arrived),
+            }
+        return numbers
+
+    def _arrays_of(self, python: PythonSensing, observed: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """Return the arrays that the library reads and fills, by the names in the record."""
+        now, view, instruments = self._seen.now, self._view, python.fitted.instruments
+        (newest, held), (low, high) = python.kept, (observed, observed) if view is None else view.bounds
+        arrays = {"newest": newest, "held": held, "observed": observed, "low": low, "high": high}
+        arrays |= {"raw": now["raw"], "shown": now["state"], "counts": now["counts"]}
+        if len(instruments.parts) > 1:
+            arrays["order"] = instruments.order.astype(np.int32)
+        if "cells" in self._states:
+            arrays["map"], arrays["preload"] = self.places.map
+            arrays["load"] = np.zeros((self.places.shape[0], self.places.map[0].shape[1]))
+        if "ankles" in self._states:
+            arrays["wrench"] = np.zeros(6 * int(self._states["ankles"].owner.constants["sensors"]))
+        return arrays
 
     def __reduce__(self) -> Any:
         return native_sensing, (self.python(),)
@@ -205,8 +203,7 @@ class NativeSensing:
         found = copy(self._spec)
         found.take(self.hardware())
         if self._telemetry is not None:
-            found.telemetry_state = self._telemetry.unpack(self.telemetry_state)
-            found.arrived = self.packets()
+            found.telemetry_state, found.arrived = self.telemetry_state, self.packets()
         return found
 
     def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
@@ -218,20 +215,28 @@ class NativeSensing:
         if self._telemetry is not None:
             position, inertial = self._telemetry.inputs
             position[0], inertial[0] = truth.joint_position[-1], at_rest
-        seen = self._read(truth, 0.0, 1 + fresh, observation)
-        assert seen is not None
-        return seen
+        return self._read(truth, 0.0, 1 + fresh, observation)
 
-    def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
-        """Read a control step; ``None``, with nothing done, for one that it does not take."""
-        return self._read(truth, time, 0, observation) if truth.rows.shape == self.places.shape else None
+    def step(self, truth: Any, time: float, observation: Any) -> Seen:
+        """Read a control step."""
+        return self._read(truth, time, 0, observation)
 
-    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen | None:
+    def _expect(self, shape: tuple[int, ...]) -> None:
+        """Take control steps of other substeps from here on."""
+        self.places, self._records["rows"] = self.places._replace(shape=shape), shape[0]
+        if "load" in self._arrays:
+            self._arrays["load"] = load = np.zeros((shape[0], self._arrays["load"].shape[1]))
+            self._records["load"] = load.ctypes.data
+        if self._telemetry is not None:
+            self._telemetry.expect(shape[0])
+
+    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
+        if rows.shape != self.places.shape:
+            self._expect(rows.shape)
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        if self._sense(self.address, rows.ctypes.data, time, begins) < 0:
-            return None
+        self._sense(self.address, rows.ctypes.data, time, begins)
         if self._view is None:
             return self._raw, {}
         raw, counts, state = _SEEN(self._seen.copy())
@@ -264,7 +269,7 @@ class ManySensing:
     """
 
     def __init__(self, robots: Sequence[NativeSensing]) -> None:
-        library = installed()
+        library = SENSORS.installed()
         assert library is not None
         self.robots, self._sense = list(robots), library.functions.surefoot_sense_many
         places = [(robot.address, robot.raw_address, robot.rows_address) for robot in robots]
@@ -284,27 +289,24 @@ class ManySensing:
 
     def step(
         self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
-    ) -> NDArray[np.intp]:
-        """Read a control step.
+    ) -> bool:
+        """Read a control step, if it has as many substeps as the first; return whether that was done.
 
         Args:
             which: Numbers of the robots that are read.
             truth: Of all robots, shape (N, S, columns).
             time: The hosts' clocks at its end in s, of those that are read.
             threads: As of :func:`~surefoot.native.call_for_many`.
-
-        Returns:
-            Numbers of those that were read; the others' steps are left to the caller.
         """
         if self._shapes != {truth.shape[1:]}:
-            return which[:0]
+            return False
         if truth.dtype != np.float64 or not truth[0].flags.c_contiguous:
             truth = np.ascontiguousarray(truth, dtype=np.float64)
         packets = np.zeros(len(which), dtype=np.int32)
         rows = (truth.ctypes.data + which * truth.strides[0]).astype(np.uintp)
         call_for_many(self._sense, (self._at[which], rows, time, packets), threads)
         self.packets[which] = packets
-        return which if (packets >= 0).all() else which[packets >= 0]
+        return True
 
 
 def native_sensing(python: PythonSensing) -> SensingBackend:
@@ -319,15 +321,8 @@ def native_sensing(python: PythonSensing) -> SensingBackend:
         return python
     if view is not None and view.bounds[0].dtype != np.float32:
         return python
-    listened = None
-    if telemetry is not None:
-        shape = (places.shape[0], places.joints)
-        if not isinstance(telemetry, NativeTelemetry) or telemetry.inputs[0].shape != shape:
-            return python
-        state = telemetry.in_library(python.telemetry_state)
-        if state is None:
-            return python
-        listened = telemetry, state
+    if telemetry is not None and not isinstance(telemetry, NativeTelemetry):
+        return python
     for part in fitted.instruments.parts:
         check_wire(part.config, python.dt)
-    return NativeSensing(python, devices, listened)
+    return NativeSensing(python, devices, telemetry)

@@ -103,12 +103,7 @@ class RobotSensors:
             The observation; empty without a view.
         """
         self.clock += self.telemetry.dt
-        read = self.backend.step(truth, self.time, observation)
-        if read is None:
-            # A step of other substeps than the first: Python goes on until the next reset.
-            self._backend, self._chosen_for = self.backend.python(), None
-            read = self._backend.step(truth, self.time, observation)
-        self._raw, seen = read
+        self._raw, seen = self.backend.step(truth, self.time, observation)
         return seen
 
     @property
@@ -226,7 +221,7 @@ class RobotSensors:
             hardware: The hardware to begin with; ``None`` for that of the episode before.
         """
         telemetry = self._telemetry if self.listening else None
-        chosen_for = self._fitted, telemetry, truth.rows.shape
+        chosen_for = self._fitted, telemetry, truth.rows.shape[1]
         if chosen_for != self._chosen_for:
             hardware = hardware or self.backend.hardware()
             kept = self.newest, self.held

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import Library, leaves_of, rebuilt
+from surefoot.native import SENSORS, Library, leaves_of, rebuilt
 from surefoot.sensors.corruption import Corruption
-from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.errors import CODINGS
 from surefoot.sensors.transport.wire import ALONE, Wire, check_wire
@@ -163,7 +162,7 @@ def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDev
 
 def native_here(kind: Kind, config: Any) -> NativeDevice | None:
     """Return the device of one robot by the library that is installed here; ``None`` without one."""
-    return native_device(installed(), kind, config)
+    return native_device(SENSORS.installed(), kind, config)
 
 
 def wire_constants(

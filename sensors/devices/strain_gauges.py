@@ -105,9 +105,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         check_channels(shape, k)
-        grown = eye + change * normal(rng, (AXES, AXES))
-        for _ in range(DOUBLINGS):
-            grown = grown @ grown
+        grown = _grow(eye + change * normal(rng, (AXES, AXES)))
         offset = uniform(rng, -1.0, 1.0, shape) @ offset_map
         heat = normal(rng, (2, k))
         tempco = np.stack([config.scale_tempco * heat[0], heat[1] @ tempco_map])
@@ -136,11 +134,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         if walks:
             drawn = normal(rng, offset.shape)
             offset = offset + dt**0.5 * (drawn @ walk_map)
-        temperature = before
-        if config.temperature_ramp:
-            temperature = temperature_rise(before, config.temperature_ramp, config.temperature_rise, dt)
-            offset = offset + tempco[OFFSET] * (temperature - before)
-            counts = counts * (1.0 + tempco[SCALE] * temperature)
+        counts, offset, temperature = _warm(config, counts, offset, tempco, before, dt)
         counts = counts + offset
         if noisy:
             counts = counts + normal(rng, counts.shape) @ noise_map
@@ -149,6 +143,24 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
 
     return Corruption(init, apply)
+
+
+def _grow(step: Array) -> Array:
+    """Return the product of N small changes, all alike."""
+    for _ in range(DOUBLINGS):
+        step = step @ step
+    return step
+
+
+def _warm(
+    config: StrainGauges, counts: Array, offset: Array, tempco: Array, before: Array, dt: float
+) -> tuple[Array, Array, Array]:
+    """Warm a sensor up for dt; return counts by scales of now, offsets and the rise of temperature."""
+    if not config.temperature_ramp:
+        return counts, offset, before
+    temperature = temperature_rise(before, config.temperature_ramp, config.temperature_rise, dt)
+    offset = offset + tempco[OFFSET] * (temperature - before)
+    return counts * (1.0 + tempco[SCALE] * temperature), offset, temperature
 
 
 def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:

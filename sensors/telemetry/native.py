@@ -1,22 +1,22 @@
-"""Telemetry of one robot by the library: the packets and states of the Python, several times faster."""
+"""Telemetry of one robot by the library: the packets of the Python, several times faster."""
 
+from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import Library
+from surefoot.native import SENSORS, Library, require
 from surefoot.sensors import Encoders, Imu, Link
-from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.imu import ImuState
-from surefoot.sensors.native import installed
-from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.affine import WalkState
-from surefoot.sensors.telemetry.attitude import Attitude
-from surefoot.sensors.telemetry.computer import Computer, Hardware, Telemetry, TelemetryState
+from surefoot.sensors.telemetry.computer import Hardware, Telemetry
 from surefoot.sensors.transport.link import Packet, Packets
 
 Floats = NDArray[np.float64]
+
+LARGEST_NORMAL = 8.6
+"""Standard deviations beyond which no normal number lies that is drawn of 53 bits."""
 
 
 class NativeTelemetryState:
@@ -34,7 +34,7 @@ class NativeTelemetryState:
 
 
 class NativeTelemetry(Telemetry):
-    """Telemetry by the library: states go on in place, and either's can be handed to the other.
+    """Telemetry by the library, whose states go on in place.
 
     Args:
         library: The library.
@@ -46,7 +46,6 @@ class NativeTelemetry(Telemetry):
         substeps: Rows of truth in a control step.
 
     Attributes:
-        inputs: Its next inputs: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
         address: Where the library finds the parts that stay in place.
         arrived_address: Where rows lie of the packets that the last step has delivered.
 
@@ -66,8 +65,9 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
-        # The jitter is bounded, so that no more are under way than there were at rest and a step sends.
-        room = self.before_start + int(min(dt / self.period, 2**30)) + 1
+        latest = link.delay + LARGEST_NORMAL * link.jitter
+        under_way = max(self.before_start, int(min(ceil(latest / self.period), 2**30)))
+        room = under_way + int(min(dt / self.period, 2**30)) + 1
         most = library.places["telemetry"]["arrival"][2] // 8
         if room > most:
             raise ValueError("More packets are under way than the library was compiled for.")
@@ -92,27 +92,22 @@ class NativeTelemetry(Telemetry):
             "names": list(fields), "formats": [field[0] for field in fields.values()],
             "offsets": [field[1] for field in fields.values()], "itemsize": at + ring.itemsize,
         })  # fmt: skip
-        self._room = room
         self._skewed = bool(self.config["skewed"])
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
         self._heads = self._arrived.data  # which hands out plain floats
-        self._shape = self._position.shape
         arrays = self.config, self._position, self._inertial, self._arrived
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
-        self.inputs = self._position, self._inertial
         self.address, self.arrived_address = self._arrays.ctypes.data, self._arrived.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return telemetry_of, self._arguments
+        return _in_library, self._arguments
 
     def init(
-        self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
+        self, position: Floats, inertial: Floats, rng: Any, hardware: Hardware | None = None
     ) -> tuple[Packets, Any]:
         """Switch the robot on; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
-        if type(rng) is not Stream:
-            return super().init(position, inertial, rng, hardware)
         state = self.empty()
         if hardware is not None:
             self.put(state, hardware)
@@ -120,17 +115,19 @@ class NativeTelemetry(Telemetry):
         return self.packets(self._init(self.address, state.address, rng.address, hardware is None)), state
 
     def advance(
-        self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
+        self, position: Floats, inertial: Floats, time: float, state: Any, rng: Any
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
-        native = self.in_library(state)
-        if native is not None and position.shape == self._shape and type(rng) is Stream:
-            self._position[...], self._inertial[...] = position, inertial
-            count = self._advance(self.address, native.address, rng.address, time)
-            if count >= 0:
-                return self.packets(count), native
-        # More packets are under way than the library has room for, or a step is not as long as others.
-        return super().advance(position, inertial, time, self.unpack(state), rng)
+        self.expect(len(position))
+        self._position[...], self._inertial[...] = position, inertial
+        return self.packets(self._advance(self.address, state.address, rng.address, time)), state
+
+    def expect(self, substeps: int) -> None:
+        """Take control steps of so many rows of truth from here on."""
+        if substeps != len(self._position):
+            self.config["substeps"] = substeps
+            self._position, self._inertial = (np.zeros((substeps, part.shape[1])) for part in self.inputs)
+            self._arrays[1:3] = self._position.ctypes.data, self._inertial.ctypes.data
 
     def empty(self) -> NativeTelemetryState:
         """Return room for a state, before an episode."""
@@ -147,24 +144,19 @@ class NativeTelemetry(Telemetry):
             row[:2], row[2:] = packet[:2], packet.values
         return len(packets)
 
-    def in_library(self, state: Any) -> NativeTelemetryState | None:
-        """Return any state as the library's, room for one if it is ``None``; ``None`` if that has no room."""
-        if state is None:
-            return self.empty()
-        return state if isinstance(state, NativeTelemetryState) else self.pack(state)
+    @property
+    def inputs(self) -> tuple[Floats, Floats]:
+        """Its next inputs: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6)."""
+        return self._position, self._inertial
 
     def hardware(self, state: Any) -> Hardware:
         """Return the present state of IMU and encoders."""
-        if type(state) is not NativeTelemetryState:
-            return super().hardware(state)
         record = state.record
         matrix = record["matrix"].copy() if self._skewed else ()
         return Hardware(ImuState(record["bias"].copy(), matrix), (WalkState(record["error"].copy()), (), ()))
 
     def with_hardware(self, state: Any, hardware: Hardware) -> Any:
         """Return a state that goes on with another IMU and other encoders."""
-        if type(state) is not NativeTelemetryState:
-            return super().with_hardware(state, hardware)
         after = NativeTelemetryState(state.record.copy())
         self.put(after, hardware)
         return after
@@ -175,45 +167,6 @@ class NativeTelemetry(Telemetry):
         if self._skewed:
             state.record["matrix"] = matrix
         state.record["error"] = hardware.encoders[0].error
-
-    def pack(self, state: TelemetryState) -> NativeTelemetryState | None:
-        """Return a Python state as the library's; ``None`` if there is no room for its packets."""
-        computer, inertial, substeps, due, number, under_way = state
-        if len(under_way) > self._room:
-            return None
-        native = self.empty()
-        self.put(native, Hardware(computer.imu, computer.encoders))
-        record = native.record
-        record["up"], record["gyroscope_bias"] = computer.attitude
-        record["position"], record["velocity"] = computer.position, computer.velocity
-        record["inertial"], record["substeps"] = inertial, substeps
-        record["due"], record["number"], record["waiting"] = due, number, len(under_way)
-        for place, packet in enumerate(under_way):
-            record["arrival"][place] = packet.arrival
-            record["ring"][place] = (packet.number, packet.arrival, *packet.values)
-        return native
-
-    def unpack(self, state: TelemetryState | NativeTelemetryState) -> TelemetryState:
-        """Return the library's state as a Python state, which shares nothing with it; another as it is."""
-        if not isinstance(state, NativeTelemetryState):
-            return state
-        record = state.record
-        up, bias = (tuple(record[name].tolist()) for name in ("up", "gyroscope_bias"))
-        places = (int(record["first"]) + np.arange(int(record["waiting"]))) % self._room
-        rows, arrival = record["ring"][places], record["arrival"][places].tolist()
-        return TelemetryState(
-            Computer(
-                *self.hardware(state),
-                Attitude(up, bias),
-                record["position"].copy(),
-                record["velocity"].copy(),
-            ),
-            record["inertial"].copy(),
-            int(record["substeps"]),
-            float(record["due"]),
-            int(record["number"]),
-            tuple(Packet(int(row[0]), late, row[2:]) for row, late in zip(rows, arrival, strict=True)),
-        )
 
     def _constants(self, joints: int, chip: Imu, coders: Encoders, substeps: int) -> dict[str, Any]:
         """Return the constants by their names in ``sf_telemetry_config``."""
@@ -251,11 +204,16 @@ class NativeTelemetry(Telemetry):
         }
 
 
+def _in_library(*arguments: Any) -> NativeTelemetry:
+    """Return a copy, whose states are the library's."""
+    return NativeTelemetry(require(SENSORS.installed()), *arguments)
+
+
 def telemetry_of(
     joints: int, imu_config: Imu, encoder_config: Encoders, link: Link, dt: float, substeps: int
 ) -> Telemetry:
     """Build telemetry: by the library where there is one and the robot fits into its arrays."""
-    library, arguments = installed(), (joints, imu_config, encoder_config, link, dt, substeps)
+    library, arguments = SENSORS.installed(), (joints, imu_config, encoder_config, link, dt, substeps)
     if library is not None:
         try:
             return NativeTelemetry(library, *arguments)

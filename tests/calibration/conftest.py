@@ -10,9 +10,9 @@ def sensor(request):
 @pytest.fixture(scope="session")
 def single(tmp_path_factory):
     """The library of calibrators in single precision."""
-    from surefoot.calibration.native import NATIVE
+    from surefoot.native import CALIBRATION
     from surefoot.native.build import FLAGS
 
     path = tmp_path_factory.mktemp("single") / "single.so"
-    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
-    return NATIVE.load(path)
+    assert CALIBRATION.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
+    return CALIBRATION.load(path)

@@ -8,8 +8,8 @@ import pytest
 from _synthetic import LAYOUT, MASS, NOMINAL, Faults, walk
 
 from surefoot.calibration import Curves, FootCalibrator, Reference
-from surefoot.calibration.native import installed
 from surefoot.calibration.weights.curves import fit_curve
+from surefoot.native import CALIBRATION
 
 LOADS = 9.81 * np.array([0.0, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
 KNOTS = [[0.0, 2.0, 6.0, 9.0], [0.0, 1.0, 4.0, 9.0]]
@@ -108,10 +108,10 @@ def test_what_is_no_curve_is_refused(given: list, message: str) -> None:
 
 @pytest.mark.parametrize("library", [True, False])
 def test_a_calibrator_has_them_in_front(library: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if library and installed() is None:
+    if library and CALIBRATION.installed() is None:
         pytest.skip("the library is not built here")
     if not library:
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: ())
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda: ())
     log = walk(1, 0.04, 1.0, 0.5, Faults.bad())
     ends = log.raw[:, 3].min(), log.raw[:, 3].max()
     count = np.linspace(*ends, 5)

@@ -15,8 +15,8 @@ from surefoot.calibration import (
     online_method,
     replay,
 )
-from surefoot.calibration.native import rooms
 from surefoot.calibration.state import load_state, save_state
+from surefoot.native import CALIBRATION
 
 FAULTS = Faults.bad()
 
@@ -89,7 +89,7 @@ def test_the_old_name_of_the_moment_filter_still_works(log, tmp_path):
 @pytest.mark.parametrize("begun", [False, True])
 def test_several_robots_at_once_are_refused_with_the_way_out(log, library, begun, monkeypatch):
     if library == "none":
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: ())
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda: ())
     calibrator, row = make("moment"), rows(log)[0]
     if begun:
         calibrator.update(log.raw[0], row)
@@ -263,8 +263,8 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
 )
 def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
     each_row = rows(log)
-    for libraries in (rooms(), ()):
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda found=libraries: found)
+    for libraries in (CALIBRATION.rooms(), ()):
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda found=libraries: found)
         whole = {name: int(value) for name, value in options.items()}
         given, meant = make(method, **options), make(method, **whole)
         for k in range(100):

@@ -11,7 +11,7 @@ from _synthetic import LAYOUT, MASS
 
 from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference
 from surefoot.calibration.native import native_filter
-from surefoot.native import compiler
+from surefoot.native import CALIBRATION, compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
@@ -33,9 +33,9 @@ def calibrators(library, monkeypatch):
     made = []
     for found in (library, None):
         rooms = (found,) if found else ()
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda rooms=rooms: rooms)
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda rooms=rooms: rooms)
         made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=1))
-    monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda: (library,))
+    monkeypatch.setattr(CALIBRATION, "rooms", lambda: (library,))
     return made
 
 

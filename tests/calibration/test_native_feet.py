@@ -12,9 +12,9 @@ from test_many_feet import DT, MASS, WEIGHT, layout_of, move, read
 from test_native_filter import play
 
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
-from surefoot.calibration.native import NATIVE, ReferenceRecord, c_source, native_filter, rooms
+from surefoot.calibration.native import ReferenceRecord, c_source, native_filter
 from surefoot.calibration.online import online_method
-from surefoot.native import compiler
+from surefoot.native import CALIBRATION, compiler
 from surefoot.native.build import FLAGS
 
 SAMPLES, AT = 400, 160
@@ -105,10 +105,10 @@ def test_more_feet_than_the_library_has_room_for_are_refused_and_left_to_python(
     assert abs(estimate.vgrf.sum() - WEIGHT) < WEIGHT
 
 
-@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+@pytest.mark.skipif(len(CALIBRATION.rooms()) < 2, reason="needs both libraries")
 @pytest.mark.parametrize("momentum", [True, False])
 def test_a_library_with_less_room_is_the_same_to_the_last_bit(momentum):
-    small, large = rooms()
+    small, large = CALIBRATION.rooms()
     sizes = [room.places["moment_state"][""][2] for room in (small, large)]
     assert sizes[0] < 0.12 * sizes[1]
     setup, log = setup_of(2, "cells"), Log(2, "cells", momentum)
@@ -125,11 +125,11 @@ def test_a_library_with_less_room_is_the_same_to_the_last_bit(momentum):
     assert native_filter(small, "moment", setup_of(2, "six axes"), {}) is None
 
 
-@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+@pytest.mark.skipif(len(CALIBRATION.rooms()) < 2, reason="needs both libraries")
 def test_a_reference_of_another_library_is_taken_by_its_values():
     setup, log = setup_of(2, "cells"), Log(2, "cells", True)
     one, other = (FootCalibrator(setup.layout, mass=MASS, initial=setup.initial, dt=DT) for _ in "ab")
-    record = ReferenceRecord(rooms()[1], type(log.row(0)), 2)
+    record = ReferenceRecord(CALIBRATION.rooms()[1], type(log.row(0)), 2)
     for k in range(60):
         record.fill(log.row(k))
         found, wanted = one.update(log.force[k], record), other.update(log.force[k], log.row(k))
@@ -138,7 +138,7 @@ def test_a_reference_of_another_library_is_taken_by_its_values():
 
 def feed_garbage(path):
     """Feed wrong readings to the moment filter of a library, for two feet on cells."""
-    library, rng = NATIVE.load(Path(path)), np.random.default_rng(1)
+    library, rng = CALIBRATION.load(Path(path)), np.random.default_rng(1)
     poison = [np.nan, np.inf, -np.inf, 1e30, 5e3, 0.0, -50.0]
     for trial in range(4):
         log = Log(2, "cells", trial % 2 == 0)
@@ -157,7 +157,9 @@ def feed_garbage(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sources", [NATIVE.sources, NATIVE.sources.smaller], ids=["large", "small"])
+@pytest.mark.parametrize(
+    "sources", [CALIBRATION.sources, CALIBRATION.sources.smaller], ids=["large", "small"]
+)
 def test_garbage_stays_in_its_memory(tmp_path, sources):
     """With sanitizers that look for misuse of memory, in the sizes of both libraries."""
     asan = subprocess.run(["cc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)

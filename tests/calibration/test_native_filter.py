@@ -15,9 +15,9 @@ from _synthetic import DT, LAYOUT, MASS
 
 from surefoot.calibration import FeetLayout, FootLayout, OnlineSetup, Parameters
 from surefoot.calibration.episodes import begin_episode
-from surefoot.calibration.native import NATIVE, c_source, native_filter
+from surefoot.calibration.native import c_source, native_filter
 from surefoot.calibration.online import online_method
-from surefoot.native import compiler, leaves_of
+from surefoot.native import CALIBRATION, FOLDER, compiler, leaves_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -185,7 +185,7 @@ def fuzzer(tmp_path_factory):
     @cache
     def compiled(*flags):
         path = folder / ("fuzz" + "".join(flags))
-        compile_program(NATIVE, Path(__file__).parent / "fuzz_native.c", path, *SANITIZED, *flags)
+        compile_program(Path(__file__).parent / "fuzz_native.c", path, *SANITIZED, *flags)
         return path
 
     return compiled
@@ -335,7 +335,7 @@ def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layo
     ],
 )
 def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout, method):
-    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(setup_of(layout), method))
     state, begun, fits = {
         "window": (
@@ -356,13 +356,13 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
     )
     sizes = []
     for flags in ([], ["-DSF_SINGLE"]):
-        compile_program(NATIVE, tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
+        compile_program(tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
         done = subprocess.run([tmp_path / "size"], capture_output=True, check=True)
         sizes.append(f"{int(done.stdout):,} bytes")
     page = ROOT / "docs" / "native.md"
     assert not page.exists() or " | ".join(sizes) in page.read_text()
     if plus := shutil.which("c++"):
-        strict = ("-std=c++20", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I", NATIVE.sources.folder)
+        strict = ("-std=c++20", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I", FOLDER)
         subprocess.run([plus, "-x", "c++", *strict, tmp_path / "size.c"], check=True)
 
 
@@ -371,7 +371,7 @@ def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monk
     path = ROOT / "examples" / "robot" / "build.py"
     if not path.is_file():
         pytest.skip("the examples are not part of the wheel")
-    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     programs = runpy.run_path(str(path))["build_robot"](setup_of("cells"), tmp_path)
     stream, log, lines, expected = online_method("moment", setup_of("cells")), Log("cells"), [], []
     missing_and_impossible(log)
@@ -393,6 +393,8 @@ def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monk
 
 def test_every_field_of_a_record_is_in_the_table(library):
     for fields in library.places.values():
+        if not any(fields):  # of beliefs the size alone is asked for
+            continue
         end = 0
         for _, offset, size in sorted(
             (place for name, place in fields.items() if name), key=lambda place: place[1]

@@ -16,9 +16,9 @@ from surefoot.calibration import FootCalibrator, MomentumReference
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
-from surefoot.calibration.native import NATIVE, c_source
+from surefoot.calibration.native import c_source
 from surefoot.calibration.native.config import moment_constants
-from surefoot.native import compiler
+from surefoot.native import CALIBRATION, compiler
 
 SAMPLES, AT = 800, 320
 
@@ -195,9 +195,7 @@ def calibrators(library, monkeypatch):
     """The same calibrator by the library and by Python."""
     made = []
     for found in (None, library):
-        monkeypatch.setattr(
-            "surefoot.calibration.foot_calibrator.rooms", lambda found=found: (found,) if found else ()
-        )
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda found=found: (found,) if found else ())
         made.append(FootCalibrator(LAYOUT, "moment", mass=MASS, lag=0))
     return made
 
@@ -290,10 +288,10 @@ int main(int count, char **words) {
 
 def program(library, folder, monkeypatch, layout, *flags):
     """Compile a program that feeds garbage to the filter of one robot."""
-    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     (folder / "robot.h").write_text(c_source(setup_of(layout), "moment"))
     (folder / "main.c").write_text(PROGRAM)
-    compile_program(NATIVE, folder / "main.c", folder / "main", f"-I{folder}", *flags)
+    compile_program(folder / "main.c", folder / "main", f"-I{folder}", *flags)
     return folder / "main"
 
 

@@ -10,8 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = (
-    "benchmarks", "calibration", "controllers", "envs", "examples", "experiments", "robot", "sensors",
-    "surefoot", "wrappers",
+    "benchmarks", "calibration", "controllers", "envs", "examples", "experiments", "native", "robot",
+    "sensors", "surefoot", "wrappers",
 )  # fmt: skip
 GLOSSARY = ROOT / "docs" / "glossary.md"
 

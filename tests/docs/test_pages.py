@@ -32,7 +32,9 @@ from surefoot.experiments.force_torque.log import read_in_situ_log
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("README.md"), *ROOT.glob("CONTRIBUTING.md"), *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n+(?:```text\n(.*?)^```)?", re.MULTILINE | re.DOTALL)
-FOLDERS = "calibration|sensors|envs|robot|wrappers|controllers|experiments|benchmarks|examples|tests|docs"
+FOLDERS = (
+    "calibration|sensors|envs|robot|wrappers|controllers|experiments|native|benchmarks|examples|tests|docs"
+)
 RUN_AS_WELL = ("surefoot sweep --scenarios",)
 
 pytestmark = pytest.mark.skipif(not PAGES, reason="the pages are not part of the wheel")
@@ -239,7 +241,7 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_code() -> None:
         part for row in re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE) for part in row.split("...")
     ]
     files = (
-        path for folder in (*FOLDERS.split("|")[:7], "surefoot") for path in (ROOT / folder).rglob("*.py")
+        path for folder in (*FOLDERS.split("|")[:8], "surefoot") for path in (ROOT / folder).rglob("*.py")
     )
     joined = re.compile(r"[\"']\s*\n\s*f?[\"']")  # a message that goes on in the next line
     code = "".join(joined.sub("", path.read_text(encoding="utf-8")) for path in files)

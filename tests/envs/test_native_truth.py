@@ -10,9 +10,8 @@ from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.instrumentation.means import FootPlaces, MeanTruth, mean_truth
 from surefoot.envs.instrumentation.truth import CONTACT_FORCE
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.native import NATIVE
 from surefoot.envs.observation import STATE, Look
-from surefoot.native import compiler
+from surefoot.native import ENVS, FOLDER, compiler
 
 ROBOTS, SUBSTEPS, THREADS = 33, 5, 2
 
@@ -22,7 +21,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 @pytest.fixture(autouse=True)
 def library(tmp_path, monkeypatch):
     """Use the library, compiled if none is installed."""
-    monkeypatch.setattr(NATIVE, "_found", (library_of(NATIVE, tmp_path),))
+    monkeypatch.setattr(ENVS, "_found", (library_of(ENVS, tmp_path),))
 
 
 @pytest.fixture(scope="module", params=["NAO", "Exercise"])
@@ -54,7 +53,7 @@ def rows_of(env, rng, blown_up=False):
 
 def look_by_python(monkeypatch, env, *arguments) -> Look:
     with monkeypatch.context() as patch:
-        patch.setattr(NATIVE, "_found", (None,))
+        patch.setattr(ENVS, "_found", (None,))
         return deepcopy(env.observer).look(*arguments)
 
 
@@ -115,6 +114,6 @@ def test_any_number_of_feet_has_a_mean_truth():
 
 
 def test_constants_of_the_library_are_those_of_the_python():
-    source = "".join(path.read_text() for path in NATIVE.sources.folder.glob("*.h"))
+    source = "".join(path.read_text() for path in FOLDER.glob("*.h"))
     assert f"#define SF_CONTACT_FORCE {CONTACT_FORCE} " in source
     assert f"#define SF_STATE {STATE} " in source

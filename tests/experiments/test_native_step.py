@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration.native import installed
-from surefoot.native import compiler
+from surefoot.native import CALIBRATION, compiler
 
 STEPS = 64
 
-pytestmark = pytest.mark.skipif(compiler() is None or installed() is None, reason="needs a C compiler")
+pytestmark = pytest.mark.skipif(
+    compiler() is None or CALIBRATION.installed() is None, reason="needs a C compiler"
+)
 
 
 @pytest.fixture(scope="module")

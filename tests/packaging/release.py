@@ -22,13 +22,13 @@ EXTRAS = PROJECT["optional-dependencies"]
 SWEEP = "surefoot sweep --controller zero --feed true --scenario speed-0.04 --seeds 1 --duration 5 --jobs 1"
 SERVES = {
     "": [
-        "python -c 'from surefoot.calibration.native import rooms; assert len(rooms()) == 2'",
-        "python -c 'from surefoot.sensors.native import installed; assert installed()'",
+        "python -c 'from surefoot.native import CALIBRATION; assert len(CALIBRATION.rooms()) == 2'",
+        "python -c 'from surefoot.native import SENSORS; assert SENSORS.installed()'",
         "python -c 'import surefoot.controllers'",
     ],
     "sim": [
         "python -c 'import surefoot; surefoot.wrappers.FootSensors; surefoot.envs.NaoWalkEnv().reset()'",
-        "python -c 'from surefoot.envs.native import installed; assert installed()'",
+        "python -c 'from surefoot.native import ENVS; assert ENVS.installed()'",
     ],
     "icub": ["python -c 'from surefoot.envs.leg_rig import icub; icub.load_icub_leg_spec().compile()'"],
     "robots": ["python -c 'from surefoot import envs; envs.load_robot_spec(\"g1\").compile()'"],

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
-from surefoot.calibration.native import NATIVE, c_source, rooms
-from surefoot.native import Sources, __main__, build, compiler
+from surefoot.calibration.native import c_source
+from surefoot.native import CALIBRATION, ENVS, SENSORS, Sources, build, compiler
 from surefoot.native.__main__ import main
 from surefoot.native.library import say_once
 
@@ -22,7 +22,7 @@ def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatc
     wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
     subprocess.run([*compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
     text.write_text("no library")
-    assert NATIVE.sources.compile(old, ["-std=c99", "-O0"]) is None
+    assert CALIBRATION.sources.compile(old, ["-std=c99", "-O0"]) is None
     for path, problem in (
         (tmp_path / "missing.so", "there is no missing.so"),
         (wrong, "wrong.so cannot be used, it is another library"),
@@ -31,26 +31,26 @@ def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatc
     ):
         caplog.clear()
         say_once.cache_clear()
-        assert NATIVE.look(path) is None
-        assert NATIVE.look(path) is None
+        assert CALIBRATION.look(path) is None
+        assert CALIBRATION.look(path) is None
         (line,) = caplog.messages
         assert line.startswith(f"surefoot runs in Python, slower: {problem}")
         assert line.endswith("compile it with: python -m surefoot.native")
         assert "\n" not in line
     caplog.clear()
     monkeypatch.setenv("SUREFOOT_NATIVE", "0")
-    assert NATIVE.look(tmp_path / "another.so") is None
+    assert CALIBRATION.look(tmp_path / "another.so") is None
     assert not caplog.messages
 
 
 def test_where_one_library_of_calibrators_is_the_smaller_one_is_too():
-    assert len(rooms()) in (0, 2)
+    assert len(CALIBRATION.rooms()) in (0, 2)
 
 
 def test_a_fingerprint_is_of_the_sources_and_the_flags(tmp_path):
-    sources, found = Sources(tmp_path), set()
+    sources, found = Sources(tmp_path / "one.c"), set()
     for text in ("one", "another"):
-        (tmp_path / "library.c").write_text(text)
+        sources.path.write_text(text)
         found |= {sources.fingerprint(), sources.fingerprint(["-O0"])}
     assert len(found) == 4
 
@@ -58,7 +58,7 @@ def test_a_fingerprint_is_of_the_sources_and_the_flags(tmp_path):
 def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    sources = NATIVE.sources
+    sources = CALIBRATION.sources
     missing = "there is no C compiler (cc, gcc, clang or what CC says)"
     assert sources.compile(tmp_path / "x.so") == missing
     assert main() == f"Not compiled, surefoot_calibration: {missing}."
@@ -83,16 +83,13 @@ def test_installing_brings_a_compiler_where_there_is_none(monkeypatch, tmp_path)
     assert build.requirements() == []
 
 
-@pytest.mark.parametrize("sdist", [True, False])
-def test_packages_side_by_side_are_found_in_an_sdist_alone(sdist, monkeypatch, tmp_path, capsys):
-    (tmp_path / "calibration" / "native").mkdir(parents=True)
-    (tmp_path / "calibration" / "native" / "library.c").touch()
-    if sdist:
-        (tmp_path / "setup.py").touch()
-    monkeypatch.setattr(__main__, "__file__", str(tmp_path / "surefoot" / "native" / "__main__.py"))
+def test_it_compiles_all_libraries(monkeypatch, capsys):
     monkeypatch.setattr(Sources, "compile", lambda self: None)
     assert main() is None
-    assert ("surefoot_calibration" in capsys.readouterr().out) is sdist
+    paths = [Path(line.split()[-1]) for line in capsys.readouterr().out.replace(".\n", "\n").splitlines()]
+    assert paths == [CALIBRATION.sources.library, CALIBRATION.sources.smaller.library] + [
+        native.sources.library for native in (ENVS, SENSORS)
+    ]
 
 
 def test_it_says_where_the_headers_are(capsys):

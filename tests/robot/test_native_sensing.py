@@ -11,12 +11,11 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.envs import Truth
-from surefoot.native import compiler
+from surefoot.native import SENSORS, compiler
 from surefoot.robot import RobotSensors
 from surefoot.robot.sensing.native import NativeSensing
 from surefoot.robot.sensing.python import PythonSensing
 from surefoot.sensors import Fault, LoadCells, Wire
-from surefoot.sensors.native import NATIVE, installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.native import NativeTelemetryState
 from surefoot.wrappers import FootSensors
@@ -67,7 +66,7 @@ def same(one: FootSensors, other: FootSensors) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_episodes_are_the_same(case: str) -> None:
     """The library's robot is pickled on the way, and Python goes on with its state until the next reset."""
-    without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
+    without, rng = patch.object(SENSORS, "_found", (None,)), np.random.default_rng(0)
 
     def made() -> FootSensors:
         robot = "Humanoid-v5" if "soles" in CASES[case] else "surefoot/NaoBalance-v0"
@@ -109,25 +108,27 @@ def test_what_has_no_room_is_read_by_python(options: dict[str, Any]) -> None:
     assert isinstance(env.robot.backend, PythonSensing)
 
 
-@pytest.mark.parametrize("anew", ["reset", "copied"])
-@pytest.mark.parametrize("rows", [2, 300])
-def test_a_step_of_other_substeps_than_telemetry_has_room_for_is_read_by_python(rows: int, anew: str) -> None:
-    env = FootSensors(gym.make("surefoot/NaoStand-v0", disable_env_checker=True))
+@pytest.mark.parametrize("config", ["hx711-load-cells", "icub-ftsens"])
+def test_steps_may_have_other_substeps(config: str) -> None:
+    env = FootSensors(gym.make("surefoot/NaoStand-v0", disable_env_checker=True), config)
     env.reset(seed=0)
     truth, dt = env.source.truth, float(env.source.dt)
-    other = Truth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.channels)
-    robot = RobotSensors(env.robot.equipment, listening=True)
-    robot.reset(truth, dt, seed=0)
-    assert isinstance(robot.backend, NativeSensing)
-    if anew == "reset":
-        robot.reset(other, dt)
-    else:
-        robot.step(truth)
-        robot = pickle.loads(pickle.dumps(robot))
-    robot.step(other)
-    assert isinstance(robot.backend, PythonSensing)
-    joints = other.joint_position[-1]
-    np.testing.assert_allclose(robot.packets[-1].values[: len(joints)], joints, atol=0.05)
+    robots = library, python = [RobotSensors(env.robot.equipment, listening=True) for _ in range(2)]
+    with patch.object(SENSORS, "_found", (None,)):
+        python.reset(truth, dt, seed=0)
+    library.reset(truth, dt, seed=0)
+    for rows in (2, 10, 300):
+        other = Truth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.channels)
+        for robot in robots:
+            robot.step(other)
+        np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(library.newest, python.newest, rtol=CLOSE, atol=CLOSE)
+    with patch.object(SENSORS, "_found", (None,)):
+        python.reset(other, dt)
+    library.reset(other, dt)
+    np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)
+    assert isinstance(library.backend, NativeSensing)
+    assert isinstance(python.backend, PythonSensing)
 
 
 def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,8 +136,8 @@ def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> Non
     rng = np.random.default_rng(7)
     rows = rng.normal(size=(10, 24)), rng.normal(size=(10, 6))
     seen = []
-    for found in (None, installed()):
-        monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
+    for found in (None, SENSORS.installed()):
+        monkeypatch.setattr(SENSORS, "installed", lambda found=found: found)
         env = FootSensors(gym.make("surefoot/NaoStand-v0"))
         observation, _ = env.reset(seed=4)
         states = [observation["state"]]

@@ -15,8 +15,7 @@ from _native_robots import (
 
 from surefoot.calibration import FeetLayout, nao_shoe_layout
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import Library, rooms
-from surefoot.native import Record, compiler
+from surefoot.native import CALIBRATION, Library, Record, compiler
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -41,8 +40,8 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, metho
     said, estimates = [], []
     for found in (library, None):
         rooms = () if found is None else (found,)
-        monkeypatch.setattr("surefoot.calibration.foot_calibrator.rooms", lambda rooms=rooms: rooms)
-        monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda found=found: found)
+        monkeypatch.setattr(CALIBRATION, "rooms", lambda rooms=rooms: rooms)
+        monkeypatch.setattr(CALIBRATION, "installed", lambda found=found: found)
         env = SelfCalibration(FootSensors(make_bare()), method, show=show)
         env.reset(seed=4)
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
@@ -74,7 +73,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, metho
     assert said[0][-1][0]["cop"] is not said[0][-2][0]["cop"]
 
 
-@pytest.mark.skipif(len(rooms()) < 2, reason="needs both libraries")
+@pytest.mark.skipif(len(CALIBRATION.rooms()) < 2, reason="needs both libraries")
 def test_a_copy_goes_on_in_the_library_of_its_calibrator(make_bare):
     one = SelfCalibration(FootSensors(make_bare()))
     one.reset(seed=4)
@@ -82,7 +81,7 @@ def test_a_copy_goes_on_in_the_library_of_its_calibrator(make_bare):
     for _ in range(20):
         seen = [env.step(np.zeros(env.action_space.shape, np.float32))[0] for env in (one, two)]
         np.testing.assert_equal(*seen)
-    assert two.beliefs.library is two.calibrator.library is rooms()[0]
+    assert two.beliefs.library is two.calibrator.library is CALIBRATION.rooms()[0]
     assert isinstance(two.robot.backend, NativeSample)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from _streams import DT, leaves
 
+from surefoot.native import SENSORS
 from surefoot.sensors import (
     PRESETS,
     Corruption,
@@ -277,7 +278,7 @@ def test_shape_and_dtype_are_kept(name: str) -> None:
 def test_a_stream_brings_the_same_with_the_library_and_without(name: str, monkeypatch: Any) -> None:
     one, other = Stream.of(4, 7), Stream.of(4, 7)
     read = run(name, one)
-    monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: None)
+    monkeypatch.setattr(SENSORS, "installed", lambda: None)
     np.testing.assert_allclose(run(name, other), read, rtol=1e-12, atol=1e-12)
     assert one.record == other.record
 

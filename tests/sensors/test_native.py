@@ -10,7 +10,7 @@ from _native import SANITIZED, compile_program, library_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.native import Library, compiler
+from surefoot.native import FOLDER, SENSORS, Library, compiler
 from surefoot.sensors import (
     Fault,
     ForceTorque,
@@ -26,7 +26,6 @@ from surefoot.sensors.devices.native_device import NativeDevice, native_device
 from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE, STRAIN_GAUGES
 from surefoot.sensors.faults.channels import KINDS as FAULT_KINDS
-from surefoot.sensors.native import NATIVE
 from surefoot.sensors.presets import PRESETS
 from surefoot.sensors.randomness import Stream
 
@@ -127,7 +126,7 @@ QUICK = ("hx711-load-cells", "slow chips", "shear", "words", "four cells", *WHOL
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
 
 
 def loads(channels: int, rng: np.random.Generator, bad: bool = True) -> np.ndarray[Any, Any]:
@@ -304,10 +303,10 @@ def test_a_wire_that_cannot_hold_its_words_is_refused_in_the_same_words(library:
 
 
 def test_the_headers_compile_alone_without_a_warning(tmp_path: Path) -> None:
-    for header in sorted(NATIVE.sources.folder.glob("*.h")):
+    for header in sorted(FOLDER.glob("surefoot_*.h")):
         (tmp_path / "alone.c").write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')
         for flags in ([], ["-DSF_SINGLE"]):
-            compile_program(NATIVE, tmp_path / "alone.c", tmp_path / "alone", "-O1", *flags)
+            compile_program(tmp_path / "alone.c", tmp_path / "alone", "-O1", *flags)
 
 
 @pytest.mark.slow
@@ -321,7 +320,7 @@ def test_garbage_stays_within_the_arrays(library: Library, tmp_path: Path, name:
     (tmp_path / "config").write_bytes(native.constants.tobytes())
     (tmp_path / "state").write_bytes(state.record.tobytes())
     source = Path(__file__).parent / "fuzz_devices.c"
-    compile_program(NATIVE, source, tmp_path / "fuzz", f"-D{kind.name.upper()}", *SANITIZED)
+    compile_program(source, tmp_path / "fuzz", f"-D{kind.name.upper()}", *SANITIZED)
     done = subprocess.run(
         [tmp_path / "fuzz", tmp_path / "config", tmp_path / "state", "200000"],
         capture_output=True, text=True, check=False,

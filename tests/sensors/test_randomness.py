@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from _native import library_of
 
-from surefoot.native import Library
-from surefoot.sensors.native import NATIVE
+from surefoot.native import SENSORS, Library
 from surefoot.sensors.randomness import AHEAD, Stream, philox, uniform
 
 # Random123, its file kat_vectors: philox4x32 of ten rounds; counter, key, block.
@@ -22,13 +21,13 @@ VECTORS = [
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
+    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture(params=["C", "Python"])
 def way(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     found = request.getfixturevalue("library") if request.param == "C" else None
-    monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: found)
+    monkeypatch.setattr(SENSORS, "installed", lambda: found)
     return str(request.param)
 
 
@@ -64,7 +63,7 @@ def test_numbers_are_made_of_blocks_as_the_page_says(way: str) -> None:
 def test_c_and_python_draw_the_same(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
     for found in (library, None):
-        monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda found=found: found)
+        monkeypatch.setattr(SENSORS, "installed", lambda found=found: found)
         one = Stream.of(3, 1)
         parts = [one.standard_normal((3, 8)), one.random((5,)), one.standard_normal((2 * AHEAD + 3,))]
         parts += [one.standard_normal(()), one.random((0,)), one.random((2,))]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import Reference
-from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.envs import InstrumentedEnv
+from surefoot.native import CALIBRATION, SENSORS
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Kinematics
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.robot.beliefs.native import NativeBeliefs
@@ -18,7 +18,6 @@ from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.strapdown import touching
 from surefoot.robot.native import NativeSample
 from surefoot.sensors import preset, sized
-from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import (
     FootSensors,

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 import surefoot  # noqa: F401
-from surefoot.calibration.native import NATIVE as CALIBRATION
+from surefoot.native import CALIBRATION, SENSORS
 from surefoot.native.threads import LEAST
 from surefoot.robot.native import NativeSample
 from surefoot.robot.sensing.native import NativeSensing
 from surefoot.sensors.faults.channels import KINDS
-from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, TruthRow, VectorFootSensors, VectorSelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)

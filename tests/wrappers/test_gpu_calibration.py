@@ -18,6 +18,7 @@ from surefoot.calibration import (
     Reference,
     nao_shoe_layout,
 )
+from surefoot.calibration.weights.curves import Curves
 from surefoot.wrappers.gpu.batch import views
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 from surefoot.wrappers.gpu.kernels import kernel
@@ -102,6 +103,22 @@ def test_robots_are_calibrators_side_by_side(method, lag, log):
 @pytest.mark.parametrize("lag", LAGS)
 def test_robots_that_measure_velocities_are_calibrators_side_by_side(lag, log):
     compare_with_alone("moment", lag, log, momentum_row)
+
+
+def test_curves_stand_in_front(log):
+    knots = np.array([[-20.0, 4.0, 9.0, 40.0], [-20.0, 0.0, 12.0, 40.0]])
+    curves = Curves([None, knots, *[None] * 6])
+    module = make("none", lag=0, dtype=torch.float64, curves=curves)
+    alone = [FootCalibrator(LAYOUT, "none", mass=MASS, dt=DT, lag=0, curves=curves) for _ in range(N)]
+    for k in range(10):
+        raw, reference = row(log, k)
+        raw[:, 1] *= 1.0 + k  # beyond both ends as well
+        found = module(raw.double(), reference).force.cpu().numpy()
+        for i, calibrator in enumerate(alone):
+            own = type(reference)(*(part[i].cpu().numpy() for part in reference))
+            np.testing.assert_allclose(found[i], calibrator.update(raw[i].double().cpu().numpy(), own).force)
+    with pytest.raises(ValueError, match=r"'curves' are of 1 channels, and the layout has 8\."):
+        make("none", curves=Curves([knots]))
 
 
 def compare_with_alone(method, lag, log, given):

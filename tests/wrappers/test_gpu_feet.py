@@ -415,3 +415,35 @@ def test_no_graph_is_kept_and_a_module_can_be_copied():
 def test_a_wire_too_short_is_refused_when_the_module_is_made():
     with pytest.raises(ValueError, match=r"readings 0\.002 s apart .* Wire\.under_way = 4; give at least 12"):
         make("hx711-bar-cells", dt=0.002)
+
+
+def test_severity_and_faults_may_be_set_for_some_robots():
+    feet, alike = make(seed=3), make(seed=3)
+    force = forces(feet)
+    feet.set_severity([(0.5, 2.0), 0.0], [3, 1])
+    feet.set_faults(["at t=0 s cell left/2 dies"], 4)
+    for module in (feet, alike):
+        module.reset([0, 1, 3])
+        module.reset(4)
+        module(force)
+    assert (feet._severity == 1.0).all()  # of sensors that are kept
+    counts, others = feet(force), alike(force)
+    changed = (counts != others).any(dim=1)
+    assert changed.tolist() == [False] * 4 + [True]
+    assert (counts[4] != others[4]).nonzero()[:, 0].tolist() == [1]
+    again = make(seed=3)
+    again.load_state_dict(feet.state_dict())
+    assert torch.equal(again(force), feet(force))
+    alike(force)
+    for module in (feet, alike):
+        module.reset([0, 1, 3], fresh=True)
+    found, usual = feet(force), alike(force)
+    assert (found != usual).any(dim=1).tolist() == [False, True, False, True, True]
+    nominal = torch.as_tensor(feet.nominal.scale, dtype=torch.float32)
+    assert torch.allclose(feet.true_parameters().scale[1].cpu(), nominal)
+    with pytest.raises(ValueError, match="one a robot: got 1 for 2 robots"):
+        feet.set_severity([1.0], [0, 1])
+    with pytest.raises(ValueError, match="must be finite and not negative"):
+        feet.set_severity(-1.0)
+    with pytest.raises(ValueError, match="9"):
+        feet.set_faults((), 9)

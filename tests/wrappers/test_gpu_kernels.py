@@ -7,14 +7,12 @@ import pytest
 from _native import library_of
 
 from surefoot.calibration import OnlineSetup, Parameters, Reference, nao_shoe_layout
-from surefoot.calibration.native import NATIVE as FILTER
 from surefoot.calibration.native import native_filter
-from surefoot.native import build, compiler
+from surefoot.native import CALIBRATION, FOLDER, SENSORS, compiler
 from surefoot.sensors import preset
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_device import native_device
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE, STRAIN_GAUGES
-from surefoot.sensors.native import NATIVE as DEVICES
 from surefoot.sensors.presets import PRESETS
 from surefoot.sensors.randomness import Stream
 
@@ -27,7 +25,7 @@ INSTRUMENTS = {"hx711-bar-cells": CELLS, "icub-force-torque": FORCE_TORQUE, "icu
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(compiler() is None, reason="there is no C compiler")]
 
-# As library.c has them, so that records are laid out alike.
+# As calibration.c and sensors.c have them, so that records are laid out alike.
 HEADERS = "".join(
     f'#include "{name}.h"\n'
     for name in (
@@ -108,11 +106,9 @@ def steps(
 @pytest.fixture(scope="module")
 def module(tmp_path_factory):
     wp.config.kernel_cache_dir = str(tmp_path_factory.mktemp("warp"))
-    sources = build.SHARED, FILTER.sources.folder, DEVICES.sources.folder
-    folders = [str(folder.resolve()) for folder in sources]
     options = wp.ModuleBuildOptions(
-        extra_cuda_include_dirs=folders,
-        extra_cpu_include_dirs=folders,
+        extra_cuda_include_dirs=[str(FOLDER)],
+        extra_cpu_include_dirs=[str(FOLDER)],
         extra_cuda_preamble=HEADERS,
         extra_cpu_preamble=HEADERS,
     )
@@ -168,11 +164,12 @@ def walking(rng):
 
 @pytest.mark.parametrize("method", ["moment", "window", "tare", "none"])
 def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, method):
-    library = library_of(FILTER, tmp_path)
+    library = library_of(CALIBRATION, tmp_path)
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
     native = native_filter(library, method, setup, {})
     expected = of_robots([native.init().record] * ROBOTS)
     state, beliefs = expected.copy(), np.zeros(ROBOTS, native.references[Reference].dtype)
+    beliefs["known"] = True
     own, number = native.constants.own, native.constants.number
     constants = [one.reshape(1).view(np.uint8) for one in (native.constants.config, own) if one is not None]
     size = library.places["moment_work" if method == "moment" else "window_work"][""][2]
@@ -180,8 +177,8 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     estimate, wanted = (np.zeros(ROBOTS, native.estimate.now.dtype) for _ in range(2))
     raw, motion = walking(np.random.default_rng(5))
     for k in range(SAMPLES):
-        for name in beliefs.dtype.names:
-            beliefs[name] = getattr(motion, name)[k]
+        for name, part in motion._asdict().items():
+            beliefs[name] = part[k]
         launch(0, number, np.concatenate(constants), state, work, raw[k], beliefs, estimate)
         for robot in range(ROBOTS):
             records = expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]
@@ -198,7 +195,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_a_device_in_a_kernel_is_that_of_the_library(module, tmp_path, name):
-    kind, library, rng = INSTRUMENTS[name], library_of(DEVICES, tmp_path), np.random.default_rng(3)
+    kind, library, rng = INSTRUMENTS[name], library_of(SENSORS, tmp_path), np.random.default_rng(3)
     config = next(preset(name, family) for family in PRESETS if name in PRESETS[family])
     native = native_device(library, kind, config)
     rows, felt = (SUBSTEPS if kind.blocks else 1), kind.count_loads(config)

@@ -165,7 +165,7 @@ class BatchModule(nn.Module, ABC):
             ValueError: If it is of another module, with the first difference.
         """
         for name, ours in (identity | {"records": kernel.layout}).items():
-            theirs = saved.get("identity", {}).get(name)
+            theirs = saved.get("identity", {}).get(name, "")
             if name == "method":
                 theirs = OLD_NAMES.get(theirs, theirs)
             if theirs != ours:

@@ -4,7 +4,7 @@
     counts = feet(force, step=env.common_step_counter)      # (N, K), or (N, S, K) for S substeps of a step
     feet.reset(env_ids)                                     # as managers call it
 
-A step is one kernel of ``sensors/native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
+A step is one kernel of ``native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,15 @@ from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.names import page
-from surefoot.robot.sensing.condition import Condition, Conditions, Severity, faults_of, severity_range
+from surefoot.robot.sensing.condition import (
+    Condition,
+    Conditions,
+    Faults,
+    Severity,
+    faults_of,
+    severity_of_each,
+    severity_range,
+)
 from surefoot.robot.sensing.device import FootDevice, first_steps, foot_device
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.streams import check_stream, device_streams
@@ -31,7 +39,7 @@ from surefoot.sensors.faults.words import FEET
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds
+from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of
 from surefoot.wrappers.gpu.kernels import Kernel, kernel
 
 _ADVANCE = 1
@@ -144,15 +152,19 @@ class FootSensorsModule(BatchModule):
                 raise ValueError(f"FootSensorsModule takes no {name!r}: {why}.")
         check_stream("FootSensorsModule", equipment.stream)
         self._drawn = foot_device(HX711_LOAD_CELLS if equipment.config is None else equipment.config)
-        self._conditions = conditions_of(equipment, self._drawn)
+        conditions = conditions_of(equipment.severity, equipment.faults, self._drawn)
+        self._conditions = [conditions] * num_envs
+        # Robots whose faults are drawn at a reset: by chance, or because they are others.
+        self._redrawn = set(range(num_envs)) if conditions.chances else set()
+        self._said = repr((*conditions.faults, *conditions.chances))
         self.severity: Severity = equipment.severity
         self.seed, self.fresh = seed, equipment.fresh
-        usual = self._conditions.usual
+        usual = conditions.usual
         self.config: FootDevice = scaled(self._drawn, usual.severity)
         self.channels = self.config.channels
         self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
         self._blocks = isinstance(self.config, LoadCells)
-        for severity in {self._conditions.lowest, self._conditions.highest}:
+        for severity in {conditions.lowest, conditions.highest}:
             check_wire(scaled(self._drawn, severity), self.dt)
         first, *more = first_steps((self.config,), self.dt)
         self._first = len(more), first
@@ -162,10 +174,10 @@ class FootSensorsModule(BatchModule):
         streams = [device_streams(equipment.stream, seed + robot) for robot in range(num_envs)]
         own = "cells" if self._blocks else "ankles", "faults", "condition"
         keys = [tuple(each[name] for name in own) for each in streams]
-        found = self._draw([usual.severity] * num_envs, keys, True)
+        found = self._draw(range(num_envs), [usual.severity] * num_envs, keys, True)
         names = "sensors", "faults", "streams", "config", "faults_config", "severity"
         records = dict(zip(names, found, strict=True))
-        if not self._conditions.by_chance:
+        if not conditions.by_chance:
             # The constants of all robots are the same, and no part of a state.
             self._config, self._faults_config = (records.pop(name)[:1].to(self.device) for name in names[3:5])
             records.pop("severity")
@@ -219,18 +231,56 @@ class FootSensorsModule(BatchModule):
             ValueError: If there is no such robot.
         """
         mask, fresh = self._note_starting(env_ids), self.fresh if fresh is None else fresh
-        if fresh or self._conditions.chances:
+        if fresh or self._redrawn:
             those = mask.nonzero()[:, 0]
+            if not fresh:
+                redrawn = [robot in self._redrawn for robot in those.tolist()]
+                those = those[torch.tensor(redrawn, dtype=torch.bool, device=self.device)]
             keys = self._streams[those].cpu().numpy().view(np.uint64).reshape(-1, 3, 2)
-            chance = self._conditions.by_chance
-            before = self._severity[those].tolist() if chance else [self._usual[0].severity] * len(those)
-            drawn = self._draw(before, [tuple(map(_stream, own)) for own in keys], fresh)
+            own = "config" in self._records
+            before = self._severity[those].tolist() if own else [self._usual[0].severity] * len(those)
+            drawn = self._draw(those.tolist(), before, [tuple(map(_stream, key)) for key in keys], fresh)
             kept = [self._sensors, self._faults, self._streams]
-            if chance:
+            if own:
                 kept += [self._config, self._faults_config, self._severity]
             for record, new in zip(kept, drawn, strict=False):
                 if len(new):
                     record[those] = new.to(self.device)
+            self._redrawn -= {robot for robot in those.tolist() if not self._conditions[robot].chances}
+
+    def set_severity(self, severity: Any, env_ids: RobotIds = None) -> None:
+        """Let the next fresh sensors of some robots be of another severity.
+
+        Args:
+            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
+                one a robot.
+            env_ids: These robots; all by default.
+
+        Raises:
+            ValueError: If there is no such robot, there are more or fewer values than robots, or there is no
+                kernel for sensors that are so bad.
+        """
+        which = self._numbers(env_ids)
+        ranges = map(severity_range, severity_of_each(severity, len(which)))
+        own = zip(which, ranges, strict=True)
+        self._set(which, [self._conditions[i]._replace(lowest=low, highest=high) for i, (low, high) in own])
+
+    def set_faults(self, faults: Faults, env_ids: RobotIds = None) -> None:
+        """Let other things break on some robots, or with other probabilities, from their next resets on.
+
+        Args:
+            faults: As of :class:`~surefoot.wrappers.FootEquipment`, for each of them.
+            env_ids: These robots; all by default.
+
+        Raises:
+            ValueError: If there is no such robot, a fault or a probability is refused, or there is no kernel
+                for so many faults.
+        """
+        which = self._numbers(env_ids)
+        found = conditions_of(0.0, faults, self._drawn)._asdict()
+        given = {name: found[name] for name in ("faults", "chances")}
+        self._set(which, [self._conditions[i]._replace(**given) for i in which])
+        self._redrawn |= set(which)
 
     def newtons(self, counts: Tensor) -> Tensor:
         """Return counts in N (and N m) by the data sheet, as a robot without a calibrator believes them."""
@@ -249,7 +299,7 @@ class FootSensorsModule(BatchModule):
         cells = self._device(CELLS, self.config)
         records = np.split(self._sensors.cpu().numpy().view(cells.layout), self.num_envs)
         states = (cells.unpack(NativeState(one.reshape(()), cells)) for one in records)
-        severity = self._severity.tolist() if self._conditions.by_chance else [self._usual[0].severity]
+        severity = self._severity.tolist() if "config" in self._records else [self._usual[0].severity]
         configs: list[Any] = [scaled(self._drawn, one) for one in severity]
         configs *= self.num_envs // len(configs)
         maps = [true_map(*of) for of in zip(configs, states, strict=True)]
@@ -266,12 +316,43 @@ class FootSensorsModule(BatchModule):
         Raises:
             ValueError: If it is of other sensors.
         """
+        if "config" in state:
+            self._take_own_constants()
         self._restore(self._kernel, state, self._identity())
+
+    def _numbers(self, env_ids: RobotIds) -> list[int]:
+        """Return the numbers of robots, in the order in which they are named."""
+        mask_of(env_ids, self.num_envs, self.device)  # which refuses others
+        every = torch.arange(self.num_envs, device=self.device)
+        named: list[int] = (every if env_ids is None else every[env_ids].reshape(-1)).tolist()
+        return named
+
+    def _set(self, which: list[int], found: Sequence[Conditions]) -> None:
+        """Give robots other conditions.
+
+        Raises:
+            ValueError: If there is no kernel for one.
+        """
+        for one in set(found):
+            for severity in {one.lowest, one.highest}:
+                check_wire(scaled(self._drawn, severity), self.dt)
+                self._parts(Condition(severity, one.faults))
+        self._take_own_constants()
+        for robot, one in zip(which, found, strict=True):
+            self._conditions[robot] = one
+
+    def _take_own_constants(self) -> None:
+        """Let each robot have constants of its own from here on."""
+        if "config" not in self._records:
+            severity = torch.full((self.num_envs,), self._usual[0].severity, dtype=torch.float64)
+            own = {"config": self._config, "faults_config": self._faults_config, "severity": severity}
+            for name, part in own.items():
+                setattr(self, f"_{name}", self._register(name, part.expand(self.num_envs, *part.shape[1:])))
 
     def _identity(self) -> dict[str, Any]:
         return {
             "configuration": repr(self.config),
-            "faults": repr((*self._conditions.faults, *self._conditions.chances)),
+            "faults": self._said,
             "num_envs": self.num_envs,
             "dt": self.dt,
             "dtype": str(self.dtype),
@@ -288,7 +369,7 @@ class FootSensorsModule(BatchModule):
             "LOAD_CELLS": max(16, self.channels if cells else 0),
             "SETTLING": max(8, config.settling if isinstance(config, LoadCells) else 0),
             "SIX_AXIS": max(2, 0 if cells else self.channels // 6),
-            "FAULTS": max(16, len(self._conditions.faults), self.channels * bool(self._conditions.chances)),
+            "FAULTS": max(16, self.channels, len(self._conditions[0].faults)),
         }
         fits = tuple(f"surefoot_{name}_fits" for name in (kind.name, FAULTS.name))
         body = _BODY.format(kind=kind.name, channels=channels, loads=loads)
@@ -310,11 +391,12 @@ class FootSensorsModule(BatchModule):
         return [instrument or self._device(_DEVICES[self._blocks][0], config), faults]
 
     def _draw(
-        self, before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
+        self, robots: Sequence[int], before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
     ) -> tuple[Tensor, ...]:
         """Draw conditions and sensors of some robots, each from its own three streams.
 
         Args:
+            robots: Their numbers.
             before: Their severities until now.
             streams: Those of the instrument, of faults and of the condition.
             fresh: Whether sensors are fresh.
@@ -325,10 +407,10 @@ class FootSensorsModule(BatchModule):
         """
         found: list[list[Any]] = [[] for _ in range(6)]
         usual, same = self._usual
-        for severity, (own, of_faults, of_condition) in zip(before, streams, strict=True):
-            condition = Condition(severity, usual.faults)
-            if self._conditions.by_chance:
-                condition = self._conditions.draw(condition, fresh, self.channels, of_condition)
+        for robot, severity, (own, of_faults, of_condition) in zip(robots, before, streams, strict=True):
+            condition = self._conditions[robot].draw(
+                Condition(severity, usual.faults), fresh, self.channels, of_condition
+            )
             device, broken = same
             if condition != usual:
                 known = not fresh or condition.severity == usual.severity
@@ -349,7 +431,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Channels of a six-axis sensor as faults name them."""
 
 
-def conditions_of(equipment: FootEquipment, config: FootDevice) -> Conditions:
+def conditions_of(severity: Severity, faults: Faults, config: FootDevice) -> Conditions:
     """Return how bad the feet of robots may be.
 
     Raises:
@@ -359,7 +441,7 @@ def conditions_of(equipment: FootEquipment, config: FootDevice) -> Conditions:
     cells = CELL_NAMES if isinstance(config, LoadCells) else AXES
     feet = config.channels // len(cells)
     names = FEET[:feet] if feet <= len(FEET) else [str(number) for number in range(1, feet + 1)]
-    return Conditions(*severity_range(equipment.severity), *faults_of(equipment.faults, names, cells))
+    return Conditions(*severity_range(severity), *faults_of(faults, names, cells))
 
 
 def _stream(record: Any) -> Stream:

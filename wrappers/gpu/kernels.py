@@ -1,7 +1,7 @@
 """The headers in C as kernels of Warp: one robot is one thread, on the CPU or on a GPU; see docs/native.md.
 
 Records are laid out by the compiler that makes the kernel, of the sizes and the precision that are asked
-for: the table in ``library.c``, compiled for the CPU, tells where their fields are.
+for: the table in the source of a library, compiled for the CPU, tells where their fields are.
 """
 
 # Warp reads types of arguments that mypy does not know.
@@ -11,7 +11,7 @@ import ctypes
 from collections.abc import Sequence
 from functools import cache
 from hashlib import sha256
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from surefoot.calibration.native import NATIVE as CALIBRATION
-from surefoot.native import Library, places_at
-from surefoot.native.build import SHARED
-from surefoot.sensors.native import NATIVE as SENSORS
-
-SOURCES = MappingProxyType({"calibration": CALIBRATION.sources, "sensors": SENSORS.sources})
-"""Where headers lie, by package."""
+from surefoot.native import FOLDER, Library, places_at
 
 ARRAYS = 9
 """Arrays that a kernel is given."""
@@ -43,11 +37,11 @@ class Kernel:
     """The work of one thread for one robot.
 
     Args:
-        package: Whose headers, a key of :data:`SOURCES`.
+        package: Whose source has the table of records: "calibration" or "sensors".
         headers: Those that are needed.
         body: The work for one robot, in C. It has its number ``robot``, ``worker``, the thread's, and
             what :meth:`launch` is given.
-        fits: Functions of ``library.c`` that say whether constants fit.
+        fits: Functions of that source that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
         single: Whether its numbers are floats rather than doubles.
 
@@ -70,7 +64,7 @@ class Kernel:
         told = "surefoot_places()", "surefoot_places_count()", *fits
         tell = "".join(f"((size_t *)config.data)[{i}] = (size_t){one};" for i, one in enumerate(told))
         table = torch.zeros((1, len(told)), dtype=torch.int64, device="cpu")
-        self._steps = _new_kernel(package, [*lines, '#include "library.c"'], tell)
+        self._steps = _new_kernel(package, [*lines, f'#include "{package}.c"'], tell)
         self.launch(1, [table])
         first, count, *functions = table[0].tolist()
         kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
@@ -156,14 +150,13 @@ def _new_kernel(package: str, lines: Sequence[str], body: str) -> Any:
                 robot, worker,
             )  # fmt: skip
 
-    folders = [folder.resolve() for folder in (SHARED, SOURCES[package].folder)]
     preamble = "\n".join([*lines, ""])
     options = wp.ModuleBuildOptions(
-        extra_cuda_include_dirs=folders,
-        extra_cpu_include_dirs=folders,
+        extra_cuda_include_dirs=[FOLDER],
+        extra_cpu_include_dirs=[FOLDER],
         extra_cuda_preamble=preamble,
         extra_cpu_preamble=preamble,
-        extra_build_dependencies=[path for folder in folders for path in sorted(folder.glob("*.[ch]"))],
+        extra_build_dependencies=sorted(FOLDER.glob("*.[ch]")),
     )
     module = wp.get_module(f"surefoot_{package}_{sha256((preamble + body).encode()).hexdigest()[:12]}")
     level = wp.config.optimization_level

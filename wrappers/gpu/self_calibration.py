@@ -5,7 +5,7 @@
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
-A step is one kernel of the headers in ``calibration/native/``, a robot a thread; nothing is copied to the
+A step is one kernel of the headers in ``native/``, a robot a thread; nothing is copied to the
 host. Its numbers are doubles, whatever the dtype of tensors: filters need them.
 """
 
@@ -28,9 +28,11 @@ from surefoot.calibration import (
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import NativeFilter, constants_of
+from surefoot.calibration.native.config import Constants
 from surefoot.calibration.online import MethodOptions, resolve_method
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import check_leaves
+from surefoot.calibration.weights.curves import Curves
 from surefoot.names import page, plain_name
 from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, views
@@ -144,6 +146,7 @@ class SelfCalibrationModule(BatchModule):
         lag: How many steps ago the readings were taken that a reference describes.
         initial: The map to start from, such as a :class:`FootSensorsModule`'s ``nominal``; by default
             readings are taken for newtons.
+        curves: Curves of channels that are not linear, in front of all maps.
         counter: Returns the number of the simulation step.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method.
@@ -169,6 +172,7 @@ class SelfCalibrationModule(BatchModule):
         dt: float = 1.0 / 50.0,
         lag: int = 0,
         initial: Parameters | None = None,
+        curves: Curves | None = None,
         counter: Counter | None = None,
         **options: Any,
     ) -> None:
@@ -178,13 +182,22 @@ class SelfCalibrationModule(BatchModule):
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
+        self._curves = _Straightener(curves, layout.channels, self.device)
         self._options = dict(sorted(options.items()))
         self._limits = dict(online_method(self.method, self.setup, **options).limits)
         if self.method not in _STEPS:
             raise ValueError(
                 f"Method {self.method!r} has no kernel; methods that have one: {', '.join(_STEPS)}."
             )
-        steps = _STEPS[self.method]
+        self._make_records(self._compile(options))
+
+    def _compile(self, options: dict[str, Any]) -> Constants:
+        """Choose the kernel, and return the constants of one robot.
+
+        Raises:
+            ValueError: If there is none for such a robot.
+        """
+        steps, layout = _STEPS[self.method], self.setup.layout
         sizes = {
             "CHANNELS": layout.channels,
             "FEET": len(layout.feet),
@@ -193,37 +206,37 @@ class SelfCalibrationModule(BatchModule):
         }
         body, fits = _BODY.format(**steps._asdict()), ("surefoot_fits",)
         self._kernel = kernel("calibration", _HEADERS, body, fits, tuple(sizes.items()), False)
-        library = self._kernel.library
-        constants = constants_of(library, self.method, self.setup, options)
+        constants = constants_of(self._kernel.library, self.method, self.setup, options)
         if constants is None:
             raise ValueError(
                 f"There is no kernel of {self.method!r} for {len(layout.feet)} feet with the options "
                 f"{self._options}; {page('native')} has its limits, and FootCalibrator none."
             )
-        native = NativeFilter(library, constants)
-        fresh = native.pack(constants.like).record
+        return constants
+
+    def _make_records(self, constants: Constants) -> None:
+        """Make the records of all robots."""
+        native = NativeFilter(self._kernel.library, constants)
+        places, work = native.library.places, _STEPS[self.method].work
+        fresh, given, robots = native.pack(constants.like).record, native.references, self.num_envs
         self._config, self._fresh = self._record(constants.config), self._record(fresh)
         self._own = self._config if constants.own is None else self._record(constants.own)
         # Nothing is remembered in what they work in: robots that wait for a thread share it.
-        self._workers = min(num_envs, threads_at_once(self.device))
-        size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
-        self._work = self._nothing(self._workers, size)
-        given = native.references
-        self._beliefs = {kind: self._record(record.now, num_envs) for kind, record in given.items()}
-        estimate = self._nothing(num_envs, library.places["estimate"][""][2])
-        self._state = self._register("state", self._fresh.expand(num_envs, -1))
-        self._estimate = self._register("estimate", estimate)
-        self._waiting = self._register(
-            "waiting", torch.zeros(num_envs, dtype=torch.int32, device=self.device)
+        self._workers = min(robots, threads_at_once(self.device))
+        self._work = self._nothing(
+            self._workers, 1 if work == "char" else places[work.removeprefix("sf_")][""][2]
         )
+        self._beliefs = {kind: self._record(record.now, robots) for kind, record in given.items()}
+        self._state = self._register("state", self._fresh.expand(robots, -1))
+        self._estimate = self._register("estimate", self._nothing(robots, places["estimate"][""][2]))
+        self._waiting = self._register("waiting", torch.zeros(robots, dtype=torch.int32, device=self.device))
         self._kinds = {kind: record.dtype for kind, record in given.items()}
         self._layouts = fresh.dtype, native.estimate.now.dtype
         self._view()
         self._covariance = constants.covariance
-        certain = constants.covariance is not None
         self._untold = (
             *(() if constants.contact else ("undetermined", "contact_probability")),
-            *(() if certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
+            *(() if native.certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
         )
 
     def forward(
@@ -256,7 +269,7 @@ class SelfCalibrationModule(BatchModule):
         advances = self._begins(step)
         if advances or self._asked:
             told = _ADVANCE * advances + _FROZEN * self.frozen
-            self._run(told, counts.double().contiguous(), self._beliefs[kind])
+            self._run(told, self._curves.straighten(counts.double()).contiguous(), self._beliefs[kind])
             self._asked = False
         one: dict[str, Any] = {name: self._copy(part) for name, part in self._found.items()}
         one |= dict.fromkeys(self._untold)
@@ -362,8 +375,49 @@ class SelfCalibrationModule(BatchModule):
             "channels": " ".join(setup.layout.channel_names),
             "mass": float(setup.mass),
             "lag": int(setup.lag),
+            "curves": self._curves.said,
             "age": np.asarray(setup.age, dtype=np.float64).tolist(),
             "initial": repr([[float(value) for value in part] for part in setup.initial]),
             "num_envs": self.num_envs,
             "dt": self.dt,
         }
+
+
+class _Straightener:
+    """Curves of channels on a device, as :class:`~surefoot.calibration.weights.curves.Curves` has them.
+
+    Args:
+        curves: The curves, if there are any.
+        channels: Number of channels.
+        device: Where readings are.
+
+    Attributes:
+        said: The curves in words; empty for none.
+
+    Raises:
+        ValueError: If they are of another number of channels.
+    """
+
+    def __init__(self, curves: Curves | None, channels: int, device: torch.device) -> None:
+        if curves is not None and len(curves.knots) != channels:
+            raise ValueError(f"'curves' are of {len(curves.knots)} channels, and the layout has {channels}.")
+        self.said = repr(curves.as_plain()) if curves is not None and curves.any else ""
+        self._cubics: list[tuple[int, Tensor, Tensor]] = []
+        for i, cubic in (curves.cubics if curves is not None else {}).items():
+            knots, powers = (torch.as_tensor(part.copy(), device=device) for part in (cubic.x, cubic.c))
+            self._cubics.append((i, knots, powers))
+
+    def straighten(self, counts: Tensor) -> Tensor:
+        """Return straight readings, shape (N, K); beyond its ends a curve goes on straight."""
+        if not self._cubics:
+            return counts
+        straight = counts.clone()
+        for i, knot, powers in self._cubics:
+            raw = counts[:, i].contiguous()
+            inside = raw.clamp(knot[0], knot[-1])
+            piece = (torch.searchsorted(knot, inside, right=True) - 1).clamp(0, len(knot) - 2)
+            cubed, squared, slope, level = powers[:, piece]
+            x = inside - knot[piece]
+            rise = (3.0 * cubed * x + 2.0 * squared) * x + slope
+            straight[:, i] = ((cubed * x + squared) * x + slope) * x + level + rise * (raw - inside)
+        return straight

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
-from surefoot.robot.native import KNOWN, STANDING, ManySamples, NativeSample, Samples
+from surefoot.robot.native import ManySamples, NativeSample, Samples
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
@@ -78,30 +78,7 @@ class BatchCalibration:
     @property
     def frozen(self) -> bool:
         """Whether nothing is learnt for now."""
-        return all(robot.frozen for robot in self.robots)
-
-    def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
-        for robot in self.robots:
-            robot.frozen = frozen
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-        """
-        save_learnt(path, self.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-            ValueError: If the file is of other or of more robots, other sensors, another method or lag.
-        """
-        load_learnt(path, self.robots)
-        self._gather()
+        return self.robots[0].frozen
 
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
         """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
@@ -117,13 +94,13 @@ class BatchCalibration:
         readers, natives = sensors.together, self._together or self._gather()
         # What was shown of a robot that has other records since then stands in `shown` alone.
         if readers and natives and (len(which) == count or natives.sampled.all()):
-            robots, now = [self.robots[i] for i in which.tolist()], sensors.time[which]
-            plans = None if sensors.plans is None else sensors.plans[which]
-            hold, then = [robot.next_sample() for robot in robots], self.robots[0].reference_time_at(now)
-            places = readers.rows[which], readers.packets[which], readers.raw[which]
-            found = natives.feed(which, Samples(*places, plans, then, now, hold), sensors.threads)
-            for robot, told in zip(robots, found.tolist(), strict=True):
-                robot.note(told & KNOWN > 0, told & STANDING > 0)
+            now, plans = sensors.time[which], None if sensors.plans is None else sensors.plans[which]
+            then, places = (
+                self.robots[0].reference_time_at(now),
+                (readers.rows[which], readers.packets[which]),
+            )
+            samples = Samples(*places, readers.raw[which], plans, then, now, self.frozen)
+            natives.feed(which, samples, sensors.threads)
             self.shown, self.told = natives.outputs()
         else:
             each = which.tolist()
@@ -155,16 +132,27 @@ class CalibrationFace:
         return self.calibration.frozen
 
     def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again, as :meth:`BatchCalibration.freeze` does."""
-        self.calibration.freeze(frozen)
+        """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
+        for robot in self.calibration.robots:
+            robot.frozen = frozen
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, as :meth:`BatchCalibration.save` does."""
-        self.calibration.save(path)
+        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
+
+        Raises:
+            RuntimeError: If the environments have not been reset.
+        """
+        save_learnt(path, self.calibration.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file, as :meth:`BatchCalibration.load` does."""
-        self.calibration.load(path)
+        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
+
+        Raises:
+            RuntimeError: If the environments have not been reset.
+            ValueError: If the file is of other or of more robots, other sensors, another method or lag.
+        """
+        load_learnt(path, self.calibration.robots)
+        self.calibration._gather()
 
 
 def _put(rows: Sequence[Any], which: list[int], old: Any) -> Any:

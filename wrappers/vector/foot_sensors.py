@@ -63,7 +63,7 @@ class VectorFootSensors(SensorsFace, AnyVectorWrapper):
         **options: Unpack[FootOptions],
     ) -> None:
         if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
-            env = VectorTruthRow(env)
+            env = VectorTruthRow(env, lends=True)
         super().__init__(env)
         copies: Any = env if isinstance(env, VectorTruthRow) else env.unwrapped
         space, count = env.single_observation_space, env.num_envs

@@ -1,7 +1,6 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle
 from os import PathLike
 from typing import Any, NamedTuple, Protocol
 
@@ -13,15 +12,16 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
-from surefoot.robot.sensing.condition import Faults
+from surefoot.robot.sensing.condition import Faults, severity_of_each
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing, NativeSensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, places_of, read_rows
+from surefoot.wrappers.vector.truth_row import NO_PLAN, Lent, RowMeaning, places_of, read_rows
 
 Floats = NDArray[np.float64]
+Rows = Floats | Lent
 Mask = NDArray[np.bool_]
 
 Seeds = int | Sequence[int | None] | None
@@ -101,7 +101,7 @@ class BatchSensors:
         self.robots = [RobotSensors(self.equipment, self.view.measures) for _ in range(count)]
         self.plans: NDArray[np.bool_] | None = None
         self.listeners: list[Listener] = []
-        self._rows: Floats = np.zeros((count, 0))
+        self._substeps: Floats = np.zeros((count, 0, 0))
         self._key: Any = None
         self._drawn: dict[str, NDArray[Any]] = {}
         self.together: ManySensing | None = None
@@ -114,7 +114,7 @@ class BatchSensors:
         for robot in self.robots:
             robot.listening = True
 
-    def reset(self, rows: Floats, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
+    def reset(self, rows: Rows, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
         """Read robots that were reset.
 
         Args:
@@ -132,7 +132,7 @@ class BatchSensors:
         self._mean_truth = MeanTruth(places_of(self._key))
         self.begin(rows, mask, each, asked)
 
-    def step(self, rows: Floats, starting: Mask | None = None, fell: Mask | None = None) -> None:
+    def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
         """Read all robots after a control step.
 
         Args:
@@ -141,7 +141,7 @@ class BatchSensors:
             fell: Robots whose episode was terminated, shape (N,), or ``None``.
         """
         substeps, dt = self._look(rows), self._meaning.dt
-        begins = np.zeros(len(rows), dtype=bool) if starting is None else np.asarray(starting)
+        begins = np.zeros(len(substeps), dtype=bool) if starting is None else np.asarray(starting)
         left = np.flatnonzero(self._read_together(substeps, ~begins)).tolist()
         for i in left:
             truth = read_rows(substeps[i], self._key)
@@ -158,7 +158,7 @@ class BatchSensors:
 
     def begin(
         self,
-        rows: Floats,
+        rows: Rows,
         mask: Mask,
         seeds: Sequence[int | None] | None = None,
         asked: Mapping[str, str] | None = None,
@@ -172,7 +172,7 @@ class BatchSensors:
             asked: As of :meth:`reset`.
         """
         substeps, asked = self._look(rows), asked or {}
-        seeds = [None] * len(rows) if seeds is None else seeds
+        seeds = [None] * len(substeps) if seeds is None else seeds
         which = np.flatnonzero(mask).tolist()
         for i in which:
             truth = read_rows(substeps[i], self._key)
@@ -194,74 +194,11 @@ class BatchSensors:
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
         """The truth: :func:`~surefoot.envs.instrumentation.means.mean_truth`, and :meth:`conditions`."""
-        return self._mean_truth(self._substeps(self._rows), self.threads) | self.true_conditions()
+        return self._mean_truth(self._substeps, self.threads) | self.true_conditions()
 
     def true_conditions(self) -> dict[str, NDArray[Any]]:
         """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
-
-    def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
-        """Let the next fresh sensors of some robots be of another severity.
-
-        Args:
-            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
-                one a robot.
-            robots: Their numbers; ``None`` for all.
-
-        Raises:
-            IndexError: If there is no such robot.
-            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
-        """
-        named = self._robots_of(robots)
-        own = isinstance(severity, list | np.ndarray)
-        values = list(severity) if own else [severity]
-        if own and len(values) != len(named):
-            raise ValueError(
-                f"'severity' must be one number, or one a robot: got {len(values)} for {len(named)} robots."
-            )
-        set_one = self.equipment.with_severity
-        found = [set_one(robot.conditions, value) for robot, value in zip(named, cycle(values), strict=False)]
-        for robot, conditions in zip(named, found, strict=True):
-            robot.conditions = conditions
-
-    def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Let other things break on some robots, or with other probabilities, from their next resets on.
-
-        Args:
-            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
-            robots: Their numbers; ``None`` for all.
-
-        Raises:
-            IndexError: If there is no such robot.
-            ValueError: If a fault or a probability is refused.
-        """
-        named = self._robots_of(robots)
-        found = [self.equipment.with_faults(robot.conditions, faults) for robot in named]
-        for robot, conditions in zip(named, found, strict=True):
-            robot.conditions = conditions
-
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
-        maps = [robot.true_parameters() for robot in self.robots]
-        return Parameters(*map(np.array, zip(*maps, strict=True)))
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-        """
-        save_hardware(path, self.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-            ValueError: If the file is of other or of more robots, or of other sensors.
-        """
-        load_hardware(path, self.robots)
-        self._gather()
 
     def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
@@ -291,9 +228,9 @@ class BatchSensors:
         together, left = self.together, np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
             which, dt = np.flatnonzero(steps), self._meaning.dt
-            read = together.step(which, truth, self.time[which] + dt, self.threads)
-            self.time[read] += dt
-            left[read] = False
+            if together.step(which, truth, self.time[which] + dt, self.threads):
+                self.time[which] += dt
+                left[which] = False
         return left
 
     def _gather(self, alone: Sequence[int] = ()) -> None:
@@ -318,23 +255,17 @@ class BatchSensors:
         self.__dict__.update(kept)
         self._put_side_by_side()
 
-    def _look(self, rows: Floats) -> Floats:
-        """Keep each robot's plan, and return the simulator's readings in each substep."""
-        self._rows, feet = rows, self._meaning.feet
-        plans = rows[:, -2 * feet :]
+    def _look(self, rows: Rows) -> Floats:
+        """Keep each robot's plan, and return the simulator's readings in each substep, (N, S, columns)."""
+        self._substeps, plans = self._meaning.read(rows)
         self.plans = None if (plans[:, 0] == NO_PLAN).all() else plans > 0.0
-        return self._substeps(rows)
+        return self._substeps
 
     def plan_of(self, robot: int) -> Planned | None:
         """Return the plan of a robot; ``None`` where nobody plans."""
         if self.plans is None:
             return None
         return Planned(*np.split(self.plans[robot], 2))
-
-    def _substeps(self, rows: Floats) -> Floats:
-        """Return the simulator's readings in each substep, shape (N, S, columns)."""
-        meaning = self._meaning
-        return rows[:, : -2 * meaning.feet].reshape(len(rows), meaning.rows, meaning.columns)
 
 
 class SensorsFace:
@@ -346,36 +277,79 @@ class SensorsFace:
 
     sensors: BatchSensors
 
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
-        return self.sensors.true_parameters()
-
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
-        """Change the severity of robots, as :meth:`BatchSensors.set_severity` does."""
-        self.sensors.set_severity(severity, robots)
+        """Let the next fresh sensors of some robots be of another severity.
+
+        Args:
+            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
+                one a robot.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
+        """
+        named, set_one = self.sensors._robots_of(robots), self.sensors.equipment.with_severity
+        values = severity_of_each(severity, len(named))
+        found = [set_one(robot.conditions, value) for robot, value in zip(named, values, strict=True)]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
 
     def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Change the faults of robots, as :meth:`BatchSensors.set_faults` does."""
-        self.sensors.set_faults(faults, robots)
+        """Let other things break on some robots, or with other probabilities, from their next resets on.
+
+        Args:
+            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
+            robots: Their numbers; ``None`` for all.
+
+        Raises:
+            IndexError: If there is no such robot.
+            ValueError: If a fault or a probability is refused.
+        """
+        sensors = self.sensors
+        named = sensors._robots_of(robots)
+        found = [sensors.equipment.with_faults(robot.conditions, faults) for robot in named]
+        for robot, conditions in zip(named, found, strict=True):
+            robot.conditions = conditions
+
+    def true_parameters(self) -> Parameters:
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        maps = [robot.true_parameters() for robot in self.sensors.robots]
+        return Parameters(*map(np.array, zip(*maps, strict=True)))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the hardware's lasting state, as :meth:`BatchSensors.save` does."""
-        self.sensors.save(path)
+        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+        """
+        save_hardware(path, self.sensors.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file, as :meth:`BatchSensors.load` does."""
-        self.sensors.load(path)
+        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
+
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+            ValueError: If the file is of other or of more robots, or of other sensors.
+        """
+        load_hardware(path, self.sensors.robots)
+        self.sensors._gather()
 
 
-def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:
+def merge_rows(rows: Any, finals: Mapping[int, Mapping[str, Any]]) -> Any:
     """Put the rows of robots' last moments in the place of those of their first.
 
     Args:
-        rows: One row of truth a robot, shape (N, R); it is not changed.
+        rows: One row of truth a robot, shape (N, R), or what they hold; it is not changed.
         finals: The last observation of some robots' episodes, by their numbers.
     """
     if not finals:
         return rows
+    if isinstance(rows, Lent):
+        merged = Lent(*(part.copy() for part in rows))
+        for robot, final in finals.items():
+            merged.substeps[robot], merged.plans[robot] = final[TRUTH_KEY]
+        return merged
     merged = rows.copy()
     for robot, final in finals.items():
         merged[robot] = final[TRUTH_KEY]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.means import FootPlaces, foot_places
-from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
+from surefoot.envs.instrumentation.robot import TORSO_WIDTH, FootColumns
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
 from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
@@ -61,6 +61,25 @@ class RowMeaning(NamedTuple):
         """Number of all columns."""
         return self.rows * self.columns + 2 * self.feet
 
+    def read(self, rows: "NDArray[np.float64] | Lent") -> "Lent":
+        """Take many robots' rows apart, shape (N, size)."""
+        if isinstance(rows, Lent):
+            return rows
+        substeps, plans = rows[:, : -2 * self.feet], rows[:, -2 * self.feet :]
+        return Lent(substeps.reshape(len(rows), self.rows, self.columns), plans)
+
+
+class Lent(NamedTuple):
+    """What a row holds, of one robot or of N, in arrays that the next step overwrites.
+
+    Attributes:
+        substeps: The simulator's readings in each substep, shape (..., S, columns).
+        plans: Feet planned to stand and to swing, 0 or 1, shape (..., 2 F); :data:`NO_PLAN` for none.
+    """
+
+    substeps: NDArray[np.float64]
+    plans: NDArray[np.float64]
+
 
 class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Put one row of truth beside a robot's observation, for a vector wrapper to take out again.
@@ -77,6 +96,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     Attributes:
         row_meaning: The meaning of the row.
+        lends: Whether the row is lent (:class:`Lent`) to who reads it at once, and not copied.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, there is another row below, or a wrapper below
@@ -100,7 +120,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         self._keep_info = keep_info
         if not keep_info and hasattr(source, "tells"):
             source.tells = False
-        self._plans = False
+        self._plans = self.lends = False
         self._kept = [key for key in parts if key not in TRUE_KEYS]
         row = spaces.Box(-np.inf, np.inf, (self.row_meaning.size,), np.float64)
         self.observation_space = spaces.Dict({key: parts[key] for key in self._kept} | {TRUTH_KEY: row})
@@ -141,15 +161,14 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         """Return an observation and the row of its source's truth, of one robot or with many in front."""
         parts = {"state": observation} if self._flat else observation
         seen = {key: own_copy(parts[key]) for key in self._kept}
-        rows, planned = source.truth.rows, 2 * self.row_meaning.feet
-        row = np.empty((*rows.shape[:-2], self.row_meaning.size))
-        row[..., :-planned] = rows.reshape(*rows.shape[:-2], -1)
-        row[..., -planned:] = NO_PLAN
+        rows = source.truth.rows
+        plans = np.full((*rows.shape[:-2], 2 * self.row_meaning.feet), NO_PLAN)
         if self._plans:
             command = source.command
-            row[..., -planned:] = np.concatenate([command.stance, command.swing], axis=-1)
-        seen[TRUTH_KEY] = row
-        return seen
+            plans[...] = np.concatenate([command.stance, command.swing], axis=-1)
+        if self.lends:
+            return {**seen, TRUTH_KEY: Lent(rows, plans)}
+        return {**seen, TRUTH_KEY: np.concatenate([rows.reshape(*rows.shape[:-2], -1), plans], axis=-1)}
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
         return info if self._keep_info else _without_truth(info)
@@ -163,13 +182,15 @@ class VectorTruthRow(AnyVectorWrapper):
 
     Args:
         env: The environment.
+        lends: Whether rows are lent (:class:`Lent`), and not copied.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], lends: bool = False) -> None:
         super().__init__(env)
         batch: Any = env.unwrapped
         self._batch = batch
         self._row = TruthRow(batch.envs[0])
+        self._row.lends = lends
         self.single_observation_space = self._row.observation_space
 
     @property
@@ -238,7 +259,7 @@ def _meaning(source: Any) -> RowMeaning:
     if hasattr(source, "channels"):
         columns = source.channels.size
     else:
-        columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
+        columns = FootColumns.width * feet + TORSO_WIDTH + len(joints) + 1
     seldom = getattr(source, "seldom", False)
     rows = 1 if seldom else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)

@@ -1,16 +1,23 @@
 """The code in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
 
-A package with C has a folder ``native`` with its headers and a ``library.c`` that includes them. Nothing here
-knows which packages have one.
+Here lies all of the C: headers, and a source a library. What goes into records is known by the packages
+``calibration``, ``robot``, ``sensors`` and ``envs``.
 """
 
-from surefoot.native.build import Sources, compiler
+from surefoot.native.build import FOLDER, Sources, compiler
+from surefoot.native.calls import Call, record_at
+from surefoot.native.libraries import CALIBRATION, ENVS, SENSORS
 from surefoot.native.library import ADDRESS, Library, Native, places_at, require
 from surefoot.native.records import Record, c_header, leaves_of, rebuilt
 from surefoot.native.threads import call_for_many, cores
 
 __all__ = [
     "ADDRESS",
+    "CALIBRATION",
+    "ENVS",
+    "FOLDER",
+    "SENSORS",
+    "Call",
     "Library",
     "Native",
     "Record",
@@ -22,5 +29,6 @@ __all__ = [
     "leaves_of",
     "places_at",
     "rebuilt",
+    "record_at",
     "require",
 ]

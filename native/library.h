@@ -1,5 +1,5 @@
 /* What every library of this package has: a table of where its records' fields lie, so that Python reads it and
-   keeps no second copy. A library.c includes its headers first, and then this. */
+   keeps no second copy. The source of a library includes its headers first, and then this. */
 
 #ifndef SUREFOOT_LIBRARY_H
 #define SUREFOOT_LIBRARY_H

@@ -1,4 +1,4 @@
-/* The headers beside it as a shared library, with a table of where their records' fields lie. */
+/* Calibrators and beliefs as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_moment.h"
 #include "surefoot_strapdown.h"
@@ -44,23 +44,6 @@
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
 #define M_REAL(field) PLACE(model, field, "real")
-/* What a record holds of beliefs, which are `at` in it. */
-#define STRAPDOWN(record, name, at)                                                                          \
-    PART(record, name##_R, at.R, "real"), PART(record, name##_velocity, at.velocity, "real"),                \
-        PART(record, name##_place, at.place, "real"), PART(record, name##_spin_bias, at.spin_bias, "real"),  \
-        PART(record, name##_vertical_bias, at.vertical_bias, "real"), PART(record, name##_count, at.count, "whole")
-#define BELIEFS_OF(record, at)                                                                               \
-    PART(record, ring, at ring, "real"), PART(record, angle, at angle, "real"),                              \
-        PART(record, accelerometer, at accelerometer, "real"), PART(record, gyroscope, at gyroscope, "real"), \
-        PART(record, forward, at odometry.forward, "real"), PART(record, up, at odometry.up, "real"),        \
-        PART(record, spin, at odometry.spin, "real"), PART(record, spin_bias, at odometry.spin_bias, "real"), \
-        PART(record, force_bias, at odometry.force_bias, "real"), PART(record, count, at odometry.count, "whole"), \
-        STRAPDOWN(record, rolling, at odometry.rolling), PART(record, lean, at lean, "real"),                \
-        PART(record, highest, at highest, "real"), PART(record, clock, at clock, "double"),                  \
-        PART(record, sum, at sum, "real"), PART(record, parts, at parts, "whole"),                           \
-        PART(record, number, at number, "whole"), PART(record, seen, at seen, "whole"),                      \
-        PART(record, run, at run, "whole"), PART(record, planned, at planned, "whole"),                      \
-        PART(record, found, at found, "whole"), PART(record, upright, at upright, "whole")
 #define SHOWN(field) PLACE(shown, field, "single")
 #define R_AT(field) PLACE(sample_records, field, "word")
 #define IN_REFERENCE(field, kind)                                                                            \
@@ -98,9 +81,11 @@ typedef struct {
     const sf_view *view;
     sf_held *held;
     sf_told *told;
+    sf_whole *counts; /* as of robot/chances.py */
     double dt;
     sf_whole momentum;
 } sf_sample_records;
+enum { WAITING, SAMPLES, UPRIGHT, STANDING, RUN, LONGEST };
 
 /* clang-format off */
 static const place places[] = {
@@ -196,8 +181,7 @@ static const place places[] = {
     PLACE(timing, touch, "real"), PLACE(timing, corners, "real"), PLACE(timing, radius, "real"),
     PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
 
-    BELIEFS_OF(beliefs, ), WHOLE_OF(momentum_beliefs), BELIEFS_OF(momentum_beliefs, beliefs.),
-    STRAPDOWN(momentum_beliefs, strapdown, strapdown), PLACE(momentum_beliefs, moved, "real"),
+    WHOLE_OF(momentum_beliefs),
 
     IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
     IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),
@@ -229,7 +213,7 @@ static const place places[] = {
     {"told", "shown", "", offsetof(sf_told, shown), sizeof(sf_shown)}, PLACE(told, covariance, "real"),
 
     WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(beliefs), R_AT(belief), R_AT(planned),
-    R_AT(filter), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
+    R_AT(filter), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told), R_AT(counts),
     PLACE(sample_records, dt, "double"), PLACE(sample_records, momentum, "whole"),
 };
 /* clang-format on */
@@ -327,6 +311,16 @@ EXPORTED void surefoot_view_show(const sf_config *config, const sf_view *view, s
     sf_view_show(config, view, held, estimate, soles, shown);
 }
 
+/* Chances.add: count one sample, of which surefoot_beliefs_sample has found so much. */
+static void count_sample(sf_whole *counts, int found) {
+    int upright = (found & 2) > 0, stands = upright && found & 4;
+    counts[SAMPLES]++;
+    counts[UPRIGHT] += upright;
+    counts[STANDING] += stands;
+    counts[RUN] = stands ? counts[RUN] + 1 : 0;
+    if (counts[RUN] > counts[LONGEST]) counts[LONGEST] = counts[RUN];
+}
+
 /* All of one sample: packets that have arrived, beliefs, filter and view. how: 1 if `planned` is one, plus 2 to
    learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something new is handed out. */
 EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
@@ -334,9 +328,12 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     const sf_config *config = at->filter->config;
     sf_told *told = at->told;
     sf_real soles[4 * SF_FEET];
+    int hold = how & 2 || at->counts[WAITING] > 0;
+    at->counts[WAITING] -= at->counts[WAITING] > 0;
     if (count) surefoot_beliefs_packets(at->model, at->timing, (int)at->momentum, at->beliefs, rows, count);
     int found = surefoot_beliefs_sample(at->timing, (int)at->momentum, at->beliefs, time,
-                                        how & 1 ? at->planned : NULL, how & 2, at->belief);
+                                        how & 1 ? at->planned : NULL, hold, at->belief);
+    count_sample(at->counts, found);
     if (found & 1) surefoot_retract(at->filter, at->state);
     int fresh = surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
     sf_beliefs_soles(at->timing, at->beliefs, now, soles);

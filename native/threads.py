@@ -6,7 +6,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 LEAST = 16
@@ -31,7 +30,7 @@ def call_for_many(function: Callable[..., Any], rows: tuple[NDArray[Any], ...], 
     """
     count = len(rows[0])
     parts = max(1, min(threads, count // LEAST))
-    ends = np.linspace(0, count, parts + 1).astype(int).tolist()
+    ends = [count * part // parts for part in range(parts + 1)]
     waiting: list[Future[Any]] = []
     for start, stop in pairwise(ends):
         arguments = *(array.ctypes.data + start * array.strides[0] for array in rows), stop - start

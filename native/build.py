@@ -14,8 +14,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-SHARED = Path(__file__).resolve().parent
-"""Where ``library.h`` lies, which every ``library.c`` includes."""
+FOLDER = Path(__file__).resolve().parent
+"""Where all of the C lies: headers, and a source a library that includes them."""
 
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 """Contraction would round differently from machine to machine."""
@@ -70,35 +70,35 @@ def ending(platform: str | None = None) -> str:
 
 
 class Sources(NamedTuple):
-    """The sources of one library: the folder ``native`` of a package, with ``library.c`` and its headers.
+    """The sources of one library: a package's, which includes the headers beside it.
 
     Attributes:
-        folder: The folder.
+        path: The source, named as the package.
         sizes: Options of the compiler for records of another size.
     """
 
-    folder: Path
+    path: Path
     sizes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Name of the library, without an ending."""
-        return f"surefoot_{self.folder.parent.name}" + ("_cells" if self.sizes else "")
+        return f"surefoot_{self.path.stem}" + ("_cells" if self.sizes else "")
 
     @property
     def smaller(self) -> "Sources | None":
         """The same with less room in its records, if the package has it so."""
-        sizes = SMALLER.get(self.folder.parent.name)
-        return None if sizes is None or self.sizes else Sources(self.folder, sizes)
+        sizes = SMALLER.get(self.path.stem)
+        return None if sizes is None or self.sizes else Sources(self.path, sizes)
 
     @property
     def library(self) -> Path:
         """Where the library lies: beside its sources."""
-        return self.folder / (self.name + ending())
+        return self.path.with_name(self.name + ending())
 
     def fingerprint(self, flags: Sequence[str] = FLAGS) -> str:
         """Return the mark of a library that is compiled from the sources at hand with these flags."""
-        found = (path for folder in (self.folder, SHARED) for path in sorted(folder.glob("*.[ch]")))
+        found = (self.path, *sorted(self.path.parent.glob("*.h")))
         parts = (" ".join((*flags, *self.sizes)).encode(), *(path.read_bytes() for path in found))
         return sha256(b"".join(parts)).hexdigest()[:16]
 
@@ -127,10 +127,9 @@ class Sources(NamedTuple):
             *(("-s",) if platform else ()),
             f'-DSF_SOURCE="{self.fingerprint(flags)}"',
             *self.sizes,
-            f"-I{SHARED}",
             "-o",
             str(fresh),
-            str(self.folder / "library.c"),
+            str(self.path),
             "-lm",
         ]
         try:
@@ -144,14 +143,14 @@ class Sources(NamedTuple):
         finally:
             fresh.unlink(missing_ok=True)
             # What programs would be linked to on Windows.
-            target.with_name("library.lib").unlink(missing_ok=True)
+            target.with_name(f"{self.path.stem}.lib").unlink(missing_ok=True)
         return None
 
 
-def sources_below(root: Path) -> Iterator[Sources]:
-    """Yield the sources of each library in a folder of packages, in the order of their names."""
-    for path in sorted(root.glob("*/native/library.c")):
-        sources = Sources(path.parent)
+def sources_below(root: Path = FOLDER.parent) -> Iterator[Sources]:
+    """Yield the sources of each library in the folder ``native`` of a folder, in the order of their names."""
+    for path in sorted(root.glob("native/*.c")):
+        sources = Sources(path)
         yield sources
         if sources.smaller is not None:
             yield sources.smaller

@@ -62,7 +62,7 @@ class Library(NamedTuple):
         """Return the dtype of a record whose fields are as large as here; ``None`` if one has no room.
 
         Args:
-            name: One of the records in its ``library.c``, such as ``config`` or ``state``.
+            name: One of the records in its table, such as ``config`` or ``state``.
             shapes: The shape of each field.
         """
         key = name, *shapes.items()

@@ -1,29 +1,14 @@
-"""The compiled truth and observation of robots: their functions, and calls of these."""
+"""Calls of a library's function for many robots, with results that are fresh at each call."""
 
-import ctypes
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import ADDRESS, Library, Native, Sources, call_for_many
-
-NATIVE = Native(
-    Sources(Path(__file__).parent),
-    {
-        "surefoot_mean_truth": (None, (*(ADDRESS,) * 5, ctypes.c_int)),
-        "surefoot_observe": (None, (*(ADDRESS,) * 8, ctypes.c_int)),
-    },
-    ("surefoot_mean_truth", "surefoot_observe"),
-)
-
-
-def installed() -> Library | None:
-    """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
-    return NATIVE.installed()
+from surefoot.native.library import Library
+from surefoot.native.threads import call_for_many
 
 
 def record_at(library: Library, name: str, values: Mapping[str, Any]) -> tuple[int, Any]:
