@@ -278,10 +278,10 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
     return 1;
 }
 
-/* momentum: whether beliefs hold it, which are an sf_momentum_beliefs then. */
-EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing, int momentum) {
-    return momentum ? sf_momentum_fits(model, timing) : sf_beliefs_fit(model, timing);
+EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
+    return sf_beliefs_fit(model, timing);
 }
+/* momentum: whether beliefs hold it, which are an sf_momentum_beliefs then. */
 EXPORTED void surefoot_beliefs_init(int momentum, void *beliefs) {
     if (momentum) sf_momentum_beliefs_init(beliefs);
     else sf_beliefs_init(beliefs);

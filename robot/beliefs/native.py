@@ -15,7 +15,7 @@ from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
 from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.references import Beliefs
-from surefoot.robot.beliefs.strapdown import Strapdown
+from surefoot.robot.beliefs.strapdown import Strapdown, StrapdownConstants
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
@@ -54,7 +54,7 @@ class NativeBeliefs:
             "averaged": beliefs.averaged, "needed": needed, "window": window, "dt": beliefs.dt,
             "period": beliefs.period, "delay": beliefs.delay, "joined": beliefs.joined,
             "gravity": self.model.gravity, "feet": F, "rolls": beliefs.rolls,
-            **believed.constants._asdict(),
+            **StrapdownConstants.of(beliefs.touching)._asdict(),
         }  # fmt: skip
         joints = beliefs.layout.joint_position.stop
         vectors = "accelerometer", "gyroscope", "forward", "up", "spin", "spin_bias", "force_bias", "lean"
@@ -107,9 +107,7 @@ class NativeBeliefs:
         if (
             model is None
             or model["hinges"] != self._state["angle"].size
-            or not library.functions.surefoot_beliefs_fit(
-                model.ctypes.data, self._timing.ctypes.data, self._momentum
-            )
+            or not library.functions.surefoot_beliefs_fit(model.ctypes.data, self._timing.ctypes.data)
         ):
             raise ValueError(
                 "The robot is no tree of bodies that the library has room for, or packets have other joints."
@@ -316,7 +314,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     model, timing = native.constants.values()
     sizes = {
         "FEET": int(timing["feet"]),
-        "CORNERS": max(1, int(timing["points"])),
+        "CORNERS": int(timing["points"]),
         "BODIES": int(model["bodies"]),
         "HINGES": max(1, int(model["hinges"])),
         "PLANNED": int(timing["window"]),
