@@ -153,7 +153,7 @@ static const place places[] = {
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
     O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance),
     O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
-    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
+    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(smallest_step), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
 
     FRONT_OF(moment_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),

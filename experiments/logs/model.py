@@ -228,7 +228,7 @@ def make_beliefs(
 
 
 def touching_points(layout: FeetLayout) -> Floats:
-    """Points of the soles that may touch the ground, in their frames, with radius 0, in m, shape (F, n, 4)."""
+    """Points of the soles that may touch the ground, in their frames, and radius 0, in m, (F, n, 4)."""
     points = [np.zeros((1, 3)) if f.position_cell_sole is None else f.position_cell_sole for f in layout.feet]
     most = max(map(len, points))
     return np.stack([np.pad(np.resize(part, (most, 3)), ((0, 0), (0, 1))) for part in points])

@@ -17,8 +17,8 @@ CONTACT_MARGIN = 4
 their targets late, and feet land when the ground comes."""
 
 LIFTED = 0.01
-"""Height in m of a foot's lowest part above the lower foot's from which a foot is surely in the air: ten times what encoders that are
-off by 1e-3 rad make of a leg of a metre."""
+"""Height in m of a foot's lowest part above the lower foot's from which it is surely in the air: ten times
+what encoders that are off by 1e-3 rad make of a leg of a metre."""
 
 DOWN = 0.003
 """The same height up to which a foot is down."""

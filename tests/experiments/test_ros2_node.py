@@ -299,9 +299,7 @@ def test_ankle_sensors_come_as_wrenches(recorded_walk: Any, program: Path, tmp_p
     setup = OnlineSetup(layout=layout, mass=5.3, initial=initial, lag=4, foot_length=0.17)
     names = recorded_walk.model.joint_names
     beliefs = Beliefs(recorded_walk.model, TelemetryLayout(len(names)), 0.01, 0.0, True, lag=4)
-    given = node_parameters(
-        setup, MomentumBeliefs(beliefs), joints=dict.fromkeys(names, np.nan)
-    )
+    given = node_parameters(setup, MomentumBeliefs(beliefs), joints=dict.fromkeys(names, np.nan))
     path = write_node_parameters(tmp_path / "ankles.yaml", given, "mine")
     left, right = np.arange(1.0, 7.0), np.arange(7.0, 13.0)
     lines = [
