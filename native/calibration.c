@@ -138,7 +138,7 @@ static const place places[] = {
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),
     O_REAL(mode_load), O_REAL(mode_shift), O_REAL(rates), O_REAL(first_chance), O_REAL(least_chance),
     O_REAL(leg_time), O_REAL(spin_time), O_REAL(first_speed), O_REAL(fastest),
-    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
+    O_REAL(sure), O_REAL(contrast), O_REAL(alike), O_REAL(smallest_step), O_REAL(least_error), O_REAL(suspect_share), O_REAL(suspect_noise), O_REAL(suspect_surprise),
 
     FRONT_OF(moment_state), IN(track_motion, track.motion, "real"), IN(track_samples, track.samples, "whole"),
     IN(track_heading, track.heading, "real"), IN(track_origin, track.origin, "real"),
@@ -262,10 +262,10 @@ EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, 
     return 1;
 }
 
-/* momentum: whether beliefs hold it, which are an sf_momentum_beliefs then. */
-EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing, int momentum) {
-    return momentum ? sf_momentum_fits(model, timing) : sf_beliefs_fit(model, timing);
+EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
+    return sf_beliefs_fit(model, timing);
 }
+/* momentum: whether beliefs hold it, which are an sf_momentum_beliefs then. */
 EXPORTED void surefoot_beliefs_init(int momentum, void *beliefs) {
     if (momentum) sf_momentum_beliefs_init(beliefs);
     else sf_beliefs_init(beliefs);

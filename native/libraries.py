@@ -16,7 +16,7 @@ CALIBRATION = Native(
         "surefoot_begin": (None, (ADDRESS, ADDRESS)),
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
         "surefoot_step": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
-        "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS, ctypes.c_int)),
+        "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_beliefs_init": (None, (ctypes.c_int, ADDRESS)),
         "surefoot_beliefs_packets": (
             None,

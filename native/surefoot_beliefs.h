@@ -262,7 +262,7 @@ SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time,
     out->known = r->com[0] == r->com[0];
 }
 
-/* The lowest part of a round foot: its number. up: how high each of the sole's axes points. */
+/* The lowest part of a foot: its number. up: how high each of the sole's axes points. */
 SF_API int sf_lowest_part(const sf_timing *t, int foot, const sf_real up[3], sf_real *height) {
     int lowest = 0;
     for (int n = 0; n < t->points; n++) {
@@ -325,21 +325,20 @@ SF_API void sf_plan_at(const sf_timing *t, sf_beliefs *s, const unsigned char *p
     for (int i = 0; i < wide; i++) sure[i] = s->planned[i] >= t->needed;
 }
 
-/* Kinematics.at: which feet surely stood, or surely swung, by where they were. */
-SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
-    sf_reference *r = &belief->reference;
+/* Kinematics.at: which feet surely stood, or surely swung, by where they were. force: specific force in m/s^2. */
+SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, const sf_real *force, sf_reference *r) {
     sf_real height[SF_FEET], low = 0;
-    int F = t->feet, carried = sf_square(belief->accelerometer) > sf_power2(SF_FREE_FALL * t->gravity);
+    int F = t->feet, carried = sf_square(force) > sf_power2(SF_FREE_FALL * t->gravity);
     for (int foot = 0; foot < F; foot++) {
         sf_real below = 0;
-        /* A round foot may stand on any side. */
-        if (t->rolls) sf_lowest_part(t, foot, r->R_level_sole + 9 * foot + 6, &below);
+        /* A foot on its toes or on an edge bears load, wherever the middle of its sole is. */
+        sf_lowest_part(t, foot, r->R_level_sole + 9 * foot + 6, &below);
         height[foot] = r->position_sole[3 * foot + 2] + below;
         low = foot ? sf_min(low, height[foot]) : height[foot];
     }
     for (int foot = 0; foot < F; foot++) {
         sf_real above = height[foot] - low, lifted = SF_LIFTED;
-        for (int n = 0; t->rolls && n < t->points; n++) lifted = sf_max(lifted, t->radius[foot * t->points + n]);
+        for (int n = 0; n < t->points; n++) lifted = sf_max(lifted, t->radius[foot * t->points + n]);
         int flat = t->rolls || r->R_level_sole[9 * foot + 8] > SF_COS_FLAT;
         int down = carried && above < SF_DOWN && flat, up = carried && above > lifted;
         s->found[foot] = down ? s->found[foot] + 1 : 0;
@@ -369,12 +368,8 @@ SF_API int sf_upright_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
     return upright;
 }
 
-/* References.at: what the robot believes for one sample of its feet. It is NaN while it knows nothing, while
-   it is not upright, and where `hold` asks for it.
-
-   time: of the sample that the reference describes, in s of the host's clock. planned: stance of each foot and
-   then swing as planned now, or NULL for a robot that plans nothing: they are found then. */
-SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, const unsigned char *planned,
+/* Beliefs.find: beliefs whose contacts are those of the plan, none without one; as sf_beliefs_sample. */
+SF_API void sf_beliefs_find(const sf_timing *t, sf_beliefs *s, double time, const unsigned char *planned,
                               int hold, sf_belief *out) {
     unsigned char sure[2 * SF_FEET] = {0};
     if (planned) sf_plan_at(t, s, planned, sure);
@@ -387,7 +382,17 @@ SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, co
     memcpy(out->reference.stance, sure, (size_t)t->feet);
     memcpy(out->reference.swing, sure + t->feet, (size_t)t->feet);
     if (!sf_upright_at(t, s, out)) sf_nothing(t, out);
-    else if (!planned) sf_kinematics_at(t, s, out);
+}
+
+/* Beliefs.sample: what the robot believes for one sample of its feet. It is NaN while it knows nothing, while
+   it is not upright, and where `hold` asks for it.
+
+   time: of the sample that the reference describes, in s of the host's clock. planned: stance of each foot and
+   then swing as planned now, or NULL for a robot that plans nothing: they are found then. */
+SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, const unsigned char *planned,
+                              int hold, sf_belief *out) {
+    sf_beliefs_find(t, s, time, planned, hold, out);
+    if (!planned && out->known) sf_kinematics_at(t, s, out->accelerometer, &out->reference);
 }
 
 /* Whether a model and timing that come from elsewhere lie within the arrays. */
@@ -395,7 +400,7 @@ SF_API int sf_beliefs_fit(const sf_model *m, const sf_timing *t) {
     sf_real mass = 0;
     int fit = m->bodies >= 1 && m->bodies <= SF_BODIES && m->hinges >= 0 && m->hinges <= SF_HINGES &&
               t->window >= 1 && t->window <= SF_PLANNED && t->joined >= 1 && t->period > 0 && t->dt > 0 &&
-              t->feet >= 1 && t->feet <= SF_FEET && t->points >= (t->rolls != 0) && t->points <= SF_CORNERS &&
+              t->feet >= 1 && t->feet <= SF_FEET && t->points >= 1 && t->points <= SF_CORNERS &&
               SF_PACKETS > SF_SLOPE;
     for (int i = 0; fit && i < m->bodies; i++) {
         fit = i == 0 || (m->parent[i] >= 0 && m->parent[i] < i);

@@ -61,7 +61,7 @@ typedef struct {
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance;
     sf_real leg_time, spin_time, first_speed, fastest;
-    sf_real sure, contrast, alike, least_error, suspect_share, suspect_noise[2], suspect_surprise;
+    sf_real sure, contrast, alike, smallest_step, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
 
 /* Belief: what the modes hold, and how likely they are. */
@@ -95,7 +95,7 @@ typedef struct {
 /* SuspectState */
 typedef struct {
     sf_real score[SF_SUSPECTS], before[SF_COMPONENTS], error[SF_COMPONENTS], noise[SF_COMPONENTS];
-    sf_real known[SF_KNOWN], force[(SF_BLOCK + 2) * SF_CHANNELS];
+    sf_real known[SF_KNOWN], force[(2 * SF_BLOCK + 2) * SF_CHANNELS];
 } sf_suspects;
 
 /* Leap */
@@ -1514,36 +1514,40 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const
 SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_suspects *s, const sf_real *S,
                         const sf_real *reach, const sf_real *e, sf_real least, sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
-    sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, std[SF_CHANNELS], acts[SF_CHANNELS], step[SF_CHANNELS], left[SF_COMPONENTS];
-    for (int at = 0; at < m->capacity; at++) {
+    sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, left[SF_COMPONENTS], by[SF_CHANNELS], std[SF_CHANNELS];
+    sf_real smallest = m->smallest_step * m->smallest_step;
+    for (int at = 0; at < 2 * m->capacity; at++) {
         const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
-        for (int i = 0; i < K; i++) {
-            std[i] = 0;
-            step[i] = now[i] - old[i];
-            for (int t = 0; t < m->capacity; t++)
-                if (t > at + 1 || t < at - 1) std[i] = sf_max(std[i], sf_fabs(s->force[(t + 2) * K + i] - s->force[t * K + i]));
-        }
         for (int of = -1; of < c->feet; of++) {
-            sf_real before = 0, after = 0, mean = 0, unlike = 0, count = 0, evidence;
-            sf_copy(left, e, C);
+            sf_real mean = 0, count = 0, size = 0;
             for (int i = 0; i < K; i++) {
-                sf_real leaps = of < 0 || c->foot_of_channel[i] == of, force = leaps * s->known[i];
-                acts[i] = sf_fabs(force) * std[i];
-                before += leaps * sf_fabs(old[i]), after += leaps * sf_fabs(now[i]);
-                mean += leaps * step[i], count += leaps;
-                for (int r = 0; r < C; r++) left[r] += reach[r * K + i] * (force * step[i]);
+                sf_real leaps = of < 0 || c->foot_of_channel[i] == of, step = now[i] - old[i];
+                mean += leaps * step, size += leaps * step * step, count += leaps;
             }
-            mean /= count;
-            for (int i = 0; i < K; i++)
-                if (of < 0 || c->foot_of_channel[i] == of) unlike += sf_fabs(step[i] - mean) / count;
-            if (!(after < m->alike * before || unlike < m->alike * sf_fabs(mean))) continue;
-            evidence = sf_evidence(m, L, sf_factor(m, S, reach, K, acts, L), left);
-            if (!(evidence > most)) continue;
-            most = evidence, found = 1;
-            for (int i = 0; i < K; i++) {
-                int leaps = of < 0 || c->foot_of_channel[i] == of;
-                leap->reading[i] = leaps ? step[i] : 0;
-                leap->std[i] = leaps ? std[i] : 0;
+            mean /= count, size /= count;
+            for (int tared = 0; tared < 2; tared++) {
+                sf_real unlike = 0, variance, seen;
+                for (int i = 0; i < K; i++) {
+                    sf_real leaps = of < 0 || c->foot_of_channel[i] == of;
+                    by[i] = leaps * (tared ? -old[i] : mean);
+                    unlike += leaps * sf_power2(now[i] - old[i] - by[i]) / count;
+                }
+                variance = sf_max(sf_max(unlike, m->alike * m->alike * size), smallest);
+                /* Loads that step do so each by its own, and by any size. */
+                seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
+                if (!(seen > m->contrast)) continue;
+                sf_copy(left, e, C);
+                for (int i = 0; i < K; i++) {
+                    std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_fabs(s->known[i]) * sf_sqrt(variance);
+                    for (int r = 0; r < C; r++) left[r] += reach[r * K + i] * (s->known[i] * by[i]);
+                }
+                seen += sf_evidence(m, L, sf_factor(m, S, reach, K, std, L), left);
+                if (!(seen > most)) continue;
+                most = seen, found = 1;
+                for (int i = 0; i < K; i++) {
+                    leap->reading[i] = by[i];
+                    leap->std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_sqrt(variance);
+                }
             }
         }
     }
@@ -1556,7 +1560,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
                              const sf_channel_faults *faults, const sf_moment_rows *rows, const sf_real *known,
                              const sf_real *map, const sf_real *P, sf_leap *leap) {
     int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c, m);
-    int count = sf_suspects_of(c), best = 0, both[SF_SUSPECTS][2];
+    int count = sf_suspects_of(c), best = 0, leaps, both[SF_SUSPECTS][2];
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
@@ -1606,7 +1610,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
     innocent = sf_max(sf_max(nothing, lasting), sf_max(changing, unknown));
     if (!sf_finite(innocent)) return -1;
-    least = unknown + m->contrast;
+    least = innocent + m->sure;
     for (int suspect = 0; suspect < count; suspect++) {
         sf_real std[SF_CHANNELS] = {0}, score;
         int shown = 0;
@@ -1627,6 +1631,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         s->score[suspect] = score > 0 ? score : 0;
         most = sf_max(most, s->score[suspect]);
     }
+    leaps = innocent > nothing && sf_find_leap(c, m, s, S, reach, before, least, leap);
     if (most < m->contrast) {
         sf_copy(s->known, known, at);
         for (int r = 0; r < C; r++) {
@@ -1635,7 +1640,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         }
     }
     for (int r = 0; r < C; r++) s->error[r] = e[r] / rows->mean[r * N + at + C + r];
-    if (unknown == innocent && sf_find_leap(c, m, s, S, reach, before, least, leap)) return -2;
+    if (leaps) return -2;
     /* To put a channel right is preferred to losing it. */
     for (int suspect = 1; suspect < count; suspect++)
         if (s->score[suspect] - (suspect < K) * m->contrast > s->score[best] - (best < K) * m->contrast) best = suspect;
@@ -1648,13 +1653,11 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     return s->score[best] - (best < K) * m->contrast > rival + m->contrast ? best : -1;
 }
 
-/* Suspects.follow: note what was measured at a block's end, and what was read in it. */
-SF_API void sf_follow_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s, const sf_real *samples,
-                               int n, const sf_real *momentum) {
-    int K = c->channels, wide = sf_waiting(c);
-    sf_copy(s->before, momentum, m->components);
-    memmove(s->force, s->force + n * K, (size_t)((m->capacity + 2 - n) * K) * sizeof(sf_real));
-    for (int t = 0; t < n; t++) sf_copy(s->force + (m->capacity + 2 - n + t) * K, samples + t * wide, K);
+/* Suspects.read: note the readings of a block. */
+SF_API void sf_read_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s, const sf_real *samples, int n) {
+    int K = c->channels, wide = sf_waiting(c), kept = 2 * m->capacity + 2;
+    memmove(s->force, s->force + n * K, (size_t)((kept - n) * K) * sizeof(sf_real));
+    for (int t = 0; t < n; t++) sf_copy(s->force + (kept - n + t) * K, samples + t * wide, K);
 }
 
 /* MomentFilter._suspect: hold the readings' faults against the block of w->rows. */
@@ -1666,9 +1669,10 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     sf_move_momentum(c, m, step, rest, s->suspects.error);
     sf_copy(known, published, M);
     sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
+    sf_read_suspects(c, m, &s->suspects, s->pending, n);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);
-    sf_follow_suspects(c, m, &s->suspects, s->pending, n, w->rows.at_end);
+    sf_copy(s->suspects.before, w->rows.at_end, m->components);
     return guilty;
 }
 
@@ -1746,7 +1750,10 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
     }
     if (!good) return SF_SINGULAR;
-    if (!s->linked) sf_follow_suspects(c, m, &s->suspects, s->pending, n, rows->at_end);
+    if (!s->linked) {
+        sf_read_suspects(c, m, &s->suspects, s->pending, n);
+        sf_copy(s->suspects.before, rows->at_end, m->components);
+    }
     sf_moment_publish(c, m, belief, w, &w->published);
     if (!sf_all_finite(w->published.mean, sf_weighed(c))) return SF_SINGULAR;
     sf_copy_modes(c, m, &s->belief, belief);

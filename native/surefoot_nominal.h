@@ -57,7 +57,6 @@ SF_API void sf_unit_vector(sf_real *a) {
     for (int i = 0; square > 0 && i < 3; i++) a[i] *= by;
 }
 
-SF_API sf_real sf_power2(sf_real a) { return a * a; }
 
 SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]; }
 

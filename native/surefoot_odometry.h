@@ -41,7 +41,7 @@ typedef struct {
     int averaged;       /* whether a sample of the IMU is the mean since the packet before */
     int joined;         /* how many packets become one, of which the period is */
     int needed, window; /* contacts.planned_window: for how long a plan must have held, and what is kept */
-    int feet, points;   /* and how many parts of each may touch; 0 of flat feet, for beliefs without momentum */
+    int feet, points;   /* and how many parts of each may touch */
     int rolls;          /* whether feet are round, so that they stand on any of their sides */
     sf_real dt, gravity; /* time between samples of the feet in s; m/s^2 */
     sf_real leg_time, tilt_rate, zero_offset, bias_time, touch;

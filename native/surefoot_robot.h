@@ -175,6 +175,7 @@ SF_API int sf_robot_fits(const sf_config *c) {
 /* ----------------------------------------------------------------------------------------- linear algebra */
 
 SF_API sf_real sf_min(sf_real a, sf_real b) { return b < a ? b : a; }
+SF_API sf_real sf_power2(sf_real a) { return a * a; }
 SF_API sf_real sf_max(sf_real a, sf_real b) { return b > a ? b : a; }
 SF_API sf_real sf_clip(sf_real value, sf_real low, sf_real high) { return sf_min(sf_max(value, low), high); }
 SF_API int sf_finite(sf_real value) { return value - value == 0; }

@@ -26,9 +26,6 @@ typedef struct {
     sf_real moved[SF_PACKETS * SF_MOVED]; /* as sf_beliefs.ring */
 } sf_momentum_beliefs;
 
-/* Whether constants that come from elsewhere lie within the arrays. */
-SF_API int sf_momentum_fits(const sf_model *m, const sf_timing *t) { return sf_beliefs_fit(m, t) && t->points >= 1; }
-
 /* Before any packet. */
 SF_API void sf_momentum_beliefs_init(sf_momentum_beliefs *s) {
     sf_beliefs_init(&s->beliefs);
@@ -84,9 +81,12 @@ SF_API void sf_momentum_reference(const sf_timing *t, const sf_momentum_beliefs 
 /* MomentumBeliefs.sample: what the robot believes for one sample of its feet; arguments as of sf_beliefs_sample. */
 SF_API void sf_momentum_sample(const sf_timing *t, sf_momentum_beliefs *s, double time, const unsigned char *planned,
                                int hold, sf_belief *out) {
-    sf_beliefs_sample(t, &s->beliefs, time, planned, hold, out);
+    sf_beliefs_find(t, &s->beliefs, time, planned, hold, out);
     if (out->known && s->beliefs.run > 1) {
+        sf_real force[3];
+        sf_copy(force, out->accelerometer, 3);
         sf_momentum_reference(t, s, time, out);
+        if (!planned) sf_kinematics_at(t, &s->beliefs, force, &out->reference);
         return;
     }
     sf_nothing(t, out);

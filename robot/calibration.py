@@ -227,12 +227,11 @@ class RobotCalibration:
                 lag=self.late,
                 dt=telemetry.dt,
                 joined=packets_per_join(telemetry.period),
-                touching=setup.touching.round,
+                touching=setup.touching.places,
+                rolls=setup.touching.rolls,
             )
-            places, library = setup.touching.places, self.calibrator.library
             self.beliefs = native_beliefs(
-                MomentumBeliefs(beliefs, places[..., :3], places[..., 3]) if setup.by_momentum else beliefs,
-                library,
+                MomentumBeliefs(beliefs) if setup.by_momentum else beliefs, self.calibrator.library
             )
         self._view.begin_episode()
         self._choose()

@@ -275,8 +275,8 @@ class MomentFilter:
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
         if not state.linked:
-            suspects = self.repairs.suspects.follow(state.suspects, block.force, rows.at_end)
-            state = state._replace(suspects=suspects)
+            suspects = self.repairs.suspects.read(state.suspects, block.force)
+            state = state._replace(suspects=suspects._replace(before=rows.at_end))
         publication = weighed.publish(belief.chance)
         held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
         status = int(Flag.REJECTED) if rejected else held

@@ -61,13 +61,13 @@ class Repairs:
         covariance[columns.map, columns.map] = state.published.covariance
         covariance[robot, robot] = belief.covariance[likeliest, robot, robot]
         moved, added = moved[momentum, momentum], added[momentum]
+        suspects = self.suspects.read(suspects, block.force)
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
         others, std = stand_in.others(state.faults.moments, state.faults.lost)
         suspects, wrong = self.suspects.weigh(
             suspects, rows, known, covariance, others, std / self._weight, block.duration
         )
-        suspects = self.suspects.follow(suspects, block.force, rows.at_end)
-        return state._replace(suspects=suspects), wrong
+        return state._replace(suspects=suspects._replace(before=rows.at_end)), wrong
 
     def repair(self, state: MomentState, wrong: int | Leap) -> MomentState:
         """Repair a fault, and let suspicions start again.

@@ -81,7 +81,7 @@ class SuspectState(NamedTuple):
         error: Wrench that the last block left unexplained in W and W m, shape (C,).
         noise: By how many times variances are larger than stated, shape (C,).
         known: The unknowns before the momentum, from before anything spoke against a channel, shape (M,).
-        force: F0 of the samples of the last block, and more before it, in W, shape (n, K).
+        force: F0 of the samples of the last two blocks and more in W, shape (n, K).
     """
 
     score: Array

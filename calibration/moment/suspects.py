@@ -11,8 +11,9 @@ Exchanged channels spoil all that is learnt and tared of them, so suspects are j
 before. The momentum at a block's start is as measured there: a filter's, from wrong readings, is not used.
 
 All zeros of a foot or of the robot may also **leap** together: somebody tares it as it stands, and all read
-nothing; or its supply steps, and all step alike. Steps of the readings that look so are tried as such a leap,
-as soon as a block asks for something unknown. A load that is put on within a sample does not look so.
+nothing; or its supply steps, and all step alike. As soon as a block is not explained by what was known, each
+step of the readings is tried as such a leap. The momentum contradicts a load that steps so, and loads do not
+step alike: both kinds of evidence add up.
 """
 
 from typing import NamedTuple
@@ -35,8 +36,10 @@ CONTRAST = 4.6
 which was seen: a hundred to one."""
 
 ALIKE = 0.05
-"""Largest share of their readings before that channels read after a tare, and share of a step by which they
-step unlike: within two samples loads change by a twentieth."""
+"""Least share of a leap by which channels leap unlike: within two samples loads change by a twentieth."""
+
+SMALLEST_STEP = 1e-4
+"""Change of readings in W within two samples that says nothing: a converter's noise."""
 
 LEAST_ERROR = 0.02
 """Mean force in W, or torque in W times the height, that a fault changes in a block that may speak for it:
@@ -96,7 +99,9 @@ class Suspects:
         C, K = columns.components, self.out.stop
         known = first_mean(columns)[: columns.momentum.start]
         zero = np.zeros(C)
-        return SuspectState(np.zeros(self.count), zero, zero, np.ones(C), known, np.zeros((capacity + 2, K)))
+        return SuspectState(
+            np.zeros(self.count), zero, zero, np.ones(C), known, np.zeros((2 * capacity + 2, K))
+        )
 
     def weigh(
         self,
@@ -157,20 +162,14 @@ class Suspects:
             before = known
             surprise = np.minimum(e**2 / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
-        least = max(unknown + CONTRAST, each.max())
-        leap = self._find_leap(state, S, reach, e_before, least) if unknown == innocent else None
+        least = max(innocent + SURE, each.max())
+        leap = self._find_leap(state, S, reach, e_before, least) if innocent > nothing else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
 
-    def follow(self, state: SuspectState, force: Array, momentum: Array) -> SuspectState:
-        """Note the measurement at a block's end, and the block's readings.
-
-        Args:
-            state: Evidence so far.
-            force: F0 of the block in W, shape (n, K).
-            momentum: Measured at its end, shape (C,).
-        """
-        return state._replace(before=momentum, force=np.vstack([state.force, force])[len(force) :])
+    def read(self, state: SuspectState, force: Array) -> SuspectState:
+        """Note the readings F0 of a block in W, shape (n, K)."""
+        return state._replace(force=np.vstack([state.force, force])[len(force) :])
 
     def rewire(self, guilty: int) -> tuple[Array, Array]:
         """Return the signed permutation that puts channels right (K, K), and flags that turn (K,)."""
@@ -198,22 +197,20 @@ class Suspects:
         """Find the step of readings that explains an error best, and better than ``least``."""
         a, found, most = state.known[self._columns.scale], None, least
         # Readings are brought to one moment, between two of each channel's.
-        before, after = np.abs(state.force[:-2]), np.abs(state.force[2:])
-        steps = state.force[2:] - state.force[:-2]
-        for at, step in enumerate(steps):
-            apart = np.abs(np.arange(len(steps)) - at) > 1
-            std = np.abs(steps[apart]).max(axis=0, initial=0.0)
+        for before, step in zip(state.force, state.force[2:] - state.force[:-2], strict=False):
             for together in self._together:
-                mean = together @ step / together.sum()
-                unlike = np.abs(step - mean) @ together / together.sum()
-                tared = after[at] @ together < ALIKE * before[at] @ together
-                if not (tared or unlike < ALIKE * abs(mean)):
-                    continue
-                force = together * a
-                S_leap = S + (reach * (force * std) ** 2) @ reach.T
-                evidence = _evidence(S_leap, (e + reach @ (force * step))[:, None])[0]
-                if evidence > most:
-                    found, most = Leap(together * step, together * std), evidence
+                count, force = together.sum(), together * a
+                size = together @ step**2 / count
+                for leap in (np.full(len(step), together @ step / count), -before):
+                    unlike = together @ (step - leap) ** 2 / count
+                    variance = max(unlike, ALIKE**2 * size, SMALLEST_STEP**2)
+                    # Loads that step do so each by its own, and by any size.
+                    seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
+                    if seen > CONTRAST:
+                        S_leap = S + variance * (reach * force**2) @ reach.T
+                        seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
+                        if seen > most:
+                            found, most = Leap(together * leap, together * np.sqrt(variance)), seen
         return found
 
     def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:

@@ -200,6 +200,7 @@ def moment_constants(core: MomentFilter) -> dict[str, Any]:
         "sure": suspects.SURE,
         "contrast": suspects.CONTRAST,
         "alike": suspects.ALIKE,
+        "smallest_step": suspects.SMALLEST_STEP,
         "least_error": suspects.LEAST_ERROR,
         "suspect_share": suspects.SUSPECT_SHARE,
         "suspect_noise": suspects.SUSPECT_NOISE,

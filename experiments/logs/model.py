@@ -198,8 +198,9 @@ def make_beliefs(
     the log's mass in kg. What touches the ground are the feet's cells, or the origin of the sole.
     """
     where = TelemetryLayout(len(model.joint_names))
-    accelerations = Beliefs(model, where, motion.period, 0.0, facts.averaged, dt=dt)  # type: ignore[arg-type]
-    beliefs = MomentumBeliefs(accelerations, touching_points(layout))
+    link = motion.period, 0.0, facts.averaged
+    touching = touching_points(layout)
+    beliefs = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching))  # type: ignore[arg-type]
     force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
@@ -227,10 +228,10 @@ def make_beliefs(
 
 
 def touching_points(layout: FeetLayout) -> Floats:
-    """Points of the soles that may touch the ground, in their frames in m, shape (F, n, 3)."""
+    """Points of the soles that may touch the ground, in their frames, and radius 0, in m, (F, n, 4)."""
     points = [np.zeros((1, 3)) if f.position_cell_sole is None else f.position_cell_sole for f in layout.feet]
     most = max(map(len, points))
-    return np.stack([np.resize(part, (most, 3)) for part in points])
+    return np.stack([np.pad(np.resize(part, (most, 3)), ((0, 0), (0, 1))) for part in points])
 
 
 def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -94,12 +94,13 @@ def parameters_of_log(log: Log, initial: Parameters, **options: Any) -> tuple[di
         lag=lag,
         dt=log.dt,
         joined=packets_per_join(facts.dt_s),
+        touching=touching_points(log.layout),
     )
     known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": lag, "age": age_of(log), **options}
     try:
         parameters = node_parameters(
             OnlineSetup(layout=log.layout, initial=initial, **known),
-            MomentumBeliefs(beliefs, touching_points(log.layout)),
+            MomentumBeliefs(beliefs),
             joints={name: facts.held_rad.get(name, np.nan) for name in model.joint_names},
             soles=facts.soles,
             R_torso_imu=model.R_torso_imu,

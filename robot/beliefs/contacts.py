@@ -9,7 +9,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY, Reference
+from surefoot.calibration import GRAVITY, MomentumReference, Reference
 from surefoot.robot.beliefs.odometry import FREE_FALL
 
 CONTACT_MARGIN = 4
@@ -17,11 +17,11 @@ CONTACT_MARGIN = 4
 their targets late, and feet land when the ground comes."""
 
 LIFTED = 0.01
-"""Height in m above the lower sole from which a foot is surely in the air: ten times what encoders that are
-off by 1e-3 rad make of a leg of a metre."""
+"""Height in m of a foot's lowest part above the lower foot's from which it is surely in the air: ten times
+what encoders that are off by 1e-3 rad make of a leg of a metre."""
 
 DOWN = 0.003
-"""Height in m above the lower sole up to which a foot is down."""
+"""The same height up to which a foot is down."""
 
 FLAT = 0.03
 """Slope of a sole in rad beyond which the foot is rolling, and its height says little."""
@@ -93,40 +93,40 @@ class Kinematics:
     """Finds which feet surely stood, or surely swung, by where they were.
 
     Args:
-        gravity: Acceleration of free fall in m/s^2.
-        feet: Number of the feet, F.
-        touching: Of round feet, the parts that may touch: centres in the sole frames and radii in m, shape
+        touching: The parts of each foot that may touch: centres in the sole frames and radii in m, shape
             (F, n, 4).
+        rolls: Whether feet are round, so that they stand on any of their sides.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
         runs: For how many samples each foot has stood, and has swung, (2 F).
     """
 
-    def __init__(
-        self, gravity: float = GRAVITY, feet: int = 2, touching: NDArray[np.float64] | None = None
-    ) -> None:
-        self._free_fall, self._touching = FREE_FALL * gravity, touching
+    def __init__(self, touching: NDArray[np.float64], rolls: bool = False, gravity: float = GRAVITY) -> None:
+        self._places, self._radius = touching[..., :3], touching[..., 3]
+        self._free_fall, self._rolls = FREE_FALL * gravity, rolls
         # A soft round foot that bears load is pressed flat by no more than its radius.
-        self._lifted = LIFTED if touching is None else np.maximum(LIFTED, touching[..., 3].max(axis=1))
-        self.runs = [0] * (2 * feet)
+        self._lifted = np.maximum(LIFTED, self._radius.max(axis=1))
+        self.runs = [0] * (2 * len(touching))
 
-    def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def at(
+        self, reference: Reference | MomentumReference, accelerometer: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
 
         Args:
             reference: The beliefs, of samples that follow each other.
+            accelerometer: Specific force then in m/s^2, shape (3,).
 
         Returns:
             Feet that surely stood and feet that surely swung then, shape (F,) each: a foot's state has to
             have been the same for :data:`CONTACT_MARGIN` samples.
         """
-        height, flat = reference.position_sole[:, 2], reference.R_level_sole[:, 2, 2] > COS_FLAT
-        if self._touching is not None:
-            # A round foot may stand on any side.
-            place, radius = self._touching[..., :3], self._touching[..., 3]
-            arm = np.einsum("fi,fni->fn", reference.R_level_sole[:, 2], place) - radius
-            height, flat = height + arm.min(axis=1), np.ones_like(flat)
-        fx, fy, fz = reference.accelerometer.tolist()
+        # A foot on its toes or on an edge bears load, wherever the middle of its sole is.
+        arm = np.einsum("fi,fni->fn", reference.R_level_sole[:, 2], self._places) - self._radius
+        height = reference.position_sole[:, 2] + arm.min(axis=1)
+        flat = self._rolls | (reference.R_level_sole[:, 2, 2] > COS_FLAT)
+        fx, fy, fz = accelerometer.tolist()
         # NaN, where nothing is known yet, compares as false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         above = height - height.min()

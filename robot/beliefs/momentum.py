@@ -16,7 +16,7 @@ from surefoot.robot.beliefs.believed import Believed
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, Posture
-from surefoot.robot.beliefs.strapdown import Strapdown, StrapdownConstants, touching
+from surefoot.robot.beliefs.strapdown import Strapdown, touching
 from surefoot.sensors.transport.link import Packets
 
 if TYPE_CHECKING:
@@ -59,13 +59,10 @@ class MomentumBeliefs(Believed):
 
     Args:
         beliefs: Those that hold accelerations.
-        corners: Points of each sole that may touch, in the sole frames in m, shape (F, n, 3).
-        radius: Radii of round feet about these points in m, shape (F, n).
 
     Attributes:
         beliefs: Those that hold accelerations.
         believed: The result of the last :meth:`sample`.
-        corners: The same.
         rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
         strapdown: Velocity and attitude.
@@ -73,8 +70,9 @@ class MomentumBeliefs(Believed):
         number: Of the last packet.
     """
 
-    def __init__(self, beliefs: Beliefs, corners: Floats, radius: Floats | float = 0.0) -> None:
-        self.beliefs, self.corners, self._radius = beliefs, corners, radius
+    def __init__(self, beliefs: Beliefs) -> None:
+        self.beliefs = beliefs
+        self._corners, self._radius = beliefs.touching[..., :3], beliefs.touching[..., 3]
         self.rows = MomentumRows.of(beliefs.feet)
         self.ring = np.zeros((HISTORY, self.rows.width, 3))
         self.strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
@@ -83,13 +81,7 @@ class MomentumBeliefs(Believed):
 
     def begin_episode(self) -> "MomentumBeliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return MomentumBeliefs(self.beliefs.begin_episode(), self.corners, self._radius)
-
-    @property
-    def constants(self) -> StrapdownConstants:
-        """Constants, by their names in C."""
-        radius = np.broadcast_to(self._radius, self.corners.shape[:2])
-        return StrapdownConstants(self.corners.shape[1], self.corners, radius)
+        return MomentumBeliefs(self.beliefs.begin_episode())
 
     @property
     def model(self) -> NominalModel:
@@ -118,7 +110,7 @@ class MomentumBeliefs(Believed):
         com_velocity, twist = self.model.velocities()
         down = self.strapdown.R[2]
         soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
-        legs = -touching(*soles, self.corners, down, self._radius)
+        legs = -touching(*soles, self._corners, down, self._radius)
         spin = spin - self.beliefs.spin_bias
         R, velocity = self.strapdown.advance(force, spin, legs, twist[0, 3:], self.beliefs.force_bias)
         row, at = self.ring[self.number % HISTORY], self.rows
@@ -130,11 +122,14 @@ class MomentumBeliefs(Believed):
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """Find the robot's beliefs for one sample of its feet; as :meth:`Beliefs.sample`."""
-        fell = self.beliefs.sample(time, command, hold)
-        self.believed = unknown(self.beliefs.feet)
-        if self.beliefs.known:
-            found = self.beliefs.believed
+        beliefs = self.beliefs
+        fell = beliefs.find(time, command, hold)
+        self.believed = unknown(beliefs.feet)
+        if beliefs.known:
+            found = beliefs.believed
             self.believed = self.momentum(time, found.stance, found.swing)
+            if command is None:
+                self.believed = beliefs.find_contacts(self.believed, found.accelerometer)
         return fell
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
@@ -182,11 +177,6 @@ class Touching(NamedTuple):
         if drawing.flaw and len(drawing.feet) == 2:
             return cls(np.zeros((2, 1, 4)), False)
         return cls(drawing.touching, bool(drawing.flaw))
-
-    @property
-    def round(self) -> Floats | None:
-        """The places of feet that roll; ``None`` of others."""
-        return self.places if self.rolls else None
 
 
 def unknown(feet: int) -> MomentumReference:

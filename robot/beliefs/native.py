@@ -13,6 +13,7 @@ from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
 from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.beliefs.strapdown import StrapdownConstants
 from surefoot.sensors.transport.link import Packets
 
 AT_ONCE = 8
@@ -44,7 +45,7 @@ class NativeBeliefs:
             "averaged": beliefs.averaged, "needed": needed, "window": window, "dt": beliefs.dt,
             "period": beliefs.period, "delay": beliefs.delay, "joined": beliefs.joined,
             "gravity": self.model.gravity, "feet": F, "rolls": beliefs.rolls,
-            **believed.constants._asdict(),
+            **StrapdownConstants.of(beliefs.touching)._asdict(),
         }  # fmt: skip
         found = library.record_of("timing", timing)
         kinds = (MomentumReference if self._momentum else Reference), Reference, MomentumReference
@@ -82,9 +83,7 @@ class NativeBeliefs:
         if (
             model is None
             or model["hinges"] != self._joints
-            or not library.functions.surefoot_beliefs_fit(
-                model.ctypes.data, self._timing.ctypes.data, self._momentum
-            )
+            or not library.functions.surefoot_beliefs_fit(model.ctypes.data, self._timing.ctypes.data)
         ):
             raise ValueError(
                 "The robot is no tree of bodies that the library has room for, or packets have other joints."
@@ -232,7 +231,7 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     model, timing = native.constants.values()
     sizes = {
         "FEET": int(timing["feet"]),
-        "CORNERS": max(1, int(timing["points"])),
+        "CORNERS": int(timing["points"]),
         "BODIES": int(model["bodies"]),
         "HINGES": max(1, int(model["hinges"])),
         "PLANNED": int(timing["window"]),

@@ -22,20 +22,22 @@ a common tilt cancels to first order.
 
 from collections.abc import Iterator
 from math import floor, sqrt
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
+from surefoot.calibration import MomentumReference, Reference
 from surefoot.robot.beliefs.believed import Believed, nothing
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import Odometry
-from surefoot.robot.beliefs.strapdown import RollingOdometry, StrapdownConstants
+from surefoot.robot.beliefs.strapdown import RollingOdometry
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
+
+Believes = TypeVar("Believes", Reference, MomentumReference)
 
 SLOPE = 3
 """Packets over which the soles' velocities are taken."""
@@ -121,8 +123,9 @@ class Beliefs(Believed):
         lag: How many samples of the feet ago :meth:`sample` is about.
         dt: Time between these samples in s.
         joined: How many packets become one.
-        touching: Of a robot on round feet, the parts that may touch: centres in the sole frames and radii in
-            m, shape (F, n, 4). ``None`` for flat feet, whose soles show the level.
+        touching: The parts of each foot that may touch: centres in the sole frames and radii in m, shape
+            (F, n, 4); ``None`` for the soles' origins.
+        rolls: Whether feet are round, so that they stand on any of their sides.
 
     Attributes:
         believed: The result of the last :meth:`sample`.
@@ -137,6 +140,8 @@ class Beliefs(Believed):
         run: Packets without a gap up to it.
         seen: Packets so far.
         clock: Time on the host's clock in s at which packet 0 left.
+        touching: The parts of each foot that may touch, shape (F, n, 4).
+        rolls: Whether feet are round.
         parts: Packets that are being joined so far.
         sum: Of their IMU.
         odometry: Turns the torso.
@@ -159,18 +164,20 @@ class Beliefs(Believed):
         dt: float = 1.0 / 80.0,
         joined: int = 1,
         touching: NDArray[np.float64] | None = None,
+        rolls: bool = False,
     ) -> None:
         self.model = model
         self.layout = layout
         self.period, self.delay, self.averaged = joined * period, delay, averaged or joined > 1
         self.joined, self.parts, self.sum = joined, 0, (0.0,) * 6
-        self.feet, self.rows, self._touching = model.feet, Rows.of(model.feet), touching
+        self.feet, self.rows, self.rolls = model.feet, Rows.of(model.feet), rolls
+        self.touching = np.zeros((self.feet, 1, 4)) if touching is None else touching
         self.ring = np.zeros((HISTORY, self.rows.width, 3))
         self._local = np.zeros((self.rows.force + 1, 3))
         self.odometry: Odometry | RollingOdometry = (
-            Odometry(self.period, model.gravity)
-            if touching is None
-            else RollingOdometry(model, self.period, touching[..., :3], touching[..., 3])
+            RollingOdometry(model, self.period, self.touching[..., :3], self.touching[..., 3])
+            if rolls
+            else Odometry(self.period, model.gravity)
         )
         self.last: Packet | None = None
         self.run = 0
@@ -178,7 +185,7 @@ class Beliefs(Believed):
         self.lag, self.dt = lag, dt
         self.plan, self.kinematics, self.upright = (
             Plan(lag, self.feet),
-            Kinematics(model.gravity, self.feet, touching),
+            Kinematics(self.touching, rolls, model.gravity),
             Upright(dt, model.gravity),
         )
         self.believed = nothing(self.feet)
@@ -194,19 +201,8 @@ class Beliefs(Believed):
             lag=self.lag,
             dt=self.dt,
             joined=self.joined,
-            touching=self._touching,
-        )
-
-    @property
-    def rolls(self) -> bool:
-        """Whether it has round feet."""
-        return self._touching is not None
-
-    @property
-    def constants(self) -> StrapdownConstants:
-        """Constants of round feet, by their names in C; flat ones have no parts."""
-        return StrapdownConstants.of(
-            np.zeros((self.feet, 0, 4)) if self._touching is None else self._touching
+            touching=self.touching,
+            rolls=self.rolls,
         )
 
     @property
@@ -323,6 +319,18 @@ class Beliefs(Believed):
         Returns:
             Whether the robot was upright until this moment, and no longer is.
         """
+        fell = self.find(time, command, hold)
+        if command is None and self.known:
+            self.believed = self.find_contacts(self.believed, self.believed.accelerometer)
+        return fell
+
+    def find_contacts(self, reference: Believes, accelerometer: NDArray[np.float64]) -> Believes:
+        """Return a reference with contacts by kinematics; arguments as of :meth:`Kinematics.at`."""
+        stance, swing = self.kinematics.at(reference, accelerometer)
+        return reference._replace(stance=stance, swing=swing)
+
+    def find(self, time: float, command: Any, hold: bool) -> bool:
+        """Find beliefs whose contacts are those of the plan, none without one; as :meth:`sample`."""
         nobody = np.zeros(self.feet, dtype=bool)
         contacts = nobody, nobody
         if command is not None:
@@ -333,9 +341,6 @@ class Beliefs(Believed):
         reference = self.reference(time, *contacts)
         if not self.upright.at(reference, self.force_bias):
             return self.upright.fell
-        if command is None:
-            stance, swing = self.kinematics.at(reference)
-            reference = reference._replace(stance=stance, swing=swing)
         self.believed = reference
         return False
 
@@ -389,9 +394,9 @@ class Beliefs(Believed):
         rows = rows + ahead * (rows - before[poses])
         place, axes = rows[: self.feet, :2], rows[self.feet :].reshape(-1, 3, 3)
         forward, middle = axes[:, 0, :2], place.mean(axis=0)
-        if self._touching is not None:
-            arm = self._touching[..., :3] @ axes
-            lowest = np.argmin(arm[..., 2] - self._touching[..., 3], axis=1)
+        if self.rolls:
+            arm = self.touching[..., :3] @ axes
+            lowest = np.argmin(arm[..., 2] - self.touching[..., 3], axis=1)
             place = place + arm[range(self.feet), lowest, :2]
         x, y = forward.sum(axis=0).tolist()
         norm = 1.0 / sqrt(x * x + y * y)

@@ -151,6 +151,7 @@ def spoilt(log, kind, at):
         + {
             "tared": read - read[0],
             "stepped": read + 0.06 * WEIGHT / NOMINAL.scale,
+            "stepped a little": read + 0.015 * WEIGHT / NOMINAL.scale,
             "swapped": (read * NOMINAL.scale)[:, [0, 2, 1, *range(3, 8)]] / NOMINAL.scale,
             "flipped": read * np.where(np.arange(8) == 5, -1.0, 1.0),
         }[kind]
@@ -158,7 +159,10 @@ def spoilt(log, kind, at):
     return log._replace(raw=raw)
 
 
-@pytest.mark.parametrize(("kind", "walking"), [("tared", True), ("tared", False), ("stepped", True)])
+@pytest.mark.parametrize(
+    ("kind", "walking"),
+    [("tared", True), ("tared", False), ("stepped", True), ("stepped", False), ("stepped a little", False)],
+)
 def test_zeros_that_leap_together_are_put_back_and_accuse_nobody(kind, walking):
     log = move(6, 14.0, STATED, walking=walking)
     estimate = calibrated(spoilt(log, kind, round(8.03 / DT)))

@@ -75,8 +75,9 @@ class Replay:
         self.lag, self.age, self.dt = lag, facts.readings_age_s, log.dt
         self.layout, self.period = TelemetryLayout(len(model.joint_names)), facts.dt_s
         link = facts.dt_s, facts.delay_s, facts.averaged
-        beliefs = Beliefs(model, self.layout, *link, lag=lag, dt=log.dt)  # type: ignore[arg-type]
-        self.beliefs = native_beliefs(MomentumBeliefs(beliefs, touching_points(log.layout)))
+        points = touching_points(log.layout)
+        beliefs = Beliefs(model, self.layout, *link, lag=lag, dt=log.dt, touching=points)  # type: ignore[arg-type]
+        self.beliefs = native_beliefs(MomentumBeliefs(beliefs))
         self.calibrator = FootCalibrator(log.layout, mass=log.mass, initial=initial, dt=log.dt, lag=lag)
         self.number, self.came, self.last, self.tare = -1, 0.0, 0, range(0)
 
@@ -298,9 +299,7 @@ def test_ankle_sensors_come_as_wrenches(recorded_walk: Any, program: Path, tmp_p
     setup = OnlineSetup(layout=layout, mass=5.3, initial=initial, lag=4, foot_length=0.17)
     names = recorded_walk.model.joint_names
     beliefs = Beliefs(recorded_walk.model, TelemetryLayout(len(names)), 0.01, 0.0, True, lag=4)
-    given = node_parameters(
-        setup, MomentumBeliefs(beliefs, np.zeros((2, 1, 3))), joints=dict.fromkeys(names, np.nan)
-    )
+    given = node_parameters(setup, MomentumBeliefs(beliefs), joints=dict.fromkeys(names, np.nan))
     path = write_node_parameters(tmp_path / "ankles.yaml", given, "mine")
     left, right = np.arange(1.0, 7.0), np.arange(7.0, 13.0)
     lines = [

@@ -83,9 +83,9 @@ def robot(name: str) -> NominalModel:
     return model
 
 
-def python(model: NominalModel, averaged: bool = True, lag: int = 5, places=None) -> Beliefs:
+def python(model: NominalModel, averaged: bool = True, lag: int = 5, places=None, rolls=False) -> Beliefs:
     layout = TelemetryLayout(len(model.joint_names))
-    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT, touching=places)
+    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT, touching=places, rolls=rolls)
 
 
 def round_feet(feet: int) -> np.ndarray:

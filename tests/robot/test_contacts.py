@@ -43,14 +43,14 @@ def believed(left: float, right: float, *, roll: float = 0.0, force: float = 9.8
     ],
 )
 def test_a_foot_is_sure_after_some_samples(moment: Reference, stance: list[bool], swing: list[bool]) -> None:
-    kinematics = Kinematics()
+    kinematics = Kinematics(np.zeros((2, 1, 4)))
     for _ in range(CONTACT_MARGIN):
-        seen = kinematics.at(moment)
+        seen = kinematics.at(moment, moment.accelerometer)
         assert not np.any(seen)
-    stood, swung = kinematics.at(moment)
+    stood, swung = kinematics.at(moment, moment.accelerometer)
     assert stood.tolist() == stance
     assert swung.tolist() == swing
-    assert not np.any(kinematics.at(believed(np.nan, np.nan)))
+    assert not np.any(kinematics.at(believed(np.nan, np.nan), np.full(3, np.nan)))
 
 
 class Planless(gym.Wrapper):

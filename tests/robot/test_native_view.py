@@ -118,7 +118,7 @@ class Estimates:
 @pytest.mark.parametrize(("feet", "flaw"), [(2, ""), (2, "no area"), (4, "round"), (1, "")])
 def test_what_is_shown_is_the_python_s(library, feet, flaw):
     model, rolls = robot("tree 2" if feet == 2 else f"{feet} feet"), flaw == "round"
-    native = NativeBeliefs(library, python(model, places=round_feet(feet) if rolls else None))
+    native = NativeBeliefs(library, python(model, places=round_feet(feet), rolls=rolls))
     native.update(motion(len(model.joint_names))[:60])
     parts = tuple(part for part in SHOWN if not (flaw and part == "cop_foot"))
     shoe = nao_shoe_layout().feet[0]

@@ -184,9 +184,9 @@ def test_round_feet_stand_on_any_side_and_swing_from_their_radius_on() -> None:
         np.stack([np.eye(3), roll, np.eye(3), np.eye(3)]), np.zeros(4, bool), np.zeros(4, bool),
         np.array([0.0, 0.0, 9.81]), none,
     )  # fmt: skip
-    kinematics = Kinematics(9.81, 4, round_feet)
+    kinematics = Kinematics(round_feet, rolls=True)
     for _ in range(CONTACT_MARGIN + 1):
-        stance, swing = kinematics.at(moment)
+        stance, swing = kinematics.at(moment, moment.accelerometer)
     assert stance.tolist() == [True, True, False, False]
     assert swing.tolist() == [False, False, False, True]
 
