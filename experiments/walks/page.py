@@ -21,15 +21,10 @@ from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import (
-    PAPER_SCENARIOS,
-    TRUE_MAP,
-    Scenario,
-    WalkStudyOptions,
-    log_paths,
-)
+from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
@@ -184,7 +179,7 @@ def _lead(results: WalkStudyResults) -> Section:
 def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tuple[str, Frame]:
     """Return a title, and the errors over time of one condition and speed, while it walks."""
     errors = results.errors
-    shown = errors["scenario"] == PAPER_SCENARIOS[condition.name, speed].name
+    shown = errors["scenario"] == f"{condition.name}-{speed:g}"
     shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
     return f"{condition.title}, {speed:g} m/s", errors[shown]
 
@@ -289,8 +284,8 @@ def _commands(results: WalkStudyResults) -> tuple[str, ...]:
         first = f"surefoot compare walking --scenario {results.scenarios[0].name} --seeds {options.seeds}"
         return (f"{first}{quick} --out {options.out}",)
     speed, seed = results.speeds[-1], options.seeds - 1
-    scenario = PAPER_SCENARIOS[BAD.name, speed]
-    log = log_paths(scenario.walk, seed, options.duration, options.logs)[scenario.condition]
+    scenario = SCENARIOS[f"{BAD.name}-{speed:g}"]
+    log = log_paths(scenario, seed, options.duration, options.logs)[scenario.condition]
     severity = max(options.loops)
     return (
         f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",

@@ -14,8 +14,9 @@ from surefoot.calibration import Estimate, MomentumReference, Parameters, Refere
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map, steps_of
-from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, WalkStudyOptions, log_paths
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
@@ -55,7 +56,7 @@ def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stre
     """Return the recorded walks of a scenario with its faults, and how many fell too early for a score."""
     streams, left_out = [], 0
     for seed in scenario.seeds(options.seeds):
-        paths = log_paths(scenario.walk, seed, options.duration, options.logs)
+        paths = log_paths(scenario, seed, options.duration, options.logs)
         log = read_log(paths[scenario.condition])
         fell = bool(log.about["fell"])
         if fell:
@@ -79,7 +80,7 @@ def cut_fall(log: Log) -> Log:
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:
-    cells = {one.name: one.cells for one in scenario.walk.conditions}[scenario.condition]
+    cells = {one.name: one.cells for one in scenario.cells}[scenario.condition]
     if cells is None:
         raise ValueError(f"Faults befall load cells, and scenario '{scenario.name}' has none.")
     return cells

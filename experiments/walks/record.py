@@ -16,9 +16,10 @@ import surefoot
 from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
+from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, make_g1, make_walker
+from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
 from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.momentum import unknown
@@ -224,8 +225,18 @@ def _walker(
         return robot, lambda time: base.policy(
             base.state(), np.array([speed, 0.0, 0.0]) * (time > STAND_TIME)
         )
-    given: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | dict(options)
-    _, tap = make_walker("true", speed=speed, duration=duration, **given)
+    # The walk is cut off before the pattern stops: what is recorded is standing first and then walking.
+    tap = TruthTap(
+        gym.make(
+            "surefoot/NaoWalk-v0",
+            max_episode_steps=round(duration / CONTROL_STEP),
+            disable_env_checker=True,
+            **{"push_impulse": (0.0, 0.0), **options},
+            speed=speed,
+            duration=duration + 2 * STAND_TIME,
+            stand_time=STAND_TIME,
+        )
+    )
     bare: Any = tap.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     return tap, lambda time: controller(tap.seen)

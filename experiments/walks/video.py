@@ -1,4 +1,4 @@
-"""A film of two walkers side by side, with the centre of pressure under their feet.
+"""Films of episodes: one, or two walkers side by side, with the centre of pressure under their feet.
 
 Left on drifting raw readings, right on calibrated ones. Below, the soles from above, a foot that bears weight
 filled: a black dot is the true centre of pressure, a coloured one that which the controller is given.
@@ -19,13 +19,17 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.episodes.episode import Episode, episode_moments
+from surefoot.experiments.episodes.plan import walk_episode
+from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.walks.walkers import Moment, walk_moments
+from surefoot.experiments.walks.walkers import Moment
 from surefoot.files import atomic_path
 
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
+LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
 OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
@@ -58,12 +62,10 @@ def prepare_rendering() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Reel:
-    """Film one walk into memory; arguments as in :func:`walk_moments`, refused as in :func:`pictures`."""
-    options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
-    options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
+def shoot(episode: Episode) -> Reel:
+    """Film an episode of a walk into memory, refused as in :func:`pictures`."""
     frames, fell_at = [], None
-    for frame, moment in pictures(lambda: walk_moments(feed, **options), partial(_sheet, feed), FIRST_MOMENT):
+    for frame, moment in pictures(episode, partial(_sheet, episode.feed), FIRST_MOMENT):
         frames.append(frame)
         fell_at = moment.time if moment.fell else None
     if not frames:
@@ -72,12 +74,13 @@ def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: floa
 
 
 def pictures(
-    run: Callable[[], Iterator[Moment]], draw: Callable[[Moment], NDArray[np.uint8]], begin: float
+    episode: Episode, draw: Callable[[Moment], NDArray[np.uint8]], begin: float
 ) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
     """Run an episode and yield pictures and moments from a time in s on; OSError if nothing can be drawn."""
     prepare_rendering()
     try:
-        for k, moment in enumerate(run()):
+        moments = episode_moments(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
+        for k, moment in enumerate(moments):
             quality = moment.bare.model.vis.quality
             # Shadows take a software renderer ten times as long as all the rest.
             quality.shadowsize, quality.offsamples = 0, 4
@@ -107,16 +110,30 @@ def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
 
 
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
-    """Film the same walk on one or more feeds side by side into a file; ``walk`` as in :func:`shoot`."""
-    return write_film(path, _side_by_side([shoot(feed, **walk) for feed in feeds]))
+    """Film the same walk on one or more feeds side by side into a file; as :func:`walk_episode`."""
+    return write_film(path, _side_by_side([shoot(walk_episode(feed, **walk)) for feed in feeds]))
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show one walk in a window; ``walk`` as in :func:`shoot`; raise OSError without a screen."""
+    """Show a walk, as :func:`walk_episode`, in a window; raise OSError without a screen."""
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
-    for moment in walk_moments(feed, render_mode="human", **walk):
+    for moment in episode_moments(walk_episode(feed, **walk), render_mode="human"):
         mark_cop(feed, moment)
+
+
+def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
+    """Film the last 12 s of an episode, or all, with true (black) and fed CoP, as .mp4; OSError as drawn."""
+    who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
+
+    def draw(moment: Moment) -> NDArray[np.uint8]:
+        mark_cop(episode.feed, moment)
+        picture = Image.fromarray(moment.bare.render())
+        _write_heading(picture, f"case {episode.number}: {who}", moment, 24, 14)
+        return np.asarray(picture)
+
+    begin = 0.0 if until is None else until - LAST_SECONDS
+    return write_film(path, [frame for frame, _ in pictures(episode, draw, begin)], quality=6)
 
 
 def mark_cop(feed: str, moment: Moment) -> None:
@@ -158,7 +175,7 @@ def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
     )
 
 
-def write_heading(
+def _write_heading(
     picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8
 ) -> None:
     """Write a heading over a picture: a text, the time, and whether the robot fell."""
@@ -176,7 +193,7 @@ def _sheet(feed: str, moment: Moment) -> NDArray[np.uint8]:
     sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
     sheet.paste(_from_above(feed, moment), (0, HEIGHT))
     name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
-    write_heading(sheet, name, moment, 30, 18, indent=28)
+    _write_heading(sheet, name, moment, 30, 18, indent=28)
     draw = ImageDraw.Draw(sheet)
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)

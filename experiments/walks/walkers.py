@@ -12,8 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from surefoot.calibration.online import METHODS
-from surefoot.controllers import Stabiliser, zero_action
-from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.controllers import zero_action
 from surefoot.experiments.arrays import Floats
 from surefoot.names import plain_name
 from surefoot.sensors import LoadCells
@@ -117,31 +116,6 @@ def put_on_feet(
     return (TrueCop(worn, tap) if calibration is None else SelfCalibration(worn, **calibration)), tap
 
 
-def make_walker(
-    feed: str,
-    *,
-    speed: float,
-    duration: float,
-    severity: float = 1.0,
-    render_mode: str | None = None,
-    **env_options: Any,
-) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return a walker on a feed's feet, as :func:`put_on_feet`, for a duration in s with standing, at m/s."""
-    calibration = FEEDS[check_feed(feed)]
-    # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
-    bare = gym.make(
-        "surefoot/NaoWalk-v0",
-        max_episode_steps=round(duration / CONTROL_STEP),
-        disable_env_checker=True,
-        speed=speed,
-        duration=duration + 2 * STAND_TIME,
-        stand_time=STAND_TIME,
-        render_mode=render_mode,
-        **env_options,
-    )
-    return put_on_feet(bare, calibration, sensors=None if calibration is None else {"severity": severity})
-
-
 G1_FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 
 
@@ -223,13 +197,3 @@ def moments(
             yield Moment(steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked)
     finally:
         env.close()
-
-
-def walk_moments(
-    feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0, **env_options: Any
-) -> Iterator[Moment]:
-    """Walk for a duration in s, standing included, a moment a control step, at a speed in m/s."""
-    env, tap = make_walker(feed, speed=speed, duration=duration, severity=severity, **env_options)
-    bare: Any = env.unwrapped
-    # Calibrators need a quiet stand to begin with: until then nobody is moved by what they say.
-    return moments(env, tap, Stabiliser(bare.state_layout, engage_after=STAND_TIME), seed)
