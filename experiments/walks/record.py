@@ -34,81 +34,6 @@ _STREAM = 0x10605  # keeps the instruments' randomness apart from every other st
 _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
 
 
-class FootInstruments:
-    """The readings of one condition under one walk, by a random stream of an ``index``.
-
-    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
-    (``None`` unless there are load cells alone); ``about`` holds the errors that maps axis by axis leave out:
-    cross-talk, and the weight that counts as part of the zero.
-    """
-
-    def __init__(
-        self,
-        cells: LoadCells | None,
-        ankle: ForceTorque | None,
-        *,
-        index: int,
-        seed: int,
-        truth: Any,
-        drawing: RobotDrawing,
-        dt: float,
-    ) -> None:
-        if cells is None and ankle is None:
-            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
-        devices = tuple(device for device in (cells, ankle) if device is not None)
-        self._all = Instruments(devices, drawing, dt)
-        self.layout, self.nominal = self._all.layout, self._all.nominal
-        self.calibrated: Parameters | None = None
-        self.about: dict[str, Any] = {}
-        self._streams: list[np.random.Generator] = []
-        self._states: list[Any] = []
-        for part in self._all.parts:
-            in_ankles = isinstance(part, SensorsInAnkles)
-            rng = np.random.default_rng([_STREAM, index, seed, 1] if in_ankles else [_STREAM, index, seed])
-            state: Any = part.init(rng)
-            if cells is not None and not in_ankles:
-                if ankle is None:
-                    self.calibrated = run_weighing(cells=cells, state=state, seed=seed).channels.value
-                # Every chip delivers once before the walk, as they do while a robot boots.
-                _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
-            self._streams.append(rng)
-            self._states.append(state)
-        if ankle is not None:
-            self._note_ankles()
-        self._rows: list[tuple[Floats, ...]] = []
-
-    def read(self, truth: Any, dt: float) -> None:
-        """Take the readings after a control step."""
-        found = []
-        part: Any
-        for i, part in enumerate(self._all.parts):
-            reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
-            undone = part.true_map(self._states[i])
-            found.append((reading, part.force(truth), undone.scale, undone.offset))
-        self._rows.append(tuple(self._all.join(list(part)) for part in zip(*found, strict=True)))
-
-    @property
-    def columns(self) -> tuple[Floats, ...]:
-        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
-        return tuple(map(np.array, zip(*self._rows, strict=True)))
-
-    def _note_ankles(self) -> None:
-        blocks, preload = [], []
-        for part, state in zip(self._all.parts, self._states, strict=True):
-            if isinstance(part, SensorsInAnkles):
-                blocks.append(part.cross_talk(state))
-                preload.append(part.preload)
-            else:
-                blocks.append(np.zeros((part.channels, part.channels)))
-                preload.append(np.zeros(part.channels))
-        order = self._all.order
-        talk = block_diag(*blocks)
-        self.about = {
-            "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
-            "truth_preload": self._all.join(preload).tolist(),
-        }
-
-
 @dataclass(frozen=True)
 class Condition:
     """The cells that a robot walks on (``None`` for none), and its knowledge of them."""
@@ -124,6 +49,59 @@ class Condition:
         """Mean age in s of a reading when the host takes it; the cells' where there are both."""
         device = self.cells or self.ankle
         return 0.0 if device is None else device.nominal_age
+
+
+class FootInstruments:
+    """The readings of one condition under one walk, by a random stream of an ``index``.
+
+    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
+    (``None`` unless there are load cells alone); ``about`` holds the errors that maps axis by axis leave out:
+    cross-talk, and the weight that counts as part of the zero.
+    """
+
+    def __init__(
+        self, condition: Condition, *, index: int, seed: int, truth: Any, drawing: RobotDrawing, dt: float
+    ) -> None:
+        cells, ankle = condition.cells, condition.ankle
+        if cells is None and ankle is None:
+            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
+        self._all = Instruments(tuple(one for one in (cells, ankle) if one is not None), drawing, dt)
+        self.layout, self.nominal = self._all.layout, self._all.nominal
+        key = [_STREAM, index, seed]
+        self._streams = {"cells": np.random.default_rng(key), "ankles": np.random.default_rng([*key, 1])}
+        self._state = self._all.init(self._streams)
+        self.calibrated: Parameters | None = None
+        if cells is not None:
+            if ankle is None:
+                self.calibrated = run_weighing(cells=cells, state=self._state.cells, seed=seed).channels.value
+            # Every chip delivers once before the walk, as they do while a robot boots.
+            part: Any = self._all.parts[0]
+            period = 1.0 / cells.rate[0] if cells.rate else 0.0125
+            _, booted = part.read(truth, self._state.cells, self._streams["cells"], period)
+            self._state = self._state._replace(cells=booted)
+        self.about = {} if ankle is None else self._errors_between_axes()
+        self._rows: list[tuple[Floats, ...]] = []
+
+    def read(self, truth: Any, dt: float) -> None:
+        """Take the readings after a control step."""
+        raw, self._state = self._all.read(truth, self._state, self._streams, dt)
+        force = self._all.join([part.force(truth) for part in self._all.parts])
+        self._rows.append((raw, force, *self._all.true_map(self._state)))
+
+    @property
+    def columns(self) -> tuple[Floats, ...]:
+        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
+        return tuple(map(np.array, zip(*self._rows, strict=True)))
+
+    def _errors_between_axes(self) -> dict[str, Any]:
+        parts, order = self._all.parts, self._all.order
+        talks = [
+            part.cross_talk(self._state.ankles) if isinstance(part, SensorsInAnkles) else np.zeros((n, n))
+            for part, n in ((part, part.channels) for part in parts)
+        ]
+        preload = [getattr(part, "preload", np.zeros(part.channels)) for part in parts]
+        talk = block_diag(*talks)[np.ix_(order, order)]
+        return {"truth_cross_talk": talk.tolist(), "truth_preload": self._all.join(preload).tolist()}
 
 
 CONDITIONS = (
@@ -175,11 +153,9 @@ def record_walk(
     env, source = SelfCalibration(worn, "moment", **(beliefs or {})), worn.source
     _, info = env.reset(seed=seed)
     dt = source.dt
-    known = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
-    feet = [
-        FootInstruments(sized(c.cells, weight) if policy and c.cells else c.cells, c.ankle, index=i, **known)
-        for i, c in enumerate(conditions)
-    ]
+    known: Any = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
+    own = [replace(c, cells=sized(c.cells, weight)) if policy and c.cells else c for c in conditions]
+    feet = [FootInstruments(condition, index=i, **known) for i, condition in enumerate(own)]
     torso = bare.model.body(source.drawing.torso).id
     time: list[float] = []
     believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}

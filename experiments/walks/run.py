@@ -227,14 +227,12 @@ def _collect(
     left_out = store.rows("left_out", scored)
     results.left_out = left_out.groupby("scenario", sort=False)["count"].first().astype(int).to_dict()
     if scaled and len(plain := results.yardsticks):
-        frames = [
-            store.rows("yardsticks", cases).assign(weight=weight, factor=factor)
-            for (weight, factor), cases in scaled.items()
-        ]
         # Weights as they are were replayed already.
         plain = plain[(plain["method"] == "window") & (plain["seed"] < results.options.sensitivity_seeds)]
-        as_they_are = [plain.assign(weight=weight, factor=1.0) for weight in WEIGHTS]
-        results.sensitivity = pd.concat([*frames, *as_they_are], ignore_index=True)
+        frames = {key: store.rows("yardsticks", cases) for key, cases in scaled.items()}
+        frames |= {(weight, 1.0): plain for weight in WEIGHTS}
+        parts = [frame.assign(weight=weight, factor=factor) for (weight, factor), frame in frames.items()]
+        results.sensitivity = pd.concat(parts, ignore_index=True)
 
 
 def score_case(
