@@ -4,12 +4,7 @@
 """
 
 from surefoot.experiments.episodes.episode import Episode
-from surefoot.experiments.episodes.plan import (
-    EpisodePlan,
-    evaluation_plan,
-    plan_from_toml,
-    run_episode,
-)
+from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan, plan_from_toml, run_episode
 from surefoot.experiments.episodes.run import EpisodeResults, Replayed, replay_episode, run_plan
 from surefoot.experiments.walks.scenarios import SCENARIOS, Scenario
 

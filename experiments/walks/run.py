@@ -40,13 +40,7 @@ from surefoot.experiments.walks.run_score import (
     walk_of,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import (
-    TRUE_MAP,
-    Scenario,
-    find_scenarios,
-    log_paths,
-    record_missing,
-)
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 

@@ -14,13 +14,7 @@ from typer.testing import CliRunner
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.episodes import (
-    Episode,
-    EpisodePlan,
-    plan_from_toml,
-    replay_episode,
-    run_plan,
-)
+from surefoot.experiments.episodes import Episode, EpisodePlan, plan_from_toml, replay_episode, run_plan
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes.episode import OUTCOME, episode_moments, episode_row, row_of_failure
 from surefoot.experiments.episodes.plan import walk_episode
