@@ -151,12 +151,6 @@ def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) ->
     axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
-def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:
-    """Draw a survival curve in the look of a feed."""
-    look = look_of(name)
-    axes.step(time, share, where="post", color=look.colour, linestyle=look.line, label=look.label)
-
-
 def show_values(axes: "Axes", values: Sequence[float]) -> None:
     """Make ticks at a few values of the horizontal axis, with room around a value that is alone."""
     axes.set_xticks(list(values), [f"{value:g}" for value in values])

@@ -91,7 +91,9 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
     timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
     shown = (
-        *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
+        *_figure(
+            figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios)), "All scenarios"
+        ),
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
@@ -199,7 +201,11 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         for title, part in _by_yardstick(shown, YARDSTICKS).items()
         for speed in results.speeds
     }
-    drawn = list(_figure(figures.paper_overview(folder / "overview.svg", rows), "All speeds", "overview"))
+    drawn = list(
+        _figure(
+            figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS), "All speeds", "overview"
+        )
+    )
     for speed in results.speeds:
         drawn += _speed_figures(results.traces, speed, folder)
     panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)

@@ -142,48 +142,56 @@ def record_walk(
     says. With a ``policy`` it is a Unitree G1, on larger cells of the same kind.
     """
     base, act = _walker(speed, duration, policy, env_options)
-    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
-    youngest = min(condition.age for condition in conditions)
-    averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
-    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None, averaged=averaged)
     bare: Any = base.unwrapped
     weight = float(bare.model.body_subtreemass[0]) * GRAVITY
-    on = {"config": sized(carried, weight), "feet": G1_FEET} if policy else {"config": carried}
-    worn = FootSensors(base, **on, **(sensors or {}))
+    if policy:
+        conditions = [replace(c, cells=sized(c.cells, weight)) if c.cells else c for c in conditions]
+    youngest = min(condition.age for condition in conditions)
+    worn = _put_on(base, conditions, weight if policy else None, sensors or {})
     env, source = SelfCalibration(worn, "moment", **(beliefs or {})), worn.source
     _, info = env.reset(seed=seed)
     dt = source.dt
     known: Any = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
-    own = [replace(c, cells=sized(c.cells, weight)) if policy and c.cells else c for c in conditions]
-    feet = [FootInstruments(condition, index=i, **known) for i, condition in enumerate(own)]
+    feet = [FootInstruments(condition, index=i, **known) for i, condition in enumerate(conditions)]
     torso = bare.model.body(source.drawing.torso).id
-    time: list[float] = []
     believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}
-    position, rotation = [], []
-    done = terminated = False
-    while not done:
+    poses: list[tuple[Floats, Floats]] = []
+    terminated = truncated = False
+    while not (terminated or truncated) and len(poses) * dt <= duration - 0.5 * dt:
+        now = len(poses) * dt
         if held[0]:
-            bare.data.xfrc_applied[torso, 2] = weight * lift(len(time) * dt, *held)
-        _, _, terminated, truncated, info = env.step(act(len(time) * dt))
+            bare.data.xfrc_applied[torso, 2] = weight * lift(now, *held)
+        _, _, terminated, truncated, info = env.step(act(now))
         truth = source.truth
-        time.append((len(time) + 1) * dt)
         for age, both in believed.items():
             both.append(_believe(env, env.reference_time - (age - youngest + clock_error)))
         for one in feet:
             one.read(truth, dt)
-        position.append(truth.position_sole[-1].copy())
-        rotation.append(truth.R_world_sole[-1].copy())
-        done = terminated or truncated or time[-1] > duration - 0.5 * dt
-    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": dt, "seed": seed}
-    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+        poses.append((truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()))
     env.close()
-    about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
-    about["surefoot"] = surefoot.__version__
-    poses = np.array(position), np.array(rotation)
+    time = dt * np.arange(_SETTLING + 1, len(poses) + 1)
+    common: dict[str, Any] = {"time": time, "dt": dt, "seed": seed}
+    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+    about = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
+    soles = [np.array(part)[_SETTLING:] for part in zip(*poses, strict=True)]
     return {
-        condition.name: _make_log(condition, one, believed[condition.age], poses, about, common)
+        condition.name: _make_log(condition, one, believed[condition.age][_SETTLING:], soles, about, common)
         for condition, one in zip(conditions, feet, strict=True)
     }
+
+
+def _put_on(
+    base: gym.Env[Any, Any], conditions: Sequence[Condition], weight: float | None, sensors: Mapping[str, Any]
+) -> FootSensors:
+    """Put a NAO, or a G1 of a weight in N, on feet whose readings are not used, with all other sensors."""
+    # The youngest cells ask for the longest wait for telemetry.
+    cells = HX711_LOAD_CELLS
+    if min(condition.age for condition in conditions) <= 0.0:
+        averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
+        cells = replace(cells, rate=None, averaged=averaged)
+    if weight is None:
+        return FootSensors(base, cells, **sensors)
+    return FootSensors(base, sized(cells, weight), feet=G1_FEET, **sensors)
 
 
 def lift(time: float, share: float, begin: float, end: float) -> float:
@@ -222,17 +230,16 @@ def _make_log(
     condition: Condition,
     feet: FootInstruments,
     believed: Sequence[tuple[Reference, MomentumReference]],
-    poses: tuple[Floats, Floats],
+    soles: Sequence[Floats],
     about: Mapping[str, Any],
     common: Mapping[str, Any],
 ) -> Log:
-    """Make the log of one condition; its first rows are cut off."""
-    kept = slice(_SETTLING, None)
-    raw, force, scale, offset = (column[kept] for column in feet.columns)
+    raw, force, scale, offset = (column[_SETTLING:] for column in feet.columns)
     # The truth is the mean over a step, which is half a step old itself.
     age = max(condition.age - 0.5 * common["dt"], 0.0)
-    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
-    reference, momentum = (stack_rows(rows[kept]) for rows in zip(*believed, strict=True))
+    own = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
+    position, rotation = soles
+    reference, momentum = map(stack_rows, zip(*believed, strict=True))
     return Log(
         raw=raw,
         reference=reference,
@@ -240,8 +247,8 @@ def _make_log(
         layout=feet.layout,
         nominal=feet.nominal,
         calibrated=feet.calibrated,
-        truth=LogTruth(force, poses[0][kept], poses[1][kept], scale, offset),
-        about={**about, **feet.about, **of_condition},
+        truth=LogTruth(force, position, rotation, scale, offset),
+        about={**about, "surefoot": surefoot.__version__, **feet.about, **own},
         **common,
     )
 

@@ -169,10 +169,10 @@ def _has_screen() -> bool:
 def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
     """Join walks; one that has ended shows its last picture on."""
     count = max(len(reel.frames) for reel in reels)
-    ends = [np.repeat(reel.frames[-1:], count - len(reel.frames), axis=0) for reel in reels]
-    return np.concatenate(
-        [np.concatenate([reel.frames, end]) for reel, end in zip(reels, ends, strict=True)], axis=2
-    )
+    lengthened = [
+        np.pad(reel.frames, ((0, count - len(reel.frames)), *[(0, 0)] * 3), mode="edge") for reel in reels
+    ]
+    return np.concatenate(lengthened, axis=2)
 
 
 def _write_heading(
