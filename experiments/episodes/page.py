@@ -9,6 +9,7 @@ import pandas as pd
 
 from surefoot.experiments.episodes import figures, tables
 from surefoot.experiments.episodes.episode import VERSIONS, Episode
+from surefoot.experiments.episodes.plan import find_scenario
 from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
 from surefoot.experiments.episodes.scores import (
     COMPARISONS,
@@ -133,8 +134,10 @@ def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
     """Draw the figures, save the tables as CSV, film the worst episodes, and write the page of a sweep."""
     plan, rows, folder = results.plan, results.finished, results.folder
     ran = set(rows["scenario"])
-    titles = {name: plan.title_of(name) for name in plan.scenarios if name in ran}
-    worst = _worst(rows, max(films, _LISTED))
+    titles = {name: find_scenario(name, plan.own).title for name in plan.scenarios if name in ran}
+    # The earliest falls, and then the lowest returns: those of different tasks cannot be compared.
+    order = {"fell": False, "time": True, "return": True, "case": True}
+    worst = rows.sort_values([*order], ascending=[*order.values()]).head(max(films, _LISTED))
     sections = [*_sweep_sections(rows, titles, folder / "figures")] if titles else []
     sections += _failures(results.failed)
     if titles:
@@ -176,9 +179,3 @@ def _film_section(folder: Path, row: dict[str, Any]) -> Section:
         return Section(anchor, title, (f"There is no film: {error}",))
     film = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
     return Section(anchor, title, video=film, video_caption=_FILM)
-
-
-def _worst(rows: Frame, count: int) -> Frame:
-    """Return the earliest falls, and then the lowest returns: those of different tasks cannot be compared."""
-    order = ["fell", "time", "return", "case"]
-    return rows.sort_values(order, ascending=[False, True, True, True]).head(count)

@@ -117,10 +117,6 @@ class EpisodePlan:
         data: dict[str, Any] = json.loads(json.dumps(asdict(self), default=dict))
         return data | {"files": self.files}
 
-    def title_of(self, scenario: str) -> str:
-        """Title of a scenario."""
-        return find_scenario(scenario, self.own).title
-
     def _episodes(self) -> Iterator[Episode]:
         numbers = count()
         for controller, feed, name in product(self.controllers, self.feeds, self.scenarios):

@@ -96,7 +96,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
     few = replace(options, seeds=min(options.seeds, BOUNDED))
-    limits = [bound_case(s, few) for s in chosen] if bounds else []
+    limits = [Case(f"{s.name} bound", _bound, (s, few), _depends(s, few)) for s in chosen if bounds]
     scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
@@ -242,11 +242,6 @@ def score_case(
     arguments = (scenario, method, options, changed)
     depends = (method, changed, _depends(scenario, options), *own_code(method))
     return Case(name, _score, arguments, depends)
-
-
-def bound_case(scenario: Scenario, options: WalkStudyOptions) -> Case:
-    """Return the case of a scenario's bound: ``bounds``, a row a run (``bound_cop`` in m, others in N)."""
-    return Case(f"{scenario.name} bound", _bound, (scenario, options), _depends(scenario, options))
 
 
 def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:

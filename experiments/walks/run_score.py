@@ -85,7 +85,10 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "converged": _convergence(log.time, running, end["cop"], stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
     }
-    row |= _parameter_errors(stream, played) | _consistency(stream, played) | _flags(stream, played)
+    row |= _parameter_errors(stream, played) | _consistency(stream, played)
+    # On which share of the judged samples each flag stood on any channel.
+    raised = np.bitwise_or.reduce(played.flags[judged], axis=1)
+    row |= {f"flag_{flag.name}": float(np.mean((raised & int(flag)) != 0)) for flag in Flag}
     return row | _faults(stream, played, errors)
 
 
@@ -137,12 +140,6 @@ def _consistency(stream: Stream, played: Played) -> dict[str, float]:
         "nis": seen.nis / seen.nis_rows if seen.nis_rows else float("nan"),
         "nis_rows": seen.nis_rows,
     }
-
-
-def _flags(stream: Stream, played: Played) -> dict[str, float]:
-    """Return on which share of the judged samples each flag stood on any channel."""
-    union = np.bitwise_or.reduce(played.flags[stream.judged], axis=1)
-    return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
 
 
 def _faults(stream: Stream, played: Played, errors: Errors) -> dict[str, float]:
