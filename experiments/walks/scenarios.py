@@ -167,7 +167,7 @@ def scenario_from(name: str, table: Mapping[str, Any], base: Scenario | None = N
     if "faults" in table:
         given["faults"] = tuple(resolve({"channel": 0, **one}, Fault) for one in table["faults"])
     if not base.walk or any(key in table for key in _RECORDED):
-        given["walk"] = name
+        given.setdefault("walk", name)
     return replace(base, name=name, **given)
 
 
