@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.episodes.episode import Episode, episode_moments
+from surefoot.experiments.episodes.episode import Episode, Moment, episode_moments
 from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.walks.walkers import Moment
 from surefoot.files import atomic_path
 
 FRAMES_PER_SECOND = 16
