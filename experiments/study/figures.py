@@ -151,6 +151,15 @@ def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) ->
     axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
+def limit_to(axes: "Axes", values: Any, least: float) -> None:
+    """Show finite values and room around them, of a least range: what runs away must not flatten all else."""
+    if np.isfinite(values).any():
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        margin = 0.6 * max(high - low, least)
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+
+
 def show_values(axes: "Axes", values: Sequence[float]) -> None:
     """Make ticks at a few values of the horizontal axis, with room around a value that is alone."""
     axes.set_xticks(list(values), [f"{value:g}" for value in values])

@@ -18,6 +18,7 @@ from surefoot.experiments.study.figures import (
     grid_of,
     in_order,
     legend_below,
+    limit_to,
     logarithmic,
     look_of,
     name_axes,
@@ -122,11 +123,7 @@ def cop_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
     with _over_time(path, traces, "cop", 6.6, lines) as (panels, seen):
         truth = 1e3 * np.concatenate(seen["truth"])
         for axes, values in zip(panels[:2, 0], truth.T, strict=True):
-            # A reading that runs away must not flatten all the others into one line.
-            low, high = np.nanmin(values), np.nanmax(values)
-            margin = 0.6 * max(high - low, 1.0)
-            bottom, top = axes.get_ylim()
-            axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+            limit_to(axes, values, least=1.0)
         for axes in panels[2]:
             logarithmic(axes)
         bottom, top = panels[2, 0].get_ylim()

@@ -25,6 +25,7 @@ from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
+from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
@@ -153,20 +154,19 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
 
 def _lead(results: WalkStudyResults) -> Section:
     """First section of the page: the worst feet that were walked on."""
-    film, loop = results.film, results.loop
-    loop = loop[loop["severity"] == loop["severity"].max()]
+    loop = results.loop[results.loop["severity"] == results.loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.
     speed = results.speeds[len(results.speeds) // 2]
     drawn = results.options.out / "figures" / "lead.svg"
     curves = figures.error_curves(drawn, dict([_errors(results, BAD, speed)]))
     paragraphs = [findings.lead_finding(loop)]
     video: dict[str, Any] = {}
-    if film.path is None or film.still is None or results.filmed is None:
-        paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
+    if isinstance(results.filmed, str):
+        paragraphs.append(f"There is no film in this report: {results.filmed.rstrip('.')}.")
     else:
         severity, at, seed = results.filmed
         caption = _caption("film", severity=severity, speed=at, seed=seed)
-        video = {"video": film.path.name, "poster": film.still.name, "video_caption": caption}
+        video = {"video": FILM, "poster": STILL, "video_caption": caption}
     own = results.yardsticks[results.yardsticks["speed"] == speed]
     return Section(
         "lead",

@@ -41,7 +41,7 @@ from surefoot.experiments.walks.run_score import (
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
-from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.video import FILM, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
@@ -72,8 +72,7 @@ class WalkStudyResults:
     sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
     timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
-    film: Film = field(default_factory=lambda: Film(None, None, "not asked for"))
-    filmed: tuple[float, float, int] | None = None  # severity, speed in m/s, seed
+    filmed: tuple[float, float, int] | str = "not asked for"  # severity, speed in m/s, seed; or why not
     left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
     failures: dict[str, str] = field(default_factory=dict)  # raised, by case
     seconds: dict[str, float] = field(default_factory=dict)  # of each stage
@@ -170,7 +169,7 @@ def _save(results: WalkStudyResults) -> None:
         options,
         scenarios={s.name: {"title": s.title, "answers": s.answers} for s in results.scenarios},
         left_out=results.left_out,
-        film=results.film.problem or "walk.mp4",
+        film=results.filmed if isinstance(results.filmed, str) else FILM,
         machine=machine(),
         seconds=results.seconds,
     )
@@ -186,13 +185,13 @@ def _timings(results: WalkStudyResults) -> list[Any]:
 def _film(run: Runner, results: WalkStudyResults) -> None:
     options, severity = results.options, max(results.options.loops)
     speed, seed = choose_walk_to_film(results.loop[results.loop["severity"] == severity])
-    results.filmed = (severity, speed, seed)
     walk: Any = {"speed": speed, "seed": seed, "duration": options.film_duration, "severity": severity}
     episodes = [walk_episode(feed, **walk) for feed in ("none", "moment")]
     try:
-        results.film = join_reels(options.out, *run.do("film", [(shoot, (one,)) for one in episodes]))
+        join_reels(options.out, *run.do("film", [(shoot, (one,)) for one in episodes]))
+        results.filmed = (severity, speed, seed)
     except OSError as error:
-        results.film = Film(None, None, str(error))
+        results.filmed = str(error)
 
 
 def choose_walk_to_film(loop: Frame) -> tuple[float, int]:

@@ -25,6 +25,7 @@ from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
 from surefoot.files import atomic_path
 
+FILM, STILL = "walk.mp4", "walk.png"  # of two walks, in a study's folder
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
@@ -32,15 +33,6 @@ LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the 
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
 OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
-
-
-@dataclass(frozen=True)
-class Film:
-    """A film and a picture from it; or why there is none."""
-
-    path: Path | None
-    still: Path | None
-    problem: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +88,14 @@ def pictures(
         ) from error
 
 
-def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
-    """Set two walks side by side in ``walk.mp4``; ``walk.png`` is from the first fall, or from half way."""
+def join_reels(folder: Path, left: Reel, right: Reel) -> None:
+    """Set two walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
     frames = _side_by_side([left, right])
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
     shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
-    path = write_film(folder / "walk.mp4", frames)
-    still = folder / "walk.png"
-    with atomic_path(still) as part:
+    write_film(folder / FILM, frames)
+    with atomic_path(folder / STILL) as part:
         Image.fromarray(frames[min(shown, len(frames) - 1)]).save(part)
-    return Film(path, still)
 
 
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
