@@ -203,7 +203,7 @@ def find_scenarios(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ..
 def log_paths(scenario: Scenario, seed: int, duration: float, folder: Path) -> dict[str, Path]:
     """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
     recorded = [getattr(scenario, name) for name in _RECORDED if name != "duration"]
-    made_of = (recorded, seed, scenario.length(duration), STAND_TIME, code_of(record_walk.__module__))
+    made_of = (recorded, seed, scenario.length(duration), STAND_TIME, code_of(__name__))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{scenario.walk}_{c.name}_seed{seed}_{key}.parquet" for c in scenario.cells}
 
