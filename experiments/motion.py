@@ -180,7 +180,14 @@ def plan_motion(
         raise ValueError(
             f"Played together, the motions do not keep to the limits: {reason}. Ask for more margin."
         )
-    tables = [_segments(plan, prelude), _single(plan), _reasons(refused)]
+    best = sorted(plan.rates.items(), key=lambda item: -item[1])
+    rates = tuple((name, decimal(rate, ".3f")) for name, rate in best)
+    reasons = tuple(refused.items()) or (("none", ""),)
+    tables = [
+        _segments(plan, prelude),
+        Table("rates", "What each motion would bring first", ("motion", "nats per second"), rates),
+        Table("refused", "What the robot must not do", ("motion", "because"), reasons),
+    ]
     return PlannedMotion(plan, prelude, tables)
 
 
@@ -197,14 +204,3 @@ def _segments(plan: FootExcitation, prelude: Prelude) -> Table:
     columns = ("motion", "from (s)", "to (s)", f"before ({unit})", f"after ({unit})", "nats per second")
     title = f"{prelude.duration:.1f} s of motion: bound of the {what}'s standard deviation"
     return Table("plan", title, columns, tuple(rows))
-
-
-def _single(plan: FootExcitation) -> Table:
-    best = sorted(plan.rates.items(), key=lambda item: -item[1])
-    rows = tuple((name, decimal(rate, ".3f")) for name, rate in best)
-    return Table("rates", "What each motion would bring first", ("motion", "nats per second"), rows)
-
-
-def _reasons(refused: dict[str, str]) -> Table:
-    rows = tuple(refused.items()) or (("none", ""),)
-    return Table("refused", "What the robot must not do", ("motion", "because"), rows)

@@ -23,8 +23,8 @@ def walking(
     as_json: Json = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
+    from surefoot.experiments.walks.options import WalkStudyOptions, full_options
     from surefoot.experiments.walks.page import report_walks
-    from surefoot.experiments.walks.scenarios import WalkStudyOptions, full_options
 
     if full and (scenario or method):
         fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
@@ -100,8 +100,8 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
+    from surefoot.experiments.walks.options import demo_options
     from surefoot.experiments.walks.page import report_walks
-    from surefoot.experiments.walks.scenarios import demo_options
 
     with one_line_errors(out):
         options = demo_options(out, seeds, jobs)

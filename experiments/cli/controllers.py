@@ -230,10 +230,10 @@ def replay(
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
     from surefoot.experiments.episodes.episode import OUTCOME
-    from surefoot.experiments.episodes.page import film_episode
     from surefoot.experiments.episodes.run import replay_episode
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.study.tables import Verdict, table_of
+    from surefoot.experiments.walks.video import film_episode
 
     if video is not None and video.suffix != ".mp4":
         fail(f"'{video}' must end in .mp4.")
@@ -265,8 +265,9 @@ def _exact(value: Any) -> Any:
 
 
 def _scenario_table() -> Any:
-    from surefoot.experiments.episodes.plan import SCENARIOS, find_scenario
+    from surefoot.experiments.episodes.plan import find_scenario
     from surefoot.experiments.study.tables import Table
+    from surefoot.experiments.walks.scenarios import SCENARIOS
 
     rows = []
     for name in SCENARIOS:

@@ -8,18 +8,20 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 import surefoot
+from surefoot.controllers import zero_action
 from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.score import rms
-from surefoot.experiments.walks.walkers import Moment, TruthTap, moments, put_on_feet
+from surefoot.experiments.walks.walkers import TruthTap, put_on_feet
 from surefoot.files import parse_json
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
@@ -78,19 +80,76 @@ class Episode:
             raise ValueError(f"This episode was written by another version of surefoot ({error}).") from error
 
 
+class Moment(NamedTuple):
+    """An episode after one control step."""
+
+    time: float  # since the reset in s
+    bare: Any  # the environment beneath all wrappers
+    observation: dict[str, Any]
+    true_observation: dict[str, Any]  # without sensors in between
+    fell: bool  # the episode ends then
+    action: Any  # answered to the observation before
+    reward: float
+    asked: bool  # the controller was, and not the quiet stand's zero action
+
+    @property
+    def cop_error(self) -> float:
+        """Distance between the fed and the true centre of pressure in m; NaN where there is none."""
+        if not self.true_observation["cop_valid"][0]:
+            return float("nan")
+        fed, true = self.observation["cop"].astype(np.float64), self.true_observation["cop"]
+        return float(np.linalg.norm(fed - true))
+
+    @property
+    def tracking(self) -> float:
+        """Distance between the true centre of pressure and the planned one in m, both in level frames."""
+        if not self.true_observation["cop_valid"][0]:
+            return float("nan")
+        planned = self.true_observation["state"][self.bare.state_layout["cop_reference"]]
+        return float(np.linalg.norm(self.true_observation["cop"].astype(np.float64) - planned))
+
+    @property
+    def true_cop_world(self) -> Floats:
+        """The true centre of pressure in the world in m, shape (2,); NaN where there is none."""
+        cop: Floats = self.bare.truth.cop_world()
+        return cop
+
+    @property
+    def fed_cop_world(self) -> Floats:
+        """The fed centre of pressure, placed under the true soles, in the world in m, shape (2,)."""
+        sole = self.bare.truth.position_sole[-1, :, :2].mean(axis=0)
+        ahead = self.bare.truth.R_world_sole[-1, :, :2, 0].sum(axis=0)
+        x, y = ahead / np.linalg.norm(ahead)
+        placed: Floats = sole + np.array([[x, -y], [y, x]]) @ self.observation["cop"]
+        return placed
+
+
 def episode_moments(
     episode: Episode, controller: Controller | None = None, **drawing: Any
 ) -> Iterator[Moment]:
     """Run an episode to its end or the fall, perhaps with another controller than the named one.
 
-    Drawing options change nothing but pictures. Raises ValueError if the controller's file is another one
-    than the episode names, or something is refused.
+    Drawing options change nothing but pictures. A quiet stand comes before control. Raises ValueError if the
+    controller's file is another one than the episode names, or something is refused.
     """
     change = _change(episode, controller)
     env, tap, controller = _make(episode, controller, drawing)
     bare: Any = env.unwrapped
     settle = bare.stand_time if episode.settle is None else episode.settle
-    return moments(env, tap, controller, episode.seed, settle, change)
+    waiting, steps, done = round(settle / bare.dt), 0, False
+    try:
+        observation, _ = env.reset(seed=episode.seed)
+        while not done:
+            if steps == waiting and hasattr(controller, "reset"):
+                controller.reset()
+            asked = steps >= waiting
+            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
+            observation, reward, fell, truncated, _ = env.step(action)
+            steps += 1
+            done = fell or truncated
+            yield Moment(steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked)
+    finally:
+        env.close()
 
 
 def check_episode(episode: Episode) -> None:

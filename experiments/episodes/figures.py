@@ -11,7 +11,6 @@ from surefoot.experiments.episodes.scores import Difference, controllers_of, sev
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import (
     by_way,
-    draw_steps,
     figure_at,
     grid_of,
     in_order,
@@ -53,10 +52,11 @@ def survival_curves(path: Path, rows: Frame) -> Path:
                 part = rows[rows["controller"] == controller]
                 part = part[(part["feed"] == "true") | (part["severity"] == severity)]
                 for i, (feed, runs) in enumerate(by_way(part, "feed").items()):
-                    curve = survival(runs["time"], runs["fell"])
+                    curve, look = survival(runs["time"], runs["fell"]), look_of(feed)
                     # Curves that coincide are drawn side by side.
-                    draw_steps(axes, curve.time, curve.share - 0.007 * i, feed)
-                    band = {"step": "post", "color": look_of(feed).colour, "alpha": 0.12, "linewidth": 0}
+                    style: Any = {"where": "post", "linestyle": look.line, "label": look.label}
+                    axes.step(curve.time, curve.share - 0.007 * i, color=look.colour, **style)
+                    band = {"step": "post", "color": look.colour, "alpha": 0.12, "linewidth": 0}
                     axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)
                 axes.set_title(f"{names[controller]}, severity {severity:g}", parse_math=False)

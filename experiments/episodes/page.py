@@ -5,13 +5,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from PIL import Image
 
 from surefoot.experiments.episodes import figures, tables
-from surefoot.experiments.episodes.episode import VERSIONS, Episode, episode_moments
+from surefoot.experiments.episodes.episode import VERSIONS, Episode
+from surefoot.experiments.episodes.plan import find_scenario
 from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
 from surefoot.experiments.episodes.scores import (
     COMPARISONS,
@@ -21,13 +19,11 @@ from surefoot.experiments.episodes.scores import (
     trainings,
 )
 from surefoot.experiments.policy.card import SCORES, WHOSE
-from surefoot.experiments.policy.controllers import labels, short_name
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.tasks import Task, find_task
-from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, command_line, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
-from surefoot.experiments.walks.video import HEIGHT, WIDTH, mark_cop, pictures, write_film, write_heading
-from surefoot.experiments.walks.walkers import Moment
+from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
 from surefoot.files import atomic_path
 
 _say = Words("episodes")
@@ -37,8 +33,6 @@ _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomis
 _LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
 
 PAGE = "index.html"
-LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
-
 _FILM = f"Its last {LAST_SECONDS:g} s; dots: the true centre of pressure (black) and the one fed back."
 
 _LISTED = 5  # how many of the worst episodes are listed at least
@@ -140,8 +134,10 @@ def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
     """Draw the figures, save the tables as CSV, film the worst episodes, and write the page of a sweep."""
     plan, rows, folder = results.plan, results.finished, results.folder
     ran = set(rows["scenario"])
-    titles = {name: plan.title_of(name) for name in plan.scenarios if name in ran}
-    worst = _worst(rows, max(films, _LISTED))
+    titles = {name: find_scenario(name, plan.own).title for name in plan.scenarios if name in ran}
+    # The earliest falls, and then the lowest returns: those of different tasks cannot be compared.
+    order = {"fell": False, "time": True, "return": True, "case": True}
+    worst = rows.sort_values([*order], ascending=[*order.values()]).head(max(films, _LISTED))
     sections = [*_sweep_sections(rows, titles, folder / "figures")] if titles else []
     sections += _failures(results.failed)
     if titles:
@@ -183,25 +179,3 @@ def _film_section(folder: Path, row: dict[str, Any]) -> Section:
         return Section(anchor, title, (f"There is no film: {error}",))
     film = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
     return Section(anchor, title, video=film, video_caption=_FILM)
-
-
-def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
-    """Film the last 12 s of an episode, or all, with true (black) and fed CoP, as .mp4; OSError as drawn."""
-    who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
-
-    def draw(moment: Moment) -> NDArray[np.uint8]:
-        mark_cop(episode.feed, moment)
-        picture = Image.fromarray(moment.bare.render())
-        write_heading(picture, f"case {episode.number}: {who}", moment, 24, 14)
-        return np.asarray(picture)
-
-    size: Any = {"width": WIDTH, "height": HEIGHT}
-    begin = 0.0 if until is None else until - LAST_SECONDS
-    drawn = pictures(lambda: episode_moments(episode, render_mode="rgb_array", **size), draw, begin)
-    return write_film(path, [frame for frame, _ in drawn], quality=6)
-
-
-def _worst(rows: Frame, count: int) -> Frame:
-    """Return the earliest falls, and then the lowest returns: those of different tasks cannot be compared."""
-    order = ["fell", "time", "return", "case"]
-    return rows.sort_values(order, ascending=[False, True, True, True]).head(count)

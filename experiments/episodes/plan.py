@@ -5,7 +5,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from itertools import count, product
 from math import isfinite
@@ -15,108 +15,26 @@ from typing import Any
 
 from gymnasium.envs.registration import registry
 
+from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
 from surefoot.experiments.policy.controllers import Controller, controller_hash, training_sensors
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task
-from surefoot.experiments.walks import scenarios
-from surefoot.experiments.walks.scenarios import CHIPS
+from surefoot.experiments.walks.scenarios import FAULT_AFTER, SCENARIOS, Scenario, scenario_from
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, check_feed
 from surefoot.files import read_toml
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
 
-_WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
-_BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
-_SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
-FAULT_AFTER = STAND_TIME + 10.0
-"""Time in s from which on a fault that a seed draws may come, within a stride."""
-
-
-@dataclass(frozen=True)
-class LoopScenario:
-    """A task and its circumstances, with the loop closed."""
-
-    name: str  # for files and the command
-    title: str
-    environment: str = _WALK  # id
-    options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
-    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
-    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
-    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # options by feed
-    fault_of: str | None = None  # scenario of walks that says which fault a seed draws
-    of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
-
-    def options_for(self, duration: float | None) -> dict[str, Any]:
-        """Return the environment's options for s; its plan goes on beyond the episode's end."""
-        around: dict[str, dict[str, Any]] = {
-            _WALK: {
-                "duration": max(duration or 0.0, _SHORTEST_WALK) + 2 * STAND_TIME,
-                "stand_time": STAND_TIME,
-            },
-            _STAND: {"duration": None},
-        }
-        return around.get(self.environment, {}) | dict(self.options)
-
-    def calibration_for(self, feed: str) -> dict[str, Any] | None:
-        """Return the options of a feed's calibration; ``None`` for the true one."""
-        method = FEEDS[feed]
-        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
-
-    def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
-        """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
-        if FEEDS[feed] is None:
-            return {} if self.of_task else None
-        drawn = {"severity": severity, **self.sensors}
-        if self.fault_of is not None:
-            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, FAULT_AFTER)
-            drawn["faults"] = [asdict(fault) for fault in faults]
-        return {k: asdict(v) if is_dataclass(v) else v for k, v in drawn.items()}  # type: ignore[arg-type]
-
-
-def scenario_of_task(name: str) -> LoopScenario:
+def scenario_of_task(name: str) -> Scenario:
     """Return the scenario in which policies for a task are evaluated."""
     task = find_task(name)
-    return LoopScenario(task.name, task.name, task.env_id, of_task=True)
+    return Scenario(task.name, task.name, environment=task.env_id, of_task=True)
 
 
-def _from_walks(scenario: scenarios.Scenario) -> LoopScenario:
-    walk = scenario.walk
-    return LoopScenario(
-        scenario.name,
-        scenario.title,
-        options={"speed": walk.speed, **walk.env},
-        sensors=walk.sensors,
-        beliefs=walk.beliefs,
-        fault_of=scenario.name if scenario.faults else None,
-    )
-
-
-def _table() -> dict[str, LoopScenario]:
-    """Scenarios of recorded walks on load cells, and more; a clock's error has no place in a closed loop."""
-    walked = [
-        _from_walks(scenario)
-        for scenario in scenarios.SCENARIOS.values()
-        if scenario.condition == CHIPS.name and not (scenario.long or scenario.walk.clock_error)
-    ]
-    hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
-    own = (
-        LoopScenario("hard-pushes", "walking, pushed hard", options={"speed": 0.04, **hard}),
-        LoopScenario("stand", "standing", _STAND),
-        LoopScenario("stand-pushes", "standing, pushed", _STAND, hard),
-        LoopScenario("balance", "balance under a payload and pushes", _BALANCE),
-        LoopScenario("carry", "walking under a payload and pushes", _CARRY),
-    )
-    return {scenario.name: scenario for scenario in (*walked, *own)}
-
-
-SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
-"""All scenarios by name, in the order of the report; :func:`find_scenario` knows which can be run here."""
-
-
-def find_scenario(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
-    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists them."""
-    known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
+def find_scenario(name: str, others: Mapping[str, Scenario] = MappingProxyType({})) -> Scenario:
+    """Return the scenario of a closed loop by its name, of others or of all; ValueError lists them."""
+    known = {n: s for n, s in SCENARIOS.items() if s.loops and s.environment in registry} | dict(others)
     if name not in known:
         raise ValueError(f"There is no scenario '{name}'. Available: {', '.join(known)}.")
     found = known[name]
@@ -150,7 +68,7 @@ class EpisodePlan:
     settle: float | None = STAND_TIME  # controllers are asked from this time in s on; ``None`` as above
     cells: str = "hx711-load-cells"  # name of a preset
     cop_inputs: tuple[str, ...] = COP_INPUTS[:1]
-    own: Mapping[str, LoopScenario] = field(default_factory=dict)  # scenarios besides the table's
+    own: Mapping[str, Scenario] = field(default_factory=dict)  # scenarios besides the package's
 
     def __post_init__(self) -> None:
         """Raise ValueError at an impossible plan, before anything runs."""
@@ -171,7 +89,7 @@ class EpisodePlan:
             )
         resolve(self.cells, LoadCells)
         found = [find_scenario(name, self.own) for name in self.scenarios]
-        faulty = [scenario.name for scenario in found if scenario.fault_of is not None]
+        faulty = [scenario.name for scenario in found if scenario.faults]
         if faulty and self.duration is not None and self.duration <= FAULT_AFTER:
             raise ValueError(
                 f"In scenario '{faulty[0]}' a cell fails after {FAULT_AFTER:g} s or later: 'duration' must "
@@ -198,10 +116,6 @@ class EpisodePlan:
         """Return the plan as plain data."""
         data: dict[str, Any] = json.loads(json.dumps(asdict(self), default=dict))
         return data | {"files": self.files}
-
-    def title_of(self, scenario: str) -> str:
-        """Title of a scenario."""
-        return find_scenario(scenario, self.own).title
 
     def _episodes(self) -> Iterator[Episode]:
         numbers = count()
@@ -263,17 +177,14 @@ def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
     return EpisodePlan(**{**given, **changes, "own": own})
 
 
-def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
+def _own_scenario(path: Path, name: str, table: Any) -> Scenario:
     if not isinstance(table, Mapping):
         raise ValueError(f"{path}: [scenario.{name}] must be a table.")
     _check_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
-    base = find_scenario(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
     for feed in table.get("methods", {}):
         check_feed(feed)
-    parts = ("options", "sensors", "beliefs", "methods")
-    changed: dict[str, Any] = {part: {**getattr(base, part), **table.get(part, {})} for part in parts}
-    environment = table.get("environment", base.environment)
-    return replace(base, name=name, title=table.get("title", name), environment=environment, **changed)
+    own = {key: value for key, value in table.items() if key != "based_on"}
+    return scenario_from(name, own, find_scenario(table["based_on"]) if "based_on" in table else None)
 
 
 def _check_keys(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
@@ -318,6 +229,21 @@ def evaluation_plan(
         cop_inputs=cop_inputs,
         own={task: scenario_of_task(task)},
     )
+
+
+def walk_episode(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Episode:
+    """Return an episode of the stabilised walk at a speed in m/s, for a duration in s, standing included."""
+    walk = scenario_from("walk", {"options": {"speed": speed}})
+    plan = EpisodePlan(
+        ("stabiliser",),
+        (feed,),
+        (walk.name,),
+        (severity,),
+        (seed,),
+        duration=max(duration, STAND_TIME + CONTROL_STEP),
+        own={walk.name: walk},
+    )
+    return replace(plan.episodes[0], duration=duration)
 
 
 def run_episode(

@@ -94,7 +94,12 @@ def run_plan(
                 _try_out([case.arguments[0] for case in missing])
             crew = stack.enter_context(runner(jobs, backend=backend, address=address))
             computed = crew.run(
-                "Episodes", cases, store, failed=_on_failure, count={"fell": _fell}, **options
+                "Episodes",
+                cases,
+                store,
+                failed=lambda case, error: {TABLE: [row_of_failure(case.arguments[0], error)]},
+                count={"fell": lambda outcome: any(row["fell"] for row in outcome.tables.get(TABLE, ()))},
+                **options,
             )
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows}, (".parquet",))
@@ -105,14 +110,6 @@ def case_of(episode: Episode) -> Case:
     """Return an episode as a case of a study."""
     depends = "".join((episode.to_json(), *own_code(episode.feed, episode.cells)))
     return Case(f"episode {episode.number}", run_case, (episode,), depends=depends)
-
-
-def _on_failure(case: Case, error: str) -> dict[str, list[dict[str, Any]]]:
-    return {TABLE: [row_of_failure(case.arguments[0], error)]}
-
-
-def _fell(outcome: Any) -> bool:
-    return any(row["fell"] for row in outcome.tables.get(TABLE, ()))
 
 
 def _try_out(episodes: list[Episode]) -> None:

@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments.policy.controllers import controller_hash
-from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, Task, find_task, task_in
+from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task, task_in
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
 from surefoot.experiments.study.figures import figure_at
@@ -63,8 +63,9 @@ def own_scores(out: Path) -> Frame | None:
 def write_card(out: Path) -> Path:
     """Write the card of the policy in a folder, with its own scores; FileNotFoundError without a policy."""
     network = PolicyNetwork.load(out / POLICY)
-    notes, task = network.notes, _task_of(network)
+    notes = network.notes
     options: dict[str, Any] = notes.get("options", {})
+    task = task_in(notes.get("task")) or find_task(str(options.get("task", "balance")))
     curve, most = None, task.most * network.hold
     if (out / CURVE).exists():
         curve = pd.read_csv(out / CURVE)
@@ -108,11 +109,6 @@ def write_card(out: Path) -> Path:
     )
     write_text(out / CARD, text)
     return out / CARD
-
-
-def _task_of(network: PolicyNetwork) -> Task:
-    name = network.notes.get("options", {}).get("task", "balance")
-    return task_in(network.notes.get("task")) or find_task(str(name))
 
 
 def _options(values: Mapping[str, Any]) -> list[str]:

@@ -151,10 +151,13 @@ def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) ->
     axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
-def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:
-    """Draw a survival curve in the look of a feed."""
-    look = look_of(name)
-    axes.step(time, share, where="post", color=look.colour, linestyle=look.line, label=look.label)
+def limit_to(axes: "Axes", values: Any, least: float) -> None:
+    """Show finite values and room around them, of a least range: what runs away must not flatten all else."""
+    if np.isfinite(values).any():
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        margin = 0.6 * max(high - low, least)
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
 
 
 def show_values(axes: "Axes", values: Sequence[float]) -> None:

@@ -122,9 +122,9 @@ class _Rows(NamedTuple):
     blocks: int
 
 
-def fit_claims(claims: Claims, without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:
+def fit_claims(claims: Claims) -> Fit:
     """Fit claims as :func:`fit_parts` does."""
-    return fit_parts(condense(claims), without, widths)
+    return fit_parts(condense(claims))
 
 
 def fit_parts(parts: Sequence[Claims], without: int | None = None, widths: Sequence[float] = WIDTHS) -> Fit:

@@ -10,17 +10,24 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Flag
 from surefoot.calibration.cop import sole_wrenches
-from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of, name_axes
+from surefoot.experiments.study.figures import (
+    Look,
+    figure_at,
+    grid_of,
+    legend_below,
+    limit_to,
+    look_of,
+    name_axes,
+)
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 from surefoot.experiments.walking import tables
-from surefoot.experiments.walking.agreement import Ground, ground_of_forces, ground_of_motion
+from surefoot.experiments.walking.agreement import ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.tables import Facts
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
 _ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
 
 _LONG = 2000  # points from which a line is an image within the SVG, which would grow with it
-_CLOSE_UP = 0.6, 20.0  # room around what the motion asks for, in shares of its range; the least in mm
 
 
 def force_of_feet(path: Path, facts: Facts) -> Path:
@@ -71,7 +78,7 @@ def cop_against_motion(path: Path, facts: Facts) -> Path:
             for ground, look in (*sides, (asked, _ASKED)):
                 _line(axes, ground.time, 1e3 * ground.cop[:, axis], look)
             axes.set_ylabel(f"CoP {name} (mm)")
-            _limit(axes, asked, axis)
+            limit_to(axes, 1e3 * asked.cop[:, axis], least=20.0)
         for ground, look in sides:
             _line(panels[2], ground.time, 1e3 * np.linalg.norm(ground.cop - asked.cop, axis=1), look)
         panels[2].set_ylabel("distance (mm)")
@@ -140,18 +147,6 @@ def _sides(facts: Facts) -> list[tuple[NDArray[np.float64], Look]]:
 def _line(axes: Axes, time: NDArray[np.float64], values: NDArray[np.float64], look: Look) -> None:
     style: Any = {"color": look.colour, "linestyle": look.line, "label": look.label}
     axes.plot(time, values, linewidth=1.0, rasterized=len(time) > _LONG, **style)
-
-
-def _limit(axes: Axes, asked: Ground, axis: int) -> None:
-    """Keep a reading that runs away from flattening all else."""
-    values = 1e3 * asked.cop[:, axis]
-    if not np.isfinite(values).any():
-        return
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    share, least = _CLOSE_UP
-    margin = share * max(high - low, least)
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
 
 
 _say, _caption = Words("walking"), Words("walking", "captions")

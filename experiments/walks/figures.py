@@ -18,6 +18,7 @@ from surefoot.experiments.study.figures import (
     grid_of,
     in_order,
     legend_below,
+    limit_to,
     logarithmic,
     look_of,
     name_axes,
@@ -26,7 +27,7 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
-from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, consistent
+from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, Metric, consistent
 
 Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
 """A label, where a line is drawn, and what draws the runs of one method at a height."""
@@ -34,36 +35,34 @@ Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
 Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
 
-_PAPER_METRICS = (("cop", 1e3, "CoP rmse (mm)"), ("vgrf", 1.0, "vGRF rmse (N)"))
 _SPEED_LOOKS = tuple(
     Look("", colour, "-", marker)
     for colour, marker in (("#56B4E9", "o"), ("#0072B2", "s"), ("#012a4a", "^"), ("#7f7f7f", "v"))
 )
 
 
-def overview(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path:
-    """Draw mean errors with 95 % intervals: scenarios down, a panel a kind of error, colours for methods."""
+def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = METRICS) -> Path:
+    """Draw mean errors with 95 % intervals: rows by title down, a panel an error, colours for methods.
 
-    def panel(metric: str, factor: float, label: str, target: float) -> Panel:
-        return label, target, lambda axes, runs, at, name: draw_mean(axes, runs[metric], factor, at, name)
+    Dashed is what was set out to be reached; of runs against the CoP paper's baseline there are the paper's
+    own errors instead, as bars.
+    """
 
-    return _draw_rows(path, _by_scenario(scores, scenarios), [panel(*metric) for metric in METRICS])
-
-
-def paper_overview(path: Path, rows: Mapping[str, Frame]) -> Path:
-    """Draw mean errors (CoP in m, vGRF in N) by yardstick and speed, and the paper's where it has any."""
-
-    def panel(metric: str, factor: float, label: str) -> Panel:
+    def panel(metric: Metric) -> Panel:
         def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-            draw_mean(axes, runs[metric], factor, at, name)
+            draw_mean(axes, runs[metric.column], metric.factor, at, name)
+            if not of_paper or not (runs["against"] == "baseline").all():
+                return
             published = WALKING_TABLES.get(float(runs["speed"].iloc[0]), {}).get(name)
-            if published is not None and (runs["against"] == "baseline").all():
+            if published is not None:
                 style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
-                axes.plot(factor * getattr(published, metric), at, color=look_of(name).colour, **style)
+                error = metric.factor * getattr(published, metric.column)
+                axes.plot(error, at, color=look_of(name).colour, **style)
 
-        return label, None, draw
+        return metric.label, None if of_paper else metric.target, draw
 
-    return _draw_rows(path, rows, [panel(*metric) for metric in _PAPER_METRICS])
+    of_paper = all("against" in runs for runs in rows.values())
+    return _draw_rows(path, rows, [panel(metric) for metric in metrics])
 
 
 def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
@@ -73,7 +72,7 @@ def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Pat
         axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
         draw_mean(axes, runs["nees_end"], 1.0, at, name)
 
-    rows = _by_scenario(scores[np.isfinite(scores["nees_end"])], scenarios)
+    rows = by_scenario(scores[np.isfinite(scores["nees_end"])], scenarios)
     label = "NEES of scales and offsets over its degrees of freedom"
     return _draw_rows(path, rows, [(label, 1.0, draw)]) if rows else None
 
@@ -87,7 +86,7 @@ def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path 
         axes.plot(times, np.full(len(times), at), alpha=0.5, markersize=4, **style)  # type: ignore[arg-type]
 
     found = scores[np.isfinite(scores["found"])]
-    rows = _by_scenario(found, [scenario for scenario in scenarios if scenario.faults])
+    rows = by_scenario(found, [scenario for scenario in scenarios if scenario.faults])
     return _draw_rows(path, rows, [("time until a fault is found (s)", 1.0, draw)]) if rows else None
 
 
@@ -124,11 +123,7 @@ def cop_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
     with _over_time(path, traces, "cop", 6.6, lines) as (panels, seen):
         truth = 1e3 * np.concatenate(seen["truth"])
         for axes, values in zip(panels[:2, 0], truth.T, strict=True):
-            # A reading that runs away must not flatten all the others into one line.
-            low, high = np.nanmin(values), np.nanmax(values)
-            margin = 0.6 * max(high - low, 1.0)
-            bottom, top = axes.get_ylim()
-            axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+            limit_to(axes, values, least=1.0)
         for axes in panels[2]:
             logarithmic(axes)
         bottom, top = panels[2, 0].get_ylim()
@@ -180,13 +175,13 @@ def _over_time(
 def sensitivity_curves(path: Path, parts: Mapping[str, Frame]) -> Path:
     """Draw the window's errors (CoP in m, vGRF in N) against its weights, a row a title and metric."""
     weights = list(dict.fromkeys(next(iter(parts.values()))["weight"]))
-    metrics = [(title, *metric) for title in parts for metric in _PAPER_METRICS]
+    metrics = [(title, metric) for title in parts for metric in PAPER_METRICS]
     with figure_at(path, 3.3 * len(weights), 2.1 * len(metrics) + 0.5) as figure:
         panels = grid_of(figure, len(metrics), len(weights), sharex=True, sharey="row")
-        for row, (title, metric, scale, label) in zip(panels, metrics, strict=True):
+        for row, (title, metric) in zip(panels, metrics, strict=True):
             for axes, weight in zip(row, weights, strict=True):
-                _draw_factors(axes, parts[title][parts[title]["weight"] == weight], metric, scale)
-            row[0].set_ylabel(label)
+                _draw_factors(axes, parts[title][parts[title]["weight"] == weight], metric)
+            row[0].set_ylabel(metric.label)
             row[len(row) // 2].set_title(title)
             row[0].set_ylim(0, 1.05 * row[0].get_ylim()[1])
         for axes, weight in zip(panels[-1], weights, strict=True):
@@ -195,13 +190,13 @@ def sensitivity_curves(path: Path, parts: Mapping[str, Frame]) -> Path:
     return path
 
 
-def _draw_factors(axes: Axes, part: Frame, metric: str, scale: float) -> None:
+def _draw_factors(axes: Axes, part: Frame, metric: Metric) -> None:
     factors = sorted(part["factor"].unique())
     for speed, look in zip(sorted(part["speed"].unique()), _SPEED_LOOKS, strict=False):
         here = part[part["speed"] == speed]
-        cells = [mean_interval(here[here["factor"] == factor][metric]) for factor in factors]
-        mean = np.array([scale * cell.mean for cell in cells])
-        half = np.nan_to_num(np.array([scale * cell.half for cell in cells]))
+        cells = [mean_interval(here[here["factor"] == factor][metric.column]) for factor in factors]
+        mean = np.array([metric.factor * cell.mean for cell in cells])
+        half = np.nan_to_num(np.array([metric.factor * cell.half for cell in cells]))
         draw_curve(axes, factors, mean, look._replace(label=f"{speed:g} m/s"), mean - half, mean + half)
     axes.axvline(1.0, color="#7f7f7f", linewidth=0.8, linestyle=":")
     axes.set_xscale("log")
@@ -213,7 +208,7 @@ def _array(values: Any) -> Floats:
     return np.array([np.asarray(value, dtype=np.float64) for value in values])
 
 
-def _by_scenario(scores: Frame, scenarios: Sequence[Scenario]) -> dict[str, Frame]:
+def by_scenario(scores: Frame, scenarios: Sequence[Scenario]) -> dict[str, Frame]:
     """Return the rows of each scenario that has some, by its title."""
     parts = {scenario.title: scores[scores["scenario"] == scenario.name] for scenario in scenarios}
     return {title: part for title, part in parts.items() if len(part)}

@@ -84,9 +84,9 @@ def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
         here = scores[scores["scenario"] == f"speed-{speed:g}"]
         runs, window = (here[here["method"] == name] for name in (method, "window"))
         at = f"speed {speed:g} m/s, "
-        for metric, factor, unit, limit in METRICS if len(runs) else ():
-            mean = factor * float(runs[metric].mean())
-            claims.append(at_most(at + unit, mean, limit, with_interval(runs[metric], factor)))
+        for metric in METRICS if len(runs) else ():
+            mean = metric.factor * float(runs[metric.column].mean())
+            claims.append(at_most(at + metric.label, mean, metric.target, metric.cell(runs)))
         if len(runs) and len(window):
             ratio = float(window["cop"].mean() / runs["cop"].mean())
             claims.append(at_least(f"{at}window's CoP error over its", ratio, 4.0))
@@ -178,7 +178,7 @@ def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Clai
     """Return the claims about the window, against the paper and quasi-static, and about an update in ms."""
     claims = []
     for speed, published in WALKING_TABLES.items():
-        for metric, title, unit, factor in PAPER_METRICS:
+        for metric, factor, title, unit, _ in PAPER_METRICS:
             table = errors_of(scores, condition, "baseline", speed, metric)
             if not {"window", "quasi-static"} <= set(table.columns):
                 continue

@@ -27,7 +27,7 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import NOTHING, Cell, Frame, Table, Valued, decimal, number, table_of
 from surefoot.experiments.walks.play import Stream
-from surefoot.experiments.walks.score import vertical_forces
+from surefoot.experiments.walks.score import rms, vertical_forces
 
 CURVES = {"vgrf": "vertical force (weights)", "cop_x": "CoP x, forward (mm)", "cop_y": "CoP y, left (mm)"}
 FEET = ("left", "right")
@@ -80,7 +80,8 @@ def cycle_rows(stream: Stream, force: Floats) -> list[dict[str, Any]]:
                 "cycles": len(at),
                 **{name: float(values.mean()) for name, values in each.items()},
                 **{f"{name}_std": float(values.std(ddof=1)) for name, values in each.items()},
-                "repeat": _rms_over_stance(spread),
+                # Of both axes together, over the percents that have any.
+                "repeat": rms(np.linalg.norm(spread, axis=0)),
                 "vgrf": vgrf.mean(axis=0),
                 "vgrf_std": vgrf.std(axis=0, ddof=1),
                 **dict(zip(("cop_x", "cop_y"), 1e3 * seen.mean(axis=1).filled(np.nan), strict=True)),
@@ -88,12 +89,6 @@ def cycle_rows(stream: Stream, force: Floats) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _rms_over_stance(spread: Floats) -> float:
-    """Return the rms of both axes together, (2, percents), over the percents that have any."""
-    there = np.isfinite(spread).all(axis=0)
-    return float(np.sqrt(np.mean((spread[:, there] ** 2).sum(axis=0)))) if there.any() else float("nan")
 
 
 def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:

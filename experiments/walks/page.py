@@ -21,15 +21,11 @@ from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import (
-    PAPER_SCENARIOS,
-    TRUE_MAP,
-    Scenario,
-    WalkStudyOptions,
-    log_paths,
-)
+from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
+from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import paper_table_2, weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
@@ -96,7 +92,9 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
     timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
     shown = (
-        *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
+        *_figure(
+            figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios)), "All scenarios"
+        ),
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
@@ -156,20 +154,19 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
 
 def _lead(results: WalkStudyResults) -> Section:
     """First section of the page: the worst feet that were walked on."""
-    film, loop = results.film, results.loop
-    loop = loop[loop["severity"] == loop["severity"].max()]
+    loop = results.loop[results.loop["severity"] == results.loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.
     speed = results.speeds[len(results.speeds) // 2]
     drawn = results.options.out / "figures" / "lead.svg"
     curves = figures.error_curves(drawn, dict([_errors(results, BAD, speed)]))
     paragraphs = [findings.lead_finding(loop)]
     video: dict[str, Any] = {}
-    if film.path is None or film.still is None or results.filmed is None:
-        paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
+    if isinstance(results.filmed, str):
+        paragraphs.append(f"There is no film in this report: {results.filmed.rstrip('.')}.")
     else:
         severity, at, seed = results.filmed
         caption = _caption("film", severity=severity, speed=at, seed=seed)
-        video = {"video": film.path.name, "poster": film.still.name, "video_caption": caption}
+        video = {"video": FILM, "poster": STILL, "video_caption": caption}
     own = results.yardsticks[results.yardsticks["speed"] == speed]
     return Section(
         "lead",
@@ -184,7 +181,7 @@ def _lead(results: WalkStudyResults) -> Section:
 def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tuple[str, Frame]:
     """Return a title, and the errors over time of one condition and speed, while it walks."""
     errors = results.errors
-    shown = errors["scenario"] == PAPER_SCENARIOS[condition.name, speed].name
+    shown = errors["scenario"] == f"{condition.name}-{speed:g}"
     shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
     return f"{condition.title}, {speed:g} m/s", errors[shown]
 
@@ -204,7 +201,11 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         for title, part in _by_yardstick(shown, YARDSTICKS).items()
         for speed in results.speeds
     }
-    drawn = list(_figure(figures.paper_overview(folder / "overview.svg", rows), "All speeds", "overview"))
+    drawn = list(
+        _figure(
+            figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS), "All speeds", "overview"
+        )
+    )
     for speed in results.speeds:
         drawn += _speed_figures(results.traces, speed, folder)
     panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
@@ -289,8 +290,8 @@ def _commands(results: WalkStudyResults) -> tuple[str, ...]:
         first = f"surefoot compare walking --scenario {results.scenarios[0].name} --seeds {options.seeds}"
         return (f"{first}{quick} --out {options.out}",)
     speed, seed = results.speeds[-1], options.seeds - 1
-    scenario = PAPER_SCENARIOS[BAD.name, speed]
-    log = log_paths(scenario.walk, seed, options.duration, options.logs)[scenario.condition]
+    scenario = SCENARIOS[f"{BAD.name}-{speed:g}"]
+    log = log_paths(scenario, seed, options.duration, options.logs)[scenario.condition]
     severity = max(options.loops)
     return (
         f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",

@@ -14,8 +14,9 @@ from surefoot.calibration import Estimate, MomentumReference, Parameters, Refere
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map, steps_of
-from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, WalkStudyOptions, log_paths
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
@@ -55,7 +56,7 @@ def streams_of(scenario: Scenario, options: WalkStudyOptions) -> tuple[list[Stre
     """Return the recorded walks of a scenario with its faults, and how many fell too early for a score."""
     streams, left_out = [], 0
     for seed in scenario.seeds(options.seeds):
-        paths = log_paths(scenario.walk, seed, options.duration, options.logs)
+        paths = log_paths(scenario, seed, options.duration, options.logs)
         log = read_log(paths[scenario.condition])
         fell = bool(log.about["fell"])
         if fell:
@@ -79,7 +80,7 @@ def cut_fall(log: Log) -> Log:
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:
-    cells = {one.name: one.cells for one in scenario.walk.conditions}[scenario.condition]
+    cells = {one.name: one.cells for one in scenario.cells}[scenario.condition]
     if cells is None:
         raise ValueError(f"Faults befall load cells, and scenario '{scenario.name}' has none.")
     return cells
@@ -119,17 +120,10 @@ def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]
 
 
 def _true_map(stream: Stream) -> Played:
-    log, truth = stream.log, stream.truth
-    start = starting_map(log)
-    undone = Parameters(truth.scale, truth.offset).relative_to(start)
-    nothing = np.full(0, np.nan)
-    return Played(
-        force=_undo_errors(stream),
-        scale=undone.scale,
-        offset=undone.offset,
-        flags=np.zeros(log.raw.shape, dtype=np.int64),
-        consistency=Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0),
-    )
+    undone = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
+    flags, nothing = np.zeros(stream.log.raw.shape, dtype=np.int64), np.full(0, np.nan)
+    silent = Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0)
+    return Played(_undo_errors(stream), undone.scale, undone.offset, flags, silent)
 
 
 def _undo_errors(stream: Stream) -> Floats:
@@ -146,62 +140,46 @@ def _undo_errors(stream: Stream) -> Floats:
 
 
 def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
-    log, K = stream.log, stream.log.layout.channels
+    log, start = stream.log, starting_map(stream.log)
     calibrator = make_calibrator(log, method, **options)
-    force, scale, offset = np.empty((3, len(log), K))
-    flags = np.empty((len(log), K), dtype=np.int64)
-    watch = _Watch(stream)
+    force, scale, offset = np.empty((3, len(log), log.layout.channels))
+    flags = np.empty(force.shape, dtype=np.int64)
+    truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(start)
+    true_map = np.hstack([truth.scale, truth.offset])
+    every, looks = max(round(SNAPSHOT / log.dt), 1), []
+    nis = rows = 0.0
     # Readings are handed over as forces by the starting map, which scale and offset are then relative to.
-    reading, beliefs = starting_map(log).force(log.raw), beliefs_of(log, method)
+    reading, beliefs = start.force(log.raw), beliefs_of(log, method)
     for k, step in enumerate(steps_of(log).tolist()):
         now = take_rows(beliefs, k)
         estimate = calibrator.update(reading[k], now, step)
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags
-        watch.look(k, estimate, now)
-    return Played(force, scale, offset, flags, watch.consistency())
+        if estimate.nis is not None and stream.judged[k] and estimate.nis_rows and np.isfinite(estimate.nis):
+            nis, rows = nis + float(estimate.nis), rows + float(estimate.nis_rows)
+        if (k + 1) % every == 0:
+            looks.append((log.time[k], *_nees(stream, k, true_map[k], estimate, now)))
+    time, of_map, of_cop, of_force = np.array(looks).reshape(-1, 4).T
+    return Played(force, scale, offset, flags, Consistency(time, of_map, of_cop, of_force, nis, rows))
 
 
-class _Watch:
-    """Compares the claims about a stream with the truth, as it goes."""
-
-    def __init__(self, stream: Stream) -> None:
-        self._stream = stream
-        self._every = max(round(SNAPSHOT / stream.log.dt), 1)
-        self._time: list[float] = []
-        self._seen: list[tuple[float, float, float]] = []
-        self._nis = self._rows = 0.0
-        truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
-        self._map = np.hstack([truth.scale, truth.offset])
-
-    def look(self, k: int, estimate: Estimate, reference: Reference | MomentumReference) -> None:
-        """Take in sample ``k``."""
-        stream, nis, rows = self._stream, estimate.nis, estimate.nis_rows
-        if nis is not None and rows is not None and stream.judged[k] and rows > 0 and np.isfinite(nis):
-            self._nis += float(nis)
-            self._rows += float(rows)
-        if (k + 1) % self._every:
-            return
-        # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
-        nees = force = cop = float("nan")
-        if not stream.faults:
-            error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
-            nees = _normalise(error, estimate.covariance)
-        true_force = stream.truth.force[k]
-        if estimate.force_std is not None:
-            force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
-        if estimate.cop_covariance is not None and estimate.cop_valid:
-            # The true forces are placed under the soles that the estimate is placed under.
-            wrench = sole_wrenches(true_force, stream.log.layout)
-            true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
-            cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
-        self._time.append(float(stream.log.time[k]))
-        self._seen.append((nees, cop, force))
-
-    def consistency(self) -> Consistency:
-        """Consistency of the samples so far."""
-        nees, cop, force = np.array(self._seen).reshape(-1, 3).T
-        return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)
+def _nees(
+    stream: Stream, k: int, true_map: Floats, estimate: Estimate, reference: Reference | MomentumReference
+) -> tuple[float, float, float]:
+    """Squared errors of map, CoP and forces at sample ``k`` by the covariance claimed, over their number."""
+    nees = cop = force = float("nan")
+    # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
+    if not stream.faults:
+        nees = _normalise(np.hstack([estimate.scale, estimate.offset]) - true_map, estimate.covariance)
+    true_force = stream.truth.force[k]
+    if estimate.force_std is not None:
+        force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
+    if estimate.cop_covariance is not None and estimate.cop_valid:
+        # The true forces are placed under the soles that the estimate is placed under.
+        wrench = sole_wrenches(true_force, stream.log.layout)
+        true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
+        cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
+    return nees, cop, force
 
 
 def _normalise(error: Floats, covariance: Any) -> float:

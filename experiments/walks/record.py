@@ -16,9 +16,10 @@ import surefoot
 from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
+from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, make_g1, make_walker
+from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
 from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.momentum import unknown
@@ -31,81 +32,6 @@ from surefoot.wrappers.self_calibration import SelfCalibration
 
 _STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 _SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
-
-
-class FootInstruments:
-    """The readings of one condition under one walk, by a random stream of an ``index``.
-
-    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
-    (``None`` unless there are load cells alone); ``about`` holds the errors that maps axis by axis leave out:
-    cross-talk, and the weight that counts as part of the zero.
-    """
-
-    def __init__(
-        self,
-        cells: LoadCells | None,
-        ankle: ForceTorque | None,
-        *,
-        index: int,
-        seed: int,
-        truth: Any,
-        drawing: RobotDrawing,
-        dt: float,
-    ) -> None:
-        if cells is None and ankle is None:
-            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
-        devices = tuple(device for device in (cells, ankle) if device is not None)
-        self._all = Instruments(devices, drawing, dt)
-        self.layout, self.nominal = self._all.layout, self._all.nominal
-        self.calibrated: Parameters | None = None
-        self.about: dict[str, Any] = {}
-        self._streams: list[np.random.Generator] = []
-        self._states: list[Any] = []
-        for part in self._all.parts:
-            in_ankles = isinstance(part, SensorsInAnkles)
-            rng = np.random.default_rng([_STREAM, index, seed, 1] if in_ankles else [_STREAM, index, seed])
-            state: Any = part.init(rng)
-            if cells is not None and not in_ankles:
-                if ankle is None:
-                    self.calibrated = run_weighing(cells=cells, state=state, seed=seed).channels.value
-                # Every chip delivers once before the walk, as they do while a robot boots.
-                _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
-            self._streams.append(rng)
-            self._states.append(state)
-        if ankle is not None:
-            self._note_ankles()
-        self._rows: list[tuple[Floats, ...]] = []
-
-    def read(self, truth: Any, dt: float) -> None:
-        """Take the readings after a control step."""
-        found = []
-        part: Any
-        for i, part in enumerate(self._all.parts):
-            reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
-            undone = part.true_map(self._states[i])
-            found.append((reading, part.force(truth), undone.scale, undone.offset))
-        self._rows.append(tuple(self._all.join(list(part)) for part in zip(*found, strict=True)))
-
-    @property
-    def columns(self) -> tuple[Floats, ...]:
-        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
-        return tuple(map(np.array, zip(*self._rows, strict=True)))
-
-    def _note_ankles(self) -> None:
-        blocks, preload = [], []
-        for part, state in zip(self._all.parts, self._states, strict=True):
-            if isinstance(part, SensorsInAnkles):
-                blocks.append(part.cross_talk(state))
-                preload.append(part.preload)
-            else:
-                blocks.append(np.zeros((part.channels, part.channels)))
-                preload.append(np.zeros(part.channels))
-        order = self._all.order
-        talk = block_diag(*blocks)
-        self.about = {
-            "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
-            "truth_preload": self._all.join(preload).tolist(),
-        }
 
 
 @dataclass(frozen=True)
@@ -123,6 +49,59 @@ class Condition:
         """Mean age in s of a reading when the host takes it; the cells' where there are both."""
         device = self.cells or self.ankle
         return 0.0 if device is None else device.nominal_age
+
+
+class FootInstruments:
+    """The readings of one condition under one walk, by a random stream of an ``index``.
+
+    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
+    (``None`` unless there are load cells alone); ``about`` holds the errors that maps axis by axis leave out:
+    cross-talk, and the weight that counts as part of the zero.
+    """
+
+    def __init__(
+        self, condition: Condition, *, index: int, seed: int, truth: Any, drawing: RobotDrawing, dt: float
+    ) -> None:
+        cells, ankle = condition.cells, condition.ankle
+        if cells is None and ankle is None:
+            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
+        self._all = Instruments(tuple(one for one in (cells, ankle) if one is not None), drawing, dt)
+        self.layout, self.nominal = self._all.layout, self._all.nominal
+        key = [_STREAM, index, seed]
+        self._streams = {"cells": np.random.default_rng(key), "ankles": np.random.default_rng([*key, 1])}
+        self._state = self._all.init(self._streams)
+        self.calibrated: Parameters | None = None
+        if cells is not None:
+            if ankle is None:
+                self.calibrated = run_weighing(cells=cells, state=self._state.cells, seed=seed).channels.value
+            # Every chip delivers once before the walk, as they do while a robot boots.
+            part: Any = self._all.parts[0]
+            period = 1.0 / cells.rate[0] if cells.rate else 0.0125
+            _, booted = part.read(truth, self._state.cells, self._streams["cells"], period)
+            self._state = self._state._replace(cells=booted)
+        self.about = {} if ankle is None else self._errors_between_axes()
+        self._rows: list[tuple[Floats, ...]] = []
+
+    def read(self, truth: Any, dt: float) -> None:
+        """Take the readings after a control step."""
+        raw, self._state = self._all.read(truth, self._state, self._streams, dt)
+        force = self._all.join([part.force(truth) for part in self._all.parts])
+        self._rows.append((raw, force, *self._all.true_map(self._state)))
+
+    @property
+    def columns(self) -> tuple[Floats, ...]:
+        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
+        return tuple(map(np.array, zip(*self._rows, strict=True)))
+
+    def _errors_between_axes(self) -> dict[str, Any]:
+        parts, order = self._all.parts, self._all.order
+        talks = [
+            part.cross_talk(self._state.ankles) if isinstance(part, SensorsInAnkles) else np.zeros((n, n))
+            for part, n in ((part, part.channels) for part in parts)
+        ]
+        preload = [getattr(part, "preload", np.zeros(part.channels)) for part in parts]
+        talk = block_diag(*talks)[np.ix_(order, order)]
+        return {"truth_cross_talk": talk.tolist(), "truth_preload": self._all.join(preload).tolist()}
 
 
 CONDITIONS = (
@@ -163,50 +142,56 @@ def record_walk(
     says. With a ``policy`` it is a Unitree G1, on larger cells of the same kind.
     """
     base, act = _walker(speed, duration, policy, env_options)
-    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
-    youngest = min(condition.age for condition in conditions)
-    averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
-    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None, averaged=averaged)
     bare: Any = base.unwrapped
     weight = float(bare.model.body_subtreemass[0]) * GRAVITY
-    on = {"config": sized(carried, weight), "feet": G1_FEET} if policy else {"config": carried}
-    worn = FootSensors(base, **on, **(sensors or {}))
+    if policy:
+        conditions = [replace(c, cells=sized(c.cells, weight)) if c.cells else c for c in conditions]
+    youngest = min(condition.age for condition in conditions)
+    worn = _put_on(base, conditions, weight if policy else None, sensors or {})
     env, source = SelfCalibration(worn, "moment", **(beliefs or {})), worn.source
     _, info = env.reset(seed=seed)
     dt = source.dt
-    known = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
-    feet = [
-        FootInstruments(sized(c.cells, weight) if policy and c.cells else c.cells, c.ankle, index=i, **known)
-        for i, c in enumerate(conditions)
-    ]
+    known: Any = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
+    feet = [FootInstruments(condition, index=i, **known) for i, condition in enumerate(conditions)]
     torso = bare.model.body(source.drawing.torso).id
-    time: list[float] = []
     believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}
-    position, rotation = [], []
-    done = terminated = False
-    while not done:
+    poses: list[tuple[Floats, Floats]] = []
+    terminated = truncated = False
+    while not (terminated or truncated) and len(poses) * dt <= duration - 0.5 * dt:
+        now = len(poses) * dt
         if held[0]:
-            bare.data.xfrc_applied[torso, 2] = weight * lift(len(time) * dt, *held)
-        _, _, terminated, truncated, info = env.step(act(len(time) * dt))
+            bare.data.xfrc_applied[torso, 2] = weight * lift(now, *held)
+        _, _, terminated, truncated, info = env.step(act(now))
         truth = source.truth
-        time.append((len(time) + 1) * dt)
         for age, both in believed.items():
             both.append(_believe(env, env.reference_time - (age - youngest + clock_error)))
         for one in feet:
             one.read(truth, dt)
-        position.append(truth.position_sole[-1].copy())
-        rotation.append(truth.R_world_sole[-1].copy())
-        done = terminated or truncated or time[-1] > duration - 0.5 * dt
-    common: dict[str, Any] = {"time": np.array(time)[_SETTLING:], "dt": dt, "seed": seed}
-    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+        poses.append((truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()))
     env.close()
-    about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
-    about["surefoot"] = surefoot.__version__
-    poses = np.array(position), np.array(rotation)
+    time = dt * np.arange(_SETTLING + 1, len(poses) + 1)
+    common: dict[str, Any] = {"time": time, "dt": dt, "seed": seed}
+    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+    about = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
+    soles = [np.array(part)[_SETTLING:] for part in zip(*poses, strict=True)]
     return {
-        condition.name: _make_log(condition, one, believed[condition.age], poses, about, common)
+        condition.name: _make_log(condition, one, believed[condition.age][_SETTLING:], soles, about, common)
         for condition, one in zip(conditions, feet, strict=True)
     }
+
+
+def _put_on(
+    base: gym.Env[Any, Any], conditions: Sequence[Condition], weight: float | None, sensors: Mapping[str, Any]
+) -> FootSensors:
+    """Put a NAO, or a G1 of a weight in N, on feet whose readings are not used, with all other sensors."""
+    # The youngest cells ask for the longest wait for telemetry.
+    cells = HX711_LOAD_CELLS
+    if min(condition.age for condition in conditions) <= 0.0:
+        averaged = all(c.cells is not None and c.cells.averaged for c in conditions)
+        cells = replace(cells, rate=None, averaged=averaged)
+    if weight is None:
+        return FootSensors(base, cells, **sensors)
+    return FootSensors(base, sized(cells, weight), feet=G1_FEET, **sensors)
 
 
 def lift(time: float, share: float, begin: float, end: float) -> float:
@@ -224,8 +209,18 @@ def _walker(
         return robot, lambda time: base.policy(
             base.state(), np.array([speed, 0.0, 0.0]) * (time > STAND_TIME)
         )
-    given: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | dict(options)
-    _, tap = make_walker("true", speed=speed, duration=duration, **given)
+    # The walk is cut off before the pattern stops: what is recorded is standing first and then walking.
+    tap = TruthTap(
+        gym.make(
+            "surefoot/NaoWalk-v0",
+            max_episode_steps=round(duration / CONTROL_STEP),
+            disable_env_checker=True,
+            **{"push_impulse": (0.0, 0.0), **options},
+            speed=speed,
+            duration=duration + 2 * STAND_TIME,
+            stand_time=STAND_TIME,
+        )
+    )
     bare: Any = tap.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     return tap, lambda time: controller(tap.seen)
@@ -235,17 +230,16 @@ def _make_log(
     condition: Condition,
     feet: FootInstruments,
     believed: Sequence[tuple[Reference, MomentumReference]],
-    poses: tuple[Floats, Floats],
+    soles: Sequence[Floats],
     about: Mapping[str, Any],
     common: Mapping[str, Any],
 ) -> Log:
-    """Make the log of one condition; its first rows are cut off."""
-    kept = slice(_SETTLING, None)
-    raw, force, scale, offset = (column[kept] for column in feet.columns)
+    raw, force, scale, offset = (column[_SETTLING:] for column in feet.columns)
     # The truth is the mean over a step, which is half a step old itself.
     age = max(condition.age - 0.5 * common["dt"], 0.0)
-    of_condition = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
-    reference, momentum = (stack_rows(rows[kept]) for rows in zip(*believed, strict=True))
+    own = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
+    position, rotation = soles
+    reference, momentum = map(stack_rows, zip(*believed, strict=True))
     return Log(
         raw=raw,
         reference=reference,
@@ -253,8 +247,8 @@ def _make_log(
         layout=feet.layout,
         nominal=feet.nominal,
         calibrated=feet.calibrated,
-        truth=LogTruth(force, poses[0][kept], poses[1][kept], scale, offset),
-        about={**about, **feet.about, **of_condition},
+        truth=LogTruth(force, position, rotation, scale, offset),
+        about={**about, "surefoot": surefoot.__version__, **feet.about, **own},
         **common,
     )
 

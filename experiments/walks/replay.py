@@ -7,14 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import (
-    Estimate,
-    FootCalibrator,
-    MomentumReference,
-    Parameters,
-    Reference,
-    replay,
-)
+from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference, replay
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.calibration.window.config import confidence_from_standing

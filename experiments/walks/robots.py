@@ -102,8 +102,7 @@ def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[
     The robot does the same whatever its feet are calibrated by: each method has a run of its own.
     """
     about = {**asdict(motion), "sensors": sensors, "seed": seed}
-    runs = {method: _run(motion, sensors, seed, duration, method) for method in METHODS}
-    return {"scores": [{**about, "method": method, **errors} for method, errors in runs.items()]}
+    return {"scores": [{**about, "method": m, **_run(motion, sensors, seed, duration, m)} for m in METHODS]}
 
 
 def _run(motion: Motion, sensors: str, seed: int, duration: float, method: str) -> dict[str, Any]:

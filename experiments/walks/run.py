@@ -5,8 +5,7 @@ Finished cases are kept in the folder, so that a run that was interrupted goes o
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
+from surefoot.calibration import Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
+from surefoot.calibration.setup import setup_from_options
 from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.episodes.episode import TABLE
-from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
 from surefoot.experiments.episodes.run import case_of
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.study.page import save_facts, save_frames
@@ -27,6 +27,7 @@ from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.gait_cycle import cycle_rows
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
 from surefoot.experiments.walks.run_score import (
@@ -39,15 +40,8 @@ from surefoot.experiments.walks.run_score import (
     walk_of,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import (
-    TRUE_MAP,
-    Scenario,
-    WalkStudyOptions,
-    find_scenarios,
-    log_paths,
-    record_missing,
-)
-from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
+from surefoot.experiments.walks.video import FILM, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
@@ -78,8 +72,7 @@ class WalkStudyResults:
     sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
     timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
-    film: Film = field(default_factory=lambda: Film(None, None, "not asked for"))
-    filmed: tuple[float, float, int] | None = None  # severity, speed in m/s, seed
+    filmed: tuple[float, float, int] | str = "not asked for"  # severity, speed in m/s, seed; or why not
     left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
     failures: dict[str, str] = field(default_factory=dict)  # raised, by case
     seconds: dict[str, float] = field(default_factory=dict)  # of each stage
@@ -87,7 +80,7 @@ class WalkStudyResults:
     @property
     def speeds(self) -> tuple[float, ...]:
         """Speeds of the walks that are scored as the CoP paper scores, in m/s."""
-        return tuple(dict.fromkeys(scenario.walk.speed for scenario in self.scenarios if scenario.paper))
+        return tuple(dict.fromkeys(scenario.speed for scenario in self.scenarios if scenario.paper))
 
 
 def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkStudyResults:
@@ -102,7 +95,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
     few = replace(options, seeds=min(options.seeds, BOUNDED))
-    limits = [bound_case(s, few) for s in chosen] if bounds else []
+    limits = [Case(f"{s.name} bound", _bound, (s, few), _depends(s, few)) for s in chosen if bounds]
     scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
@@ -112,7 +105,7 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     }
     store = Store(options.out / "results")
     with store.open_for(), runner(options.jobs, results.seconds) as run:
-        walks = {(s.walk.name, seed): (s.walk, seed) for s in chosen for seed in s.seeds(options.seeds)}
+        walks = {(s.walk, seed): (s, seed) for s in chosen for seed in s.seeds(options.seeds)}
         recordings = [(*walk, options.duration, options.logs) for walk in walks.values()]
         run.do("walk and record", [(record_missing, recording) for recording in recordings])
         for what, cases in stages.items():
@@ -176,7 +169,7 @@ def _save(results: WalkStudyResults) -> None:
         options,
         scenarios={s.name: {"title": s.title, "answers": s.answers} for s in results.scenarios},
         left_out=results.left_out,
-        film=results.film.problem or "walk.mp4",
+        film=results.filmed if isinstance(results.filmed, str) else FILM,
         machine=machine(),
         seconds=results.seconds,
     )
@@ -185,19 +178,20 @@ def _save(results: WalkStudyResults) -> None:
 def _timings(results: WalkStudyResults) -> list[Any]:
     """List the methods with the first walk of the first scenario."""
     options, first = results.options, results.scenarios[0]
-    path = log_paths(first.walk, 0, options.duration, options.logs)[first.condition]
+    path = log_paths(first, 0, options.duration, options.logs)[first.condition]
     return [(time_method, (path, m, first.options_of(m))) for m in options.rows if m != TRUE_MAP]
 
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
     options, severity = results.options, max(results.options.loops)
     speed, seed = choose_walk_to_film(results.loop[results.loop["severity"] == severity])
-    results.filmed = (severity, speed, seed)
-    filmed = partial(shoot, speed=speed, seed=seed, duration=options.film_duration, severity=severity)
+    walk: Any = {"speed": speed, "seed": seed, "duration": options.film_duration, "severity": severity}
+    episodes = [walk_episode(feed, **walk) for feed in ("none", "moment")]
     try:
-        results.film = join_reels(options.out, *run.do("film", [(filmed, (f,)) for f in ("none", "moment")]))
+        join_reels(options.out, *run.do("film", [(shoot, (one,)) for one in episodes]))
+        results.filmed = (severity, speed, seed)
     except OSError as error:
-        results.film = Film(None, None, str(error))
+        results.filmed = str(error)
 
 
 def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
@@ -226,14 +220,12 @@ def _collect(
     left_out = store.rows("left_out", scored)
     results.left_out = left_out.groupby("scenario", sort=False)["count"].first().astype(int).to_dict()
     if scaled and len(plain := results.yardsticks):
-        frames = [
-            store.rows("yardsticks", cases).assign(weight=weight, factor=factor)
-            for (weight, factor), cases in scaled.items()
-        ]
         # Weights as they are were replayed already.
         plain = plain[(plain["method"] == "window") & (plain["seed"] < results.options.sensitivity_seeds)]
-        as_they_are = [plain.assign(weight=weight, factor=1.0) for weight in WEIGHTS]
-        results.sensitivity = pd.concat([*frames, *as_they_are], ignore_index=True)
+        frames = {key: store.rows("yardsticks", cases) for key, cases in scaled.items()}
+        frames |= {(weight, 1.0): plain for weight in WEIGHTS}
+        parts = [frame.assign(weight=weight, factor=factor) for (weight, factor), frame in frames.items()]
+        results.sensitivity = pd.concat(parts, ignore_index=True)
 
 
 def score_case(
@@ -251,11 +243,6 @@ def score_case(
     return Case(name, _score, arguments, depends)
 
 
-def bound_case(scenario: Scenario, options: WalkStudyOptions) -> Case:
-    """Return the case of a scenario's bound: ``bounds``, a row a run (``bound_cop`` in m, others in N)."""
-    return Case(f"{scenario.name} bound", _bound, (scenario, options), _depends(scenario, options))
-
-
 def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
     """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
 
@@ -265,18 +252,10 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     if not walks or not judged.any() or not np.isfinite(log.raw).all():
         return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
     assert log.truth is not None
-    model = {field.name for field in fields(Moment)}
-    setup = OnlineSetup(
-        layout=log.layout,
-        mass=log.mass,
-        initial=starting_map(log),
-        dt=log.dt,
-        lag=log.lag,
-        **{name: value for name, value in options.items() if name not in model},
-    )
-    config = Moment(**{name: value for name, value in options.items() if name in model})
+    known: dict[str, Any] = {"mass": log.mass, "initial": starting_map(log), "dt": log.dt, "lag": log.lag}
+    setup, own = setup_from_options(log.layout, **known, options=dict(options))
     truth = Parameters(log.truth.scale, log.truth.offset)
-    bound = posterior_bound(setup, log.raw, beliefs_of(log, "moment"), truth, config)
+    bound = posterior_bound(setup, log.raw, beliefs_of(log, "moment"), truth, Moment(**own))
     return {
         "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
         "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
@@ -309,7 +288,7 @@ def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str
 def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
     """Options and logs that decide a scenario's results; a log's name is a hash of all that made it."""
     logs = [
-        str(log_paths(scenario.walk, seed, options.duration, Path())[scenario.condition])
+        str(log_paths(scenario, seed, options.duration, Path())[scenario.condition])
         for seed in scenario.seeds(options.seeds)
     ]
     return scenario, options.duration, options.settle, logs
@@ -346,10 +325,10 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: 
 
 
 def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
-    rows, shears = [], any(c.cells and c.cells.shear_std for c in scenario.walk.conditions)
+    rows, shears = [], any(c.cells and c.cells.shear_std for c in scenario.cells)
     for stream in streams_of(scenario, options)[0]:
         # A bound knows of no fault, hand or shear: what it says of these would mean nothing.
-        if not (stream.faults or scenario.walk.held[0] or shears):
+        if not (stream.faults or scenario.held[0] or shears):
             limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
             named = {f"bound_{part}": value for part, value in limit.items()}
             rows.append({"scenario": scenario.name, "seed": stream.seed, **named})

@@ -77,16 +77,18 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "finite": bool(np.isfinite(played.force).all()),
         "end": end["cop"],
         "end_start": start["cop"],
-        "worse": _larger(end["cop"], start["cop"]),
-        "worse_foot": _larger(end["cop_foot"], start["cop_foot"]),
-        "worse_vgrf": _larger(end["vgrf"], start["vgrf"]),
-        "worse_cell": _larger(end["cell"], start["cell"]),
+        # A method that leaves the readings alone is not worse by a rounding error.
+        **{
+            f"worse{name.removeprefix('_cop')}": bool(end[name[1:]] > start[name[1:]] * (1.0 + 1e-6))
+            for name in ("_cop", "_cop_foot", "_vgrf", "_cell")
+        },
         "converged": _convergence(log.time, running, end["cop"], stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
     }
-    row |= _parameter_errors(stream, played)
-    row |= _consistency(stream, played)
-    row |= _flags(stream, played)
+    row |= _parameter_errors(stream, played) | _consistency(stream, played)
+    # On which share of the judged samples each flag stood on any channel.
+    raised = np.bitwise_or.reduce(played.flags[judged], axis=1)
+    row |= {f"flag_{flag.name}": float(np.mean((raised & int(flag)) != 0)) for flag in Flag}
     return row | _faults(stream, played, errors)
 
 
@@ -140,12 +142,6 @@ def _consistency(stream: Stream, played: Played) -> dict[str, float]:
     }
 
 
-def _flags(stream: Stream, played: Played) -> dict[str, float]:
-    """Return on which share of the judged samples each flag stood on any channel."""
-    union = np.bitwise_or.reduce(played.flags[stream.judged], axis=1)
-    return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
-
-
 def _faults(stream: Stream, played: Played, errors: Errors) -> dict[str, float]:
     time = stream.log.time
     accused = (played.flags & int(FAULT_FLAGS)) != 0
@@ -174,11 +170,6 @@ def _faults(stream: Stream, played: Played, errors: Errors) -> dict[str, float]:
     return row
 
 
-def _larger(end: float, start: float) -> bool:
-    """Compare errors; a method that leaves the readings alone is not worse by a rounding error."""
-    return bool(end > start * (1.0 + 1e-6))
-
-
 def _mean(values: Floats) -> float:
     values = values[~np.isnan(values)]
     return float(values.mean()) if len(values) else float("nan")
@@ -190,11 +181,14 @@ TRACE = (8.0, 2.0)  # kept for figures, in s before the end: the last steps befo
 
 def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:
     """Score forces in N, (N, K), against truth and baseline: rows with the errors of :class:`Score`."""
-    others = {"truth": stream.truth.force}
+    log, truth = stream.log, stream.truth
+    others = {"truth": truth.force}
     if method not in (TRUE_MAP, "baseline"):
         others["baseline"] = _baseline(stream)
+    known: Any = {"layout": log.layout, "time": log.time, "settle": settle}
+    known |= {"position_sole": truth.position_sole, "R_world_sole": truth.R_world_sole}
     return [
-        _row(stream, method, against) | _score(stream, force, other, settle)
+        _row(stream, method, against) | score_forces(force, other, **known)._asdict()
         for against, other in others.items()
     ]
 
@@ -237,13 +231,6 @@ def walk_of(stream: Stream) -> dict[str, Any]:
 
 def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
     return {**walk_of(stream), "seed": stream.seed, "method": name, "against": against}
-
-
-def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[str, float]:
-    log, truth = stream.log, stream.truth
-    poses = {"position_sole": truth.position_sole, "R_world_sole": truth.R_world_sole}
-    score = score_forces(force, other, layout=log.layout, **poses, time=log.time, settle=settle)
-    return score._asdict()
 
 
 def _reference_score(stream: Stream, settle: float) -> dict[str, float]:

@@ -1,125 +1,123 @@
-"""Scenarios of the study of walks: the walk, the errors, and the question; and how much a study does.
+"""Scenarios: the task, the errors and the question, of walks that are recorded and of closed loops.
 
-The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
-square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
-late.
+They are declared in ``scenarios.toml``, and a sweep's own ones in its plan. The bad start is that of all
+comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre
+of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms late.
 """
 
 import os
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from surefoot.calibration.online import METHODS, method_entry
 from surefoot.experiments.logs.format import write_log
-from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.sources import code_of
+from surefoot.experiments.study.tables import flat
 from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
-from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
-from surefoot.sensors.presets import HX711_LOAD_CELLS
+from surefoot.sensors import Fault, ForceTorque, LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS, resolve
 
-CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal")
-"""The bad start: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute. Each
-converter runs at 78 to 94 Hz by itself, as HX711 chips do."""
-
-INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
-"""The same cells with an ideal converter."""
-
-MEAN = Condition("mean", "that read means of control steps", LoadCells(rate=None, averaged=True), "nominal")
-"""The same cells for feet that hit the ground hard: no instant and no old conversion says much of these."""
-
-
-@dataclass(frozen=True)
-class Walk:
-    """A walk to record."""
-
-    name: str  # for files
-    speed: float = 0.04  # in m/s
-    duration: float | None = None  # in s with standing; ``None`` for the study's
-    env: Mapping[str, Any] = field(default_factory=dict)  # options of NaoWalkEnv
-    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
-    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
-    clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
-    held: tuple[float, float, float] = (0.0, 0.0, 0.0)  # by a share of its weight, from and to times in s
-    policy: str = ""  # of a G1 in place of the NAO
-    conditions: tuple[Condition, ...] = (CHIPS,)
-
-    def length(self, duration: float) -> float:
-        """Return how long it takes in s, where the study's walks take ``duration``."""
-        return duration if self.duration is None else self.duration
-
-
-def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
-    """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
-    made_of = (walk, seed, walk.length(duration), STAND_TIME, code_of(record_walk.__module__))
-    key = sha256(repr(made_of).encode()).hexdigest()[:12]
-    return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
-
-
-def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
-    """Record a walk unless its logs are there, and return them as :func:`log_paths` does."""
-    paths = log_paths(walk, seed, duration, folder)
-    if not all(path.is_file() for path in paths.values()):
-        logs = record_walk(
-            walk.speed,
-            seed,
-            walk.length(duration),
-            walk.conditions,
-            sensors=walk.sensors,
-            beliefs=walk.beliefs,
-            clock_error=walk.clock_error * (-1.0) ** seed,
-            held=walk.held,
-            policy=walk.policy,
-            **walk.env,
-        )
-        for name, log in logs.items():
-            write_log(log, paths[name])
-    return paths
-
-
+WALK, STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"  # ids of environments
+SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
+FAULT_AFTER = STAND_TIME + 10.0
+"""Time in s from which on a fault that a seed draws may come in a closed loop, within a stride."""
 PLAIN = "speed-0.04"  # the scenario without anything special, which others are held against
 SPEEDS = (0.02, 0.04, 0.1)  # speeds of the CoP paper in m/s
 
+_IDEAL = LoadCells(rate=None)
+_SIX_AXES = ForceTorque(averaged=False)
+_WARMING = replace(HX711_LOAD_CELLS, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0)
+_CELLS = {
+    condition.name: condition
+    for condition in (
+        *CONDITIONS,
+        Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal"),
+        Condition("instant", "converted when the host reads", _IDEAL, "nominal"),
+        Condition("mean", "that read means of control steps", replace(_IDEAL, averaged=True), "nominal"),
+        Condition("warming", "warming up by 20 K in ten minutes", _WARMING, "nominal"),
+        Condition("shear", "feeling shear", replace(HX711_LOAD_CELLS, shear_std=0.1), "nominal"),
+        Condition("ankle", "six-axis sensors in the ankles", None, "nominal", _SIX_AXES),
+        Condition("both", "cells and six-axis sensors", HX711_LOAD_CELLS, "nominal", _SIX_AXES),
+    )
+}
+"""Cells by name. "chips" are those of the bad start: converters run at 78 to 94 Hz by themselves, as HX711s.
+"mean" is for feet that hit the ground hard: no instant and no old conversion says much of these."""
+
+_RECORDED = ("options", "sensors", "beliefs", "cells", "duration", "clock_error", "held", "policy")
+"""Fields that make a recorded walk another one."""
+
 _FAULT_STREAM = 0xFA17
 
-_question = Words("walks", "questions")
+TRUE_MAP = "floor"
+"""Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One line of the table."""
+    """A task and its circumstances; a walk that is recorded serves all scenarios that have it."""
 
     name: str  # for files and the command
     title: str
-    walk: Walk
-    condition: str = CHIPS.name  # name of the cells that read it
+    question: str = ""
+    environment: str = WALK  # id
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
+    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
+    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
+    setup: Mapping[str, Any] = field(default_factory=dict)  # options of every method that replays
+    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of single methods or feeds
     faults: tuple[Fault, ...] = ()  # of one channel; channel and start are drawn
-    options: Mapping[str, Any] = field(default_factory=dict)  # that every method is given
-    method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of single methods
+    study: str = "walks"  # or "paper", scored as the CoP paper scores, too; or "loops" alone
+    of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
+    walk: str = ""  # for files of the recording
+    cells: tuple[Condition, ...] = (_CELLS["chips"],)  # that read a recorded walk, at once
+    condition: str = "chips"  # name of those of them that count
+    duration: float | None = None  # of a recorded walk in s with standing; ``None`` for the study's
+    clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
+    held: tuple[float, float, float] = (0.0, 0.0, 0.0)  # by a share of its weight, from and to times in s
+    policy: str = ""  # of a G1 in place of the NAO
     most_seeds: int | None = None  # for long ones
     long: bool = False  # no part of a quick run
-    paper: bool = False  # scored as the CoP paper scores, too
 
     @property
     def answers(self) -> str:
         """The question, and where it is asked."""
-        if self.faults:
-            return _question("fault", kind=self.faults[0].kind)
-        return _question("paper" if self.paper else self.name.partition("-0")[0])  # of all speeds one
+        return flat(self.question).replace("{kind}", self.faults[0].kind if self.faults else "")
+
+    @property
+    def speed(self) -> float:
+        """Walking speed in m/s."""
+        return float(self.options.get("speed", 0.04))
+
+    @property
+    def paper(self) -> bool:
+        """Whether it is scored as the CoP paper scores, too."""
+        return self.study == "paper"
+
+    @property
+    def loops(self) -> bool:
+        """Whether a sweep can run it: on load cells; a clock's error has no place in a closed loop."""
+        walks = self.study == "walks" and self.condition == "chips" and not (self.long or self.clock_error)
+        return walks or self.study == "loops"
+
+    def length(self, duration: float) -> float:
+        """Return how long a recorded walk takes in s, where the study's walks take ``duration``."""
+        return duration if self.duration is None else self.duration
 
     def seeds(self, seeds: int) -> range:
         """Number its walks, where ``seeds`` are asked for."""
         return range(seeds if self.most_seeds is None else min(seeds, self.most_seeds))
 
     def options_of(self, method: str) -> dict[str, Any]:
-        """Return the options that a method is given."""
-        return {**self.options, **self.method_options.get(method, {})}
+        """Return the options that a method is given in a replay."""
+        return {**self.setup, **self.methods.get(method, {})}
 
     def faults_of(self, seed: int, earliest: float) -> tuple[Fault, ...]:
         """Draw which cell a fault befalls, and when: within one stride from a time in s on."""
@@ -132,262 +130,100 @@ class Scenario:
             for fault in self.faults
         )
 
-
-def _fault(kind: str, title: str, **options: float) -> Scenario:
-    # Only a swap needs another channel; both are drawn later.
-    other = 1 if kind.startswith("swapped") else None
-    fault = Fault(kind.partition("-")[0], 0, other=other, **options)
-    return Scenario(f"fault-{kind}", title, _PLAIN_WALK, faults=(fault,))
-
-
-def _speed(speed: float) -> Walk:
-    return Walk(f"speed{speed:g}", speed, conditions=(CHIPS, INSTANT))
-
-
-_PLAIN_WALK = _speed(0.04)
-_WARM = Condition(
-    "warming",
-    "warming up by 20 K in ten minutes",
-    replace(HX711_LOAD_CELLS, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0),
-    "nominal",
-)
-_SHEARED = Condition("shear", "feeling shear", replace(HX711_LOAD_CELLS, shear_std=0.1), "nominal")
-_STILL = {"route": ((1.0, 0.0, 0.0),)}
-_HELD = STAND_TIME + 11.0, STAND_TIME + 19.0
-_ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque(averaged=False))
-_BOTH = Condition(
-    "both", "cells and six-axis sensors", HX711_LOAD_CELLS, "nominal", ForceTorque(averaged=False)
-)
-_WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}  # of some 5 N, a tenth of the weight
-
-_FOOT_LENGTH = {"foot_length": 0.17}
-_ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))
-
-_TABLE = (
-    *(Scenario(f"speed-{speed:g}", f"{speed:g} m/s", _speed(speed)) for speed in SPEEDS),
-    *(
-        Scenario(f"instant-{speed:g}", f"{speed:g} m/s, ideal converters", _speed(speed), INSTANT.name)
-        for speed in SPEEDS
-    ),
-    Scenario(
-        "start-stop-turn",
-        "start, stop and turn",
-        Walk("route", duration=STAND_TIME + 30.0, env={"route": (*_ROUTE, *_ROUTE[:2])}),
-    ),
-    Scenario("pushes", "pushes", Walk("pushes", env={"push_impulse": (0.1, 0.3)})),
-    Scenario("soft-ground", "soft ground", Walk("soft", env={"ground_time_constant": 0.06})),
-    Scenario("slippery-ground", "slippery ground", Walk("slippery", env={"friction": (0.04, 0.06)})),
-    Scenario("rolling-feet", "rolling from heel to toe", Walk("rolling", env={"foot_roll": 0.05})),
-    Scenario(
-        "imu-bias",
-        "IMU bias and tilt",
-        Walk(
-            "imu",
-            sensors={
-                "imu": Imu(accelerometer_bias_std=0.2, gyroscope_bias_std=4e-3, accelerometer_walk=2e-3)
+    def options_for(self, duration: float | None) -> dict[str, Any]:
+        """Return the environment's options of a closed loop of s; its plan goes on beyond the end."""
+        around: dict[str, dict[str, Any]] = {
+            WALK: {
+                "speed": self.speed,
+                "duration": max(duration or 0.0, SHORTEST_WALK) + 2 * STAND_TIME,
+                "stand_time": STAND_TIME,
             },
-        ),
-    ),
-    Scenario(
-        "delay-jitter",
-        "delay off by 10 ms, and jitter",
-        Walk("delay", sensors={"link": Link(jitter=0.008)}, clock_error=0.010),
-    ),
-    Scenario("mass-error", "mass off by 2 %", Walk("mass", beliefs={"errors": {"mass": 0.02}})),
-    Scenario(
-        "payload", "a payload of 0.3 kg picked up", Walk("payload", env={"payload": (0.3, STAND_TIME + 12.0)})
-    ),
-    Scenario("com-error", "centre of mass off by 10 mm", Walk("com", beliefs={"errors": {"com": 0.010}})),
-    Scenario("standing", "standing", Walk("standing", 0.0, env=_STILL)),
-    Scenario(
-        "standing-held",
-        "standing, held by a fifth of its weight",
-        Walk("standing-held", 0.0, env=_STILL, held=(0.2, *_HELD)),
-    ),
-    Scenario(
-        "walking-held", "walking, held by 15 % of its weight", Walk("walking-held", held=(0.15, *_HELD))
-    ),
-    Scenario("shear", "cells that feel shear", Walk("shear", 0.1, conditions=(_SHEARED,)), _SHEARED.name),
-    *(
-        _fault(kind, title, **options)
-        for kind, title, options in (
-            ("dead", "a cell goes dead", {}),
-            ("stuck", "a cell is stuck", {}),
-            ("saturated", "a cell saturates at 8 N", {"level": 8.0}),
-            ("saturated-rail", "a cell goes to its rail", {}),
-            ("spiking", "a cell spikes five times a second", {"rate": 5.0}),
-            ("dropped", "a cell's readings no longer arrive", {}),
-            ("swapped", "two cells are swapped", {}),
-            ("flipped", "a cell's sign flips", {}),
-        )
-    ),
-    Scenario(
-        "ankle-ft",
-        "six-axis sensors in the ankles",
-        Walk("ankle", conditions=(_ANKLE, _BOTH)),
-        _ANKLE.name,
-        options=_FOOT_LENGTH,
-        method_options=_WIDE_OFFSETS,
-    ),
-    Scenario(
-        "cells-and-ankle-ft",
-        "cells and six-axis sensors",
-        Walk("ankle", conditions=(_ANKLE, _BOTH)),
-        _BOTH.name,
-        options=_FOOT_LENGTH,
-        method_options=_WIDE_OFFSETS,
-    ),
-    Scenario(
-        "temperature-ramp",
-        "ten minutes, warming by 20 K",
-        Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
-        _WARM.name,
-        most_seeds=3,
-        long=True,
-    ),
-    Scenario(
-        "half-an-hour",
-        "half an hour",
-        Walk("half-hour", duration=STAND_TIME + 1800.0),
-        most_seeds=3,
-        long=True,
-    ),
-)
-if "SUREFOOT_STRANGERS" in os.environ:
-    _TABLE += (
-        Scenario(
-            "g1-policy",
-            "a G1 by a published policy",
-            Walk("g1-policy", 0.4, policy="ppo_g1_29dof", conditions=(MEAN,)),
-            MEAN.name,
-        ),
-    )
+            STAND: {"duration": None},
+        }
+        return around.get(self.environment, {}) | dict(self.options)
 
-PAPER_SCENARIOS = {
-    (condition.name, speed): Scenario(
-        f"{condition.name}-{speed:g}",
-        f"{speed:g} m/s, {condition.title}",
-        Walk(f"both-{speed:g}", speed, conditions=CONDITIONS),
-        condition.name,
-        paper=True,
-    )
-    for speed in SPEEDS
-    for condition in CONDITIONS
-}
-"""Scenarios that are scored as the CoP paper scores as well, by condition and speed in m/s."""
+    def calibration_for(self, feed: str) -> dict[str, Any] | None:
+        """Return the options of a feed's calibration; ``None`` for the true one."""
+        method = FEEDS[feed]
+        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
 
-SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
-"""The scenarios of the comparison by name, in the order of the page."""
+    def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
+        """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
+        if FEEDS[feed] is None:
+            return {} if self.of_task else None
+        faults = [asdict(fault) for fault in self.faults_of(seed, FAULT_AFTER)]
+        return {"severity": severity, **self.sensors, **({"faults": faults} if faults else {})}
+
+
+def scenario_from(name: str, table: Mapping[str, Any], base: Scenario | None = None) -> Scenario:
+    """Make a scenario of a table of its fields, the others as in a base, by default those of a plain walk."""
+    base = Scenario(name, name) if base is None else base
+    given: dict[str, Any] = {"title": name, **table}
+    for part in ("options", "sensors", "beliefs", "methods"):
+        given[part] = {**getattr(base, part), **table.get(part, {})}
+    if "cells" in table:
+        given["cells"] = tuple(_CELLS[one] for one in table["cells"])
+        given.setdefault("condition", table["cells"][0])
+    if "faults" in table:
+        given["faults"] = tuple(resolve({"channel": 0, **one}, Fault) for one in table["faults"])
+    if not base.walk or any(key in table for key in _RECORDED):
+        given.setdefault("walk", name)
+    return replace(base, name=name, **given)
+
+
+def _read() -> dict[str, Scenario]:
+    """Read the scenarios; a policy's only where its robot is."""
+    text = files("surefoot.experiments.walks").joinpath("scenarios.toml").read_text(encoding="utf-8")
+    found: dict[str, Scenario] = {}
+    for name, table in tomllib.loads(text).items():
+        base = found.get(table.pop("based_on", ""))
+        if "policy" not in table or "SUREFOOT_STRANGERS" in os.environ:
+            found[name] = scenario_from(name, table, base)
+    return found
+
+
+SCENARIOS: Mapping[str, Scenario] = MappingProxyType(_read())
+"""All scenarios by name, in the order of the pages."""
 
 
 def find_scenarios(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
-    """Return scenarios by names, or raise ValueError with their names; all for none, quick without long."""
-    known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
+    """Return scenarios of recorded walks by names, or raise ValueError with their names.
+
+    For no names these are all but those of the CoP paper; quick, without long ones.
+    """
+    known = {name: scenario for name, scenario in SCENARIOS.items() if scenario.study != "loops"}
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(known)}.")
     if names:
         return tuple(known[name] for name in dict.fromkeys(names))
-    return tuple(scenario for scenario in SCENARIOS.values() if not (quick and scenario.long))
+    return tuple(one for one in known.values() if not (one.paper or (quick and one.long)))
 
 
-TRUE_MAP = "floor"
-"""Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
+def log_paths(scenario: Scenario, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
+    recorded = [getattr(scenario, name) for name in _RECORDED if name != "duration"]
+    made_of = (recorded, seed, scenario.length(duration), STAND_TIME, code_of(__name__))
+    key = sha256(repr(made_of).encode()).hexdigest()[:12]
+    return {c.name: folder / f"{scenario.walk}_{c.name}_seed{seed}_{key}.parquet" for c in scenario.cells}
 
 
-# Without weights there is no calibration from them.
-LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
-PAPER_CONDITIONS = ("paper", "bad-start")  # names of the conditions of the CoP paper's study
-
-
-@dataclass(frozen=True)
-class WalkStudyOptions:
-    """How much a study of walks does; raise ValueError at a number out of range or an unknown method."""
-
-    out: Path = Path("out/compare-walking")
-    seeds: int = 20  # walks of a scenario and of each closed loop: 0, 1, ...
-    scenarios: tuple[str, ...] = ()  # none for all but those of the CoP paper
-    methods: tuple[str, ...] = ()  # none for all; the true map comes on top
-    jobs: int = 2
-    duration: float = STAND_TIME + 30.0  # of a walk in s, with the standing before it
-    settle: float = STAND_TIME + 10.0  # errors count from this time in s on
-    quick: bool = False  # without long scenarios
-    loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
-    loop_seeds: int | None = None  # of each closed loop at most
-    loop_duration: float = STAND_TIME + 20.0  # in s, standing included
-    factors: tuple[float, ...] = ()  # of the window's weights
-    sensitivity_seeds: int = 5  # walks on which each weight is scaled
-    film_duration: float = 0.0  # in s; 0 for no film
-
-    def __post_init__(self) -> None:
-        """Check the numbers and the names."""
-        for name in ("seeds", "jobs", "sensitivity_seeds"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
-        if not STAND_TIME < self.settle < self.duration:
-            raise ValueError(
-                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
-                f"{self.duration:g} s, got {self.settle:g} s."
-            )
-        for name in self.methods:
-            if name != TRUE_MAP:
-                method_entry(name)
-
-    @property
-    def logs(self) -> Path:
-        """The folder that recorded walks are kept in."""
-        return self.out / "logs"
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """The scored methods, in order: the true map and the methods, by default all."""
-        return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
-
-    def quickly(self) -> "WalkStudyOptions":
-        """Return the same with two seeds, short walks and one speed, to see whether all works."""
-        few = replace(self, seeds=min(self.seeds, 2), quick=True)
-        if not self.loops:
-            return replace(few, duration=STAND_TIME + 14.0, settle=STAND_TIME + 6.0)
-        return replace(
-            few,
-            scenarios=paper_names(0.04),
-            duration=STAND_TIME + 8.0,
-            settle=STAND_TIME + 4.0,
-            loops={3.0: LOOPED},
-            loop_duration=STAND_TIME + 4.0,
-            factors=(0.2, 1.0, 5.0) if self.factors else (),
-            sensitivity_seeds=1,
-            film_duration=min(self.film_duration, STAND_TIME + 2.0),
+def record_missing(scenario: Scenario, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Record a walk unless its logs are there, and return them as :func:`log_paths` does."""
+    paths = log_paths(scenario, seed, duration, folder)
+    if not all(path.is_file() for path in paths.values()):
+        logs = record_walk(
+            scenario.speed,
+            seed,
+            scenario.length(duration),
+            scenario.cells,
+            sensors=scenario.sensors,
+            beliefs=scenario.beliefs,
+            clock_error=scenario.clock_error * (-1.0) ** seed,
+            held=scenario.held,
+            policy=scenario.policy,
+            **{name: value for name, value in scenario.options.items() if name != "speed"},
         )
-
-
-def paper_names(*speeds: float) -> tuple[str, ...]:
-    """Return the names of the CoP paper's scenarios at speeds in m/s."""
-    return tuple(f"{condition}-{speed:g}" for speed in speeds for condition in PAPER_CONDITIONS)
-
-
-def full_options(
-    out: Path = Path("out/compare-walking-full"), seeds: int = 10, jobs: int = 2
-) -> WalkStudyOptions:
-    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film."""
-    return WalkStudyOptions(
-        out=out,
-        seeds=seeds,
-        jobs=jobs,
-        scenarios=paper_names(0.02, 0.04, 0.1),
-        loops={3.0: LOOPED, 1.0: ("none", "window")},
-        factors=(0.2, 0.5, 1.0, 2.0, 5.0),
-        film_duration=STAND_TIME + 12.0,
-    )
-
-
-def demo_options(out: Path = Path("out/demo"), seeds: int = 8, jobs: int = 2) -> WalkStudyOptions:
-    """Return the same at one speed, with fewer walks: less than two minutes on two cores."""
-    return replace(
-        full_options(out, seeds, jobs),
-        scenarios=paper_names(0.04),
-        loops={3.0: LOOPED},
-        loop_seeds=4,
-        factors=(),
-        film_duration=STAND_TIME + 10.0,
-    )
+        for name, log in logs.items():
+            write_log(log, paths[name])
+    return paths

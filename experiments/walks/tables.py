@@ -1,6 +1,7 @@
 """Tables of a study of walks: a scenario each, one over all; faults, alarms, time; the CoP paper's 4 to 6."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -28,13 +29,33 @@ from surefoot.experiments.study.tables import (
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario
 from surefoot.experiments.weights.paper import MethodErrors
 
+
+class Metric(NamedTuple):
+    """An error: its column, the factor to its unit, what to call it, and what was set out to be reached."""
+
+    column: str
+    factor: float
+    what: str
+    unit: str
+    target: float
+
+    @property
+    def label(self) -> str:
+        """What it is called where it stands alone."""
+        return f"{self.what} rmse ({self.unit})"
+
+    def cell(self, runs: Frame) -> str:
+        """Its mean over runs with the interval."""
+        return with_interval(runs[self.column], self.factor)
+
+
 METRICS = (
-    ("cop", 1e3, "CoP rmse (mm)", 2.0),
-    ("cop_foot", 1e3, "foot's CoP rmse (mm)", 2.0),
-    ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
-    ("cell", 1.0, "single cell rmse (N)", 0.4),
+    Metric("cop", 1e3, "CoP", "mm", 2.0),
+    Metric("cop_foot", 1e3, "foot's CoP", "mm", 2.0),
+    Metric("vgrf", 1.0, "vGRF", "N", 0.4),
+    Metric("cell", 1.0, "single cell", "N", 0.4),
 )
-"""Errors with the factor to their unit, what to call them, and what was set out to be reached."""
+PAPER_METRICS = (METRICS[0], METRICS[2])  # those that the CoP paper has
 
 
 CALIBRATED = "moment"  # the method that others are held against
@@ -47,8 +68,6 @@ WALKING_TABLES = {
 """The CoP paper's Tables 4 to 6 by walking speed in m/s, against its own offline-calibrated baseline."""
 
 PAPER_TABLE_NUMBER = {0.02: "4", 0.04: "5", 0.1: "6"}
-
-PAPER_METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
 
 
 def consistent(runs: Frame) -> tuple[float, float]:
@@ -125,14 +144,11 @@ def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     )
 
 
-def overview_table(
-    scores: Frame, scenarios: Sequence[Scenario], metric: tuple[str, float, str, float] = METRICS[0]
-) -> Table:
-    """Return an error of all scenarios and methods, by default that of the CoP."""
-    error, factor, heading, _ = metric
+def overview_table(scores: Frame, scenarios: Sequence[Scenario], metric: Metric) -> Table:
+    """Return an error of all scenarios and methods."""
 
     def error_of(method: str) -> Cell:
-        return lambda item: with_interval(item[1][item[1]["method"] == method][error], factor)
+        return lambda item: metric.cell(item[1][item[1]["method"] == method])
 
     columns: dict[str, Cell] = {
         "scenario": lambda item: item[0].title,
@@ -140,8 +156,8 @@ def overview_table(
         **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
     }
     parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
-    name = "overview" if error == "cop" else f"overview_{error.removeprefix('cop_')}"
-    return table_of(name, f"{heading}, all scenarios", columns, [p for p in parts if len(p[1])])
+    name = "overview" if metric.column == "cop" else f"overview_{metric.column.removeprefix('cop_')}"
+    return table_of(name, f"{metric.label}, all scenarios", columns, [p for p in parts if len(p[1])])
 
 
 def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
@@ -233,24 +249,23 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
 
 def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, str]]) -> Table:
     """Return one speed as the paper's Tables 4 to 6 and the truth; the first condition is the paper's."""
-    rows = []
+    rows, against_truth = [], (*PAPER_METRICS, METRICS[1], METRICS[3])
     here = scores[scores["speed"] == speed]
     for condition, title in conditions:
         published = WALKING_TABLES.get(speed, {}) if condition == conditions[0][0] else {}
         for method, runs in by_way(here[here["condition"] == condition]).items():
             baseline, truth = (runs[runs["against"] == against] for against in ("baseline", "truth"))
             cells = [title, look_of(method).label]
-            for metric, _, _, factor in PAPER_METRICS:
-                same = len(baseline) and float(baseline[metric].max()) < 1e-9
-                cells.append("0 *" if same else with_interval(baseline[metric], factor))
+            for metric in PAPER_METRICS:
+                same = len(baseline) and float(baseline[metric.column].max()) < 1e-9
+                cells.append("0 *" if same else metric.cell(baseline))
                 paper = published.get(method)
-                cells.append("" if paper is None else number(factor * getattr(paper, metric)))
-            cells += [with_interval(truth[metric], factor) for metric, _, _, factor in PAPER_METRICS]
-            rows.append((*cells, with_interval(truth["cop_foot"], 1e3), with_interval(truth["cell"])))
+                cells.append("" if paper is None else number(metric.factor * getattr(paper, metric.column)))
+            rows.append((*cells, *(metric.cell(truth) for metric in against_truth)))
     columns = ["condition", "method"]
-    for _, what, unit, _ in PAPER_METRICS:
-        columns += [f"{what} against baseline ({unit})", "paper"]
-    columns += [f"{what} against truth ({unit})" for _, what, unit, _ in PAPER_METRICS]
+    for metric in PAPER_METRICS:
+        columns += [f"{metric.what} against baseline ({metric.unit})", "paper"]
+    columns += [f"{metric.what} against truth ({metric.unit})" for metric in against_truth]
     name = PAPER_TABLE_NUMBER.get(speed)
     note = (
         f"rmse, mean ± 95 % interval over {plural(here['seed'].nunique(), 'seed')}. "
@@ -259,7 +274,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
     return Table(
         f"walking_{speed:g}".replace(".", "_"),
         f"Table {name}: {speed:g} m/s" if name else f"{speed:g} m/s",
-        (*columns, "foot's CoP against truth (mm)", "single cell against truth (N)"),
+        tuple(columns),
         tuple(rows),
         note,
     )
@@ -293,13 +308,12 @@ def sensitivity_table(runs: Frame, title: str) -> Table:
     """Return how far the window's errors move with each of its weights."""
     factors = sorted(runs["factor"].unique())
     rows: list[tuple[str, ...]] = []
-    for weight in dict.fromkeys(runs["weight"]):
-        for speed, part in runs[runs["weight"] == weight].groupby("speed"):
-            for metric, what, unit, factor in PAPER_METRICS:
-                means = [factor * mean_interval(part[part["factor"] == f][metric]).mean for f in factors]
-                base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
-                change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"
-                rows.append((weight, decimal(speed), f"{what} ({unit})", *map(number, means), change))
+    for (weight, speed), part in runs.groupby(["weight", "speed"], sort=False):
+        for column, factor, what, unit, _ in PAPER_METRICS:
+            means = [factor * mean_interval(part[part["factor"] == f][column]).mean for f in factors]
+            base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
+            change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"
+            rows.append((weight, decimal(speed), f"{what} ({unit})", *map(number, means), change))
     columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
     name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
     return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))
@@ -311,13 +325,9 @@ def standing_table(fixed: Mapping[str, Frame], standing: Mapping[str, Frame]) ->
     for title, stood in standing.items():
         for speed, part in stood.groupby("speed"):
             plain = fixed[title][fixed[title]["seed"].isin(part["seed"]) & (fixed[title]["speed"] == speed)]
-            both = [
-                with_interval(one[metric], factor) for metric, factor, *_ in METRICS for one in (plain, part)
-            ]
+            both = [metric.cell(runs) for metric in METRICS for runs in (plain, part)]
             rows.append((f"{title}, {speed:g} m/s", *both))
-    columns = [
-        f"{label.replace(' rmse', '')}{what}" for _, _, label, _ in METRICS for what in ("", ", of standing")
-    ]
+    columns = [f"{m.what} ({m.unit}){stand}" for m in METRICS for stand in ("", ", of standing")]
     note = "w_F and w_P as they are, and of the quiet stand before the walk, as in the paper."
     return Table(
         "standing_weights", "The window's weights of a quiet stand", ("walks", *columns), tuple(rows), note

@@ -1,4 +1,4 @@
-"""A film of two walkers side by side, with the centre of pressure under their feet.
+"""Films of episodes: one, or two walkers side by side, with the centre of pressure under their feet.
 
 Left on drifting raw readings, right on calibrated ones. Below, the soles from above, a foot that bears weight
 filled: a black dot is the true centre of pressure, a coloured one that which the controller is given.
@@ -19,25 +19,20 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.episodes.episode import Episode, Moment, episode_moments
+from surefoot.experiments.episodes.plan import walk_episode
+from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.walks.walkers import Moment, walk_moments
 from surefoot.files import atomic_path
 
+FILM, STILL = "walk.mp4", "walk.png"  # of two walks, in a study's folder
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
+LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
 OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
-
-
-@dataclass(frozen=True)
-class Film:
-    """A film and a picture from it; or why there is none."""
-
-    path: Path | None
-    still: Path | None
-    problem: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +53,10 @@ def prepare_rendering() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Reel:
-    """Film one walk into memory; arguments as in :func:`walk_moments`, refused as in :func:`pictures`."""
-    options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
-    options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
+def shoot(episode: Episode) -> Reel:
+    """Film an episode of a walk into memory, refused as in :func:`pictures`."""
     frames, fell_at = [], None
-    for frame, moment in pictures(lambda: walk_moments(feed, **options), partial(_sheet, feed), FIRST_MOMENT):
+    for frame, moment in pictures(episode, partial(_sheet, episode.feed), FIRST_MOMENT):
         frames.append(frame)
         fell_at = moment.time if moment.fell else None
     if not frames:
@@ -72,12 +65,13 @@ def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: floa
 
 
 def pictures(
-    run: Callable[[], Iterator[Moment]], draw: Callable[[Moment], NDArray[np.uint8]], begin: float
+    episode: Episode, draw: Callable[[Moment], NDArray[np.uint8]], begin: float
 ) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
     """Run an episode and yield pictures and moments from a time in s on; OSError if nothing can be drawn."""
     prepare_rendering()
     try:
-        for k, moment in enumerate(run()):
+        moments = episode_moments(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
+        for k, moment in enumerate(moments):
             quality = moment.bare.model.vis.quality
             # Shadows take a software renderer ten times as long as all the rest.
             quality.shadowsize, quality.offsamples = 0, 4
@@ -94,29 +88,41 @@ def pictures(
         ) from error
 
 
-def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
-    """Set two walks side by side in ``walk.mp4``; ``walk.png`` is from the first fall, or from half way."""
+def join_reels(folder: Path, left: Reel, right: Reel) -> None:
+    """Set two walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
     frames = _side_by_side([left, right])
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
     shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
-    path = write_film(folder / "walk.mp4", frames)
-    still = folder / "walk.png"
-    with atomic_path(still) as part:
+    write_film(folder / FILM, frames)
+    with atomic_path(folder / STILL) as part:
         Image.fromarray(frames[min(shown, len(frames) - 1)]).save(part)
-    return Film(path, still)
 
 
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
-    """Film the same walk on one or more feeds side by side into a file; ``walk`` as in :func:`shoot`."""
-    return write_film(path, _side_by_side([shoot(feed, **walk) for feed in feeds]))
+    """Film the same walk on one or more feeds side by side into a file; as :func:`walk_episode`."""
+    return write_film(path, _side_by_side([shoot(walk_episode(feed, **walk)) for feed in feeds]))
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show one walk in a window; ``walk`` as in :func:`shoot`; raise OSError without a screen."""
+    """Show a walk, as :func:`walk_episode`, in a window; raise OSError without a screen."""
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
-    for moment in walk_moments(feed, render_mode="human", **walk):
+    for moment in episode_moments(walk_episode(feed, **walk), render_mode="human"):
         mark_cop(feed, moment)
+
+
+def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
+    """Film the last 12 s of an episode, or all, with true (black) and fed CoP, as .mp4; OSError as drawn."""
+    who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
+
+    def draw(moment: Moment) -> NDArray[np.uint8]:
+        mark_cop(episode.feed, moment)
+        picture = Image.fromarray(moment.bare.render())
+        _write_heading(picture, f"case {episode.number}: {who}", moment, 24, 14)
+        return np.asarray(picture)
+
+    begin = 0.0 if until is None else until - LAST_SECONDS
+    return write_film(path, [frame for frame, _ in pictures(episode, draw, begin)], quality=6)
 
 
 def mark_cop(feed: str, moment: Moment) -> None:
@@ -152,13 +158,13 @@ def _has_screen() -> bool:
 def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
     """Join walks; one that has ended shows its last picture on."""
     count = max(len(reel.frames) for reel in reels)
-    ends = [np.repeat(reel.frames[-1:], count - len(reel.frames), axis=0) for reel in reels]
-    return np.concatenate(
-        [np.concatenate([reel.frames, end]) for reel, end in zip(reels, ends, strict=True)], axis=2
-    )
+    lengthened = [
+        np.pad(reel.frames, ((0, count - len(reel.frames)), *[(0, 0)] * 3), mode="edge") for reel in reels
+    ]
+    return np.concatenate(lengthened, axis=2)
 
 
-def write_heading(
+def _write_heading(
     picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8
 ) -> None:
     """Write a heading over a picture: a text, the time, and whether the robot fell."""
@@ -176,7 +182,7 @@ def _sheet(feed: str, moment: Moment) -> NDArray[np.uint8]:
     sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
     sheet.paste(_from_above(feed, moment), (0, HEIGHT))
     name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
-    write_heading(sheet, name, moment, 30, 18, indent=28)
+    _write_heading(sheet, name, moment, 30, 18, indent=28)
     draw = ImageDraw.Draw(sheet)
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)

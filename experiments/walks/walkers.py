@@ -2,19 +2,15 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
-import numpy as np
 from gymnasium import spaces
 
 from surefoot.calibration.online import METHODS
-from surefoot.controllers import Stabiliser, zero_action
-from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.experiments.arrays import Floats
 from surefoot.names import plain_name
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -117,31 +113,6 @@ def put_on_feet(
     return (TrueCop(worn, tap) if calibration is None else SelfCalibration(worn, **calibration)), tap
 
 
-def make_walker(
-    feed: str,
-    *,
-    speed: float,
-    duration: float,
-    severity: float = 1.0,
-    render_mode: str | None = None,
-    **env_options: Any,
-) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return a walker on a feed's feet, as :func:`put_on_feet`, for a duration in s with standing, at m/s."""
-    calibration = FEEDS[check_feed(feed)]
-    # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
-    bare = gym.make(
-        "surefoot/NaoWalk-v0",
-        max_episode_steps=round(duration / CONTROL_STEP),
-        disable_env_checker=True,
-        speed=speed,
-        duration=duration + 2 * STAND_TIME,
-        stand_time=STAND_TIME,
-        render_mode=render_mode,
-        **env_options,
-    )
-    return put_on_feet(bare, calibration, sensors=None if calibration is None else {"severity": severity})
-
-
 G1_FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 
 
@@ -153,83 +124,3 @@ def make_g1(policy: str) -> gym.Env[Any, Any]:
     sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
     walker: gym.Env[Any, Any] = import_module("g1_policy").G1Walk(policy)
     return walker
-
-
-class Moment(NamedTuple):
-    """An episode after one control step."""
-
-    time: float  # since the reset in s
-    bare: Any  # the environment beneath all wrappers
-    observation: dict[str, Any]
-    true_observation: dict[str, Any]  # without sensors in between
-    fell: bool  # the episode ends then
-    action: Any = None  # answered to the observation before
-    reward: float = 0.0
-    asked: bool = True  # the controller was, and not the quiet stand's zero action
-
-    @property
-    def cop_error(self) -> float:
-        """Distance between the fed and the true centre of pressure in m; NaN where there is none."""
-        if not self.true_observation["cop_valid"][0]:
-            return float("nan")
-        fed, true = self.observation["cop"].astype(np.float64), self.true_observation["cop"]
-        return float(np.linalg.norm(fed - true))
-
-    @property
-    def tracking(self) -> float:
-        """Distance between the true centre of pressure and the planned one in m, both in level frames."""
-        if not self.true_observation["cop_valid"][0]:
-            return float("nan")
-        planned = self.true_observation["state"][self.bare.state_layout["cop_reference"]]
-        return float(np.linalg.norm(self.true_observation["cop"].astype(np.float64) - planned))
-
-    @property
-    def true_cop_world(self) -> Floats:
-        """The true centre of pressure in the world in m, shape (2,); NaN where there is none."""
-        cop: Floats = self.bare.truth.cop_world()
-        return cop
-
-    @property
-    def fed_cop_world(self) -> Floats:
-        """The fed centre of pressure, placed under the true soles, in the world in m, shape (2,)."""
-        sole = self.bare.truth.position_sole[-1, :, :2].mean(axis=0)
-        ahead = self.bare.truth.R_world_sole[-1, :, :2, 0].sum(axis=0)
-        x, y = ahead / np.linalg.norm(ahead)
-        placed: Floats = sole + np.array([[x, -y], [y, x]]) @ self.observation["cop"]
-        return placed
-
-
-def moments(
-    env: gym.Env[Any, Any],
-    tap: TruthTap,
-    controller: Callable[[dict[str, Any]], Any],
-    seed: int,
-    settle: float = 0.0,
-    change: Callable[[dict[str, Any]], dict[str, Any]] = lambda observation: observation,
-) -> Iterator[Moment]:
-    """Run an episode by control steps, and close it; ``settle`` s of quiet stand come before control."""
-    bare: Any = env.unwrapped
-    waiting, steps, done = round(settle / bare.dt), 0, False
-    try:
-        observation, _ = env.reset(seed=seed)
-        while not done:
-            if steps == waiting and hasattr(controller, "reset"):
-                controller.reset()
-            asked = steps >= waiting
-            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
-            observation, reward, fell, truncated, _ = env.step(action)
-            steps += 1
-            done = fell or truncated
-            yield Moment(steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked)
-    finally:
-        env.close()
-
-
-def walk_moments(
-    feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0, **env_options: Any
-) -> Iterator[Moment]:
-    """Walk for a duration in s, standing included, a moment a control step, at a speed in m/s."""
-    env, tap = make_walker(feed, speed=speed, duration=duration, severity=severity, **env_options)
-    bare: Any = env.unwrapped
-    # Calibrators need a quiet stand to begin with: until then nobody is moved by what they say.
-    return moments(env, tap, Stabiliser(bare.state_layout, engage_after=STAND_TIME), seed)

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
+from surefoot.experiments.walks.options import WalkStudyOptions, demo_options, full_options
 from surefoot.experiments.walks.page import write_walks_page
 from surefoot.experiments.walks.run import WalkStudyResults, choose_walk_to_film, run_walk_study
-from surefoot.experiments.walks.scenarios import WalkStudyOptions, demo_options, full_options
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 pytestmark = pytest.mark.slow

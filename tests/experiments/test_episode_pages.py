@@ -14,15 +14,8 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
 from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.episodes.page import check_episodes, write_evaluation, write_sweep
-from surefoot.experiments.episodes.scores import (
-    COMPARISONS,
-)
-from surefoot.experiments.episodes.tables import (
-    outcome_table,
-    score_table,
-    target_table,
-    two_by_two,
-)
+from surefoot.experiments.episodes.scores import COMPARISONS
+from surefoot.experiments.episodes.tables import outcome_table, score_table, target_table, two_by_two
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.tables import Table
 

@@ -16,10 +16,7 @@ from surefoot.experiments.episodes.scores import (
     half_fall,
     recovery_share,
 )
-from surefoot.experiments.episodes.tables import (
-    difference_table,
-    score_table,
-)
+from surefoot.experiments.episodes.tables import difference_table, score_table
 from surefoot.experiments.study.statistics import fall_share, survival
 from surefoot.experiments.study.tables import Verdict
 

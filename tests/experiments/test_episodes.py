@@ -14,18 +14,12 @@ from typer.testing import CliRunner
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.episodes import (
-    Episode,
-    EpisodePlan,
-    plan_from_toml,
-    replay_episode,
-    run_plan,
-)
+from surefoot.experiments.episodes import Episode, EpisodePlan, plan_from_toml, replay_episode, run_plan
 from surefoot.experiments.episodes import episode as episodes
-from surefoot.experiments.episodes.episode import OUTCOME, episode_row, row_of_failure
+from surefoot.experiments.episodes.episode import OUTCOME, episode_moments, episode_row, row_of_failure
+from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
-from surefoot.experiments.walks.walkers import walk_moments
 
 RUNNER = CliRunner()
 SHORT = EpisodePlan(
@@ -140,7 +134,8 @@ def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
 
 def test_an_episode_is_the_closed_loop_at_true_feet() -> None:
     plan = replace(SHORT, feeds=("true",), scenarios=("speed-0.04",), seeds=(7,), duration=4.3, settle=4.0)
-    row, moments = episode_row(plan.episodes[0]), [*walk_moments("true", speed=0.04, seed=7, duration=4.3)]
+    row = episode_row(plan.episodes[0])
+    moments = [*episode_moments(walk_episode("true", speed=0.04, seed=7, duration=4.3))]
     assert (row["time"], row["fell"]) == (pytest.approx(moments[-1].time), moments[-1].fell)
     assert row["return"] == pytest.approx(sum(moment.reward for moment in moments))
     assert row["cop_error"] == 0.0

@@ -32,7 +32,7 @@ from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import check_method
-from surefoot.experiments.walks.scenarios import WalkStudyOptions
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration

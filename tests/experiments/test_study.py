@@ -18,6 +18,7 @@ from surefoot.experiments.study.figures import (
     figure_at,
     grid_of,
     legend_below,
+    limit_to,
     look_of,
     short_label,
     show_values,
@@ -217,6 +218,11 @@ def test_legends_fit_their_figure_and_single_values_have_room() -> None:
     show_values(axes, [1.0])
     assert axes.get_xlim() == (0.5, 1.5)
     assert short_label("nobody") == "nobody"
+    axes.plot([0.0, 1.0], [-1000.0, 1000.0])
+    limit_to(axes, [0.0, 1.0, np.nan], least=2.0)
+    assert axes.get_ylim() == (-1.2, 2.2)
+    limit_to(axes, [np.nan], least=2.0)
+    assert axes.get_ylim() == (-1.2, 2.2)
 
 
 def test_cells_are_coloured_by_verdicts_and_not_by_words(tmp_path: Path) -> None:

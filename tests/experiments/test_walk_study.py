@@ -16,18 +16,12 @@ from surefoot.calibration import METHODS
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walks import run, scenarios
+from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.page import write_walks_page
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
-from surefoot.experiments.walks.scenarios import (
-    SCENARIOS,
-    TRUE_MAP,
-    Walk,
-    WalkStudyOptions,
-    find_scenarios,
-    log_paths,
-)
+from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, find_scenarios, log_paths
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 
@@ -114,7 +108,7 @@ def test_a_new_method_leaves_old_scores_alone(
 
 
 def test_another_option_is_another_file(tmp_path: Path) -> None:
-    walk = Walk("w")
+    walk = Scenario("w", "w")
     names = {
         log_paths(one, seed, duration, tmp_path)["chips"].name
         for one in (walk, dataclasses.replace(walk, beliefs={"errors": {"mass": 0.02}}))
@@ -167,10 +161,15 @@ def test_options_refuse_what_cannot_be_done() -> None:
 
 def test_scenarios_are_the_ones_that_were_asked_for() -> None:
     assert not any(scenario.long for scenario in find_scenarios((), quick=True))
-    assert {s.name for s in find_scenarios((), quick=False)} == set(SCENARIOS)
+    walked = {name for name, scenario in SCENARIOS.items() if scenario.study == "walks"}
+    assert {s.name for s in find_scenarios((), quick=False)} == walked
     for scenario in SCENARIOS.values():
-        assert scenario.condition in {condition.name for condition in scenario.walk.conditions}
-        assert scenario.answers
+        assert scenario.condition in {condition.name for condition in scenario.cells}
+        assert bool(scenario.answers) == (scenario.study != "loops")
+    # Cells are read by one walk: its recording serves all that ask something else of it.
+    assert SCENARIOS["fault-dead"].walk == SCENARIOS["instant-0.04"].walk == SCENARIOS["speed-0.04"].walk
+    assert SCENARIOS["standing-held"].walk != SCENARIOS["standing"].walk
+    assert "(flipped; none" in SCENARIOS["fault-flipped"].answers
     swapped = SCENARIOS["fault-swapped"]
     for seed in range(20):
         (fault,) = swapped.faults_of(seed, 18.0)
@@ -182,7 +181,7 @@ def test_scenarios_are_the_ones_that_were_asked_for() -> None:
 
 @pytest.mark.slow
 def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
-    instant = (scenarios.INSTANT,)
+    instant = SCENARIOS["instant-0.1"].cells[1:]
     right = record_walk(0.1, 2, STAND_TIME + 2.0, instant)["instant"]
     late = record_walk(0.1, 2, STAND_TIME + 2.0, instant, clock_error=2 * right.dt)["instant"]
     np.testing.assert_array_equal(late.raw, right.raw)
@@ -200,14 +199,15 @@ def test_beliefs_and_sensors_are_altered(results: WalkStudyResults) -> None:
     paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
     plain = read_log(paths[0])
     beliefs = {"errors": {"mass": 0.02}}
-    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (scenarios.INSTANT,), beliefs=beliefs)["instant"]
+    instant = SCENARIOS["instant-0.1"].cells[1:]
+    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, instant, beliefs=beliefs)["instant"]
     true_mass = plain.mass / (1.0 + np.sign(plain.mass - 5.305) * 0.005)
     assert abs(heavy.mass / true_mass - 1.0) == pytest.approx(0.02, abs=1e-3)
 
 
 @pytest.fixture(scope="module")
 def ankles() -> dict[str, Log]:
-    return record_walk(0.1, 1, STAND_TIME + 2.0, SCENARIOS["ankle-ft"].walk.conditions)
+    return record_walk(0.1, 1, STAND_TIME + 2.0, SCENARIOS["ankle-ft"].cells)
 
 
 @pytest.mark.parametrize("name", ["ankle", "both"])
