@@ -281,14 +281,14 @@ def _make_beliefs(
         )
     facts = description.motion.of_log(path.parent, moved.step if moved is not table else dt)
     try:
-        from surefoot.experiments.logs.model import check_spin, load_model, make_beliefs
+        from surefoot.experiments.logs.model import check_spin, load_model, make_beliefs, moving_soles
     except ImportError as error:
         raise LogError(
             f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
-    model = load_model(facts, path.name)
-    motion = read_motion(moved, facts, model.joint_names)
+    model, R_torso_imu = load_model(facts, path.name)
+    motion = read_motion(moved, facts, model.joint_names).rotate(R_torso_imu)
     check_spin(motion, model, moved.file)
     known = facts, model, description.mass_kg, description.layout, dt
     reference, momentum = make_beliefs(time, motion, *known)
@@ -306,7 +306,7 @@ def _make_beliefs(
         down, up, _ = contacts(table, names, found, dt)
         return found._replace(stance=down, swing=up)
 
-    joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
+    joint_names, legs = model.joint_names, moving_soles(model, motion.joint)
     made: dict[str, Callable[[], Reference]] = {name: partial(turn, name) for name in legs}
     reference = reference._replace(stance=stance, swing=swing)
     return reference, momentum._replace(stance=stance, swing=swing), about, made, facts
