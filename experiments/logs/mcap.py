@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from mcap.writer import Writer
@@ -17,7 +17,7 @@ from mcap.writer import Writer
 import surefoot
 from surefoot.calibration import FeetLayout, Parameters
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
@@ -89,12 +89,7 @@ def open_mcap(path: Path, layout: FeetLayout) -> Iterator[Keep]:
 def write_mcap(path: Path, log: Log, method: str, initial: Parameters) -> Path:
     """Write a log, calibrated by a method from a map; LogError if its times are below 0."""
     estimate = replay_log(log, method, initial)
-    parts: dict[str, Any] = {
-        name: np.asarray(getattr(estimate, name))
-        for name in ("force", "vgrf", "cop", "cop_valid", "cop_foot", "cop_foot_valid", "flags")
-    }
     with open_mcap(path, log.layout) as keep:
         for i, (time, raw) in enumerate(zip(log.time, log.raw, strict=True)):
-            one = {name: part[i] for name, part in parts.items()}
-            keep(float(time), raw, Estimate(scale=None, offset=None, wrench=None, covariance=None, **one))
+            keep(float(time), raw, take_rows(estimate, i))
     return path
