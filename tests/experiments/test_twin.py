@@ -12,13 +12,12 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from _logs import run
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.instrument.likeness import compare
 from surefoot.experiments.instrument.noise import conversions
 from surefoot.experiments.instrument.recording import Recording, read_recording
@@ -171,8 +170,7 @@ def test_the_command_writes_a_preset_that_feet_take(
     table.insert(0, "load_N", recording.load[:, 0])
     table.insert(0, "time_s", recording.time)
     table.to_csv(tmp_path / "rig.csv", index=False)
-    result = CliRunner().invoke(app, ["twin", str(tmp_path / "rig.csv"), "--capacity", "98.1", "--json"])
-    assert result.exit_code == 0, result.output
+    result = run("twin", tmp_path / "rig.csv", "--capacity", "98.1", "--json")
     assert json.loads(result.stdout)["alike"]
     given = json.loads((tmp_path / "rig.twin.json").read_text())
     env = FootSensors(gym.make("surefoot/NaoStand-v0"), given)

@@ -13,9 +13,8 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import fails, redescribe
 
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.view.session import Session
 from surefoot.experiments.walks.replay import replay_log, starting_map
@@ -30,19 +29,13 @@ def free_port() -> int:
         return port
 
 
-def fails(arguments: list[str], message: str) -> None:
-    result = CliRunner().invoke(app, ["view", *arguments])
-    assert result.exit_code == 2
-    assert result.stderr == f"surefoot: {message}\n"
-
-
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
         if name.rpartition(".")[2] not in ("session", "recording", "world"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     fails(
-        [],
+        ["view"],
         'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
         "--video walk.mp4.",
     )
@@ -73,21 +66,21 @@ def page(server: Any, tmp_path: Path) -> Iterator[Any]:
 
 def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -> None:
     fails(
-        ["--repeat", "gone.parquet"],
+        ["view", "--repeat", "gone.parquet"],
         "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
     )
-    path = str(write_log(log, tmp_path / "walk.parquet"))
+    path = write_log(log, tmp_path / "walk.parquet")
     fails(
-        ["--repeat", path],
+        ["view", "--repeat", path],
         "This log was not recorded by 'surefoot view', so that there is nothing to repeat.",
     )
-    fails(["--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
+    fails(["view", "--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
         fails(
-            [STAND, "--port", str(port)],
+            ["view", STAND, "--port", port],
             f"port {port} of 127.0.0.1 is in use or not yours; choose another with --port {port + 1}.",
         )
 
@@ -266,9 +259,7 @@ def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told
 def test_a_description_without_a_step_is_refused(described: Path) -> None:
     from surefoot.experiments.view.stream import StreamFeet
 
-    told = json.loads(described.read_text())
-    del told["dt_s"]
-    described.write_text(json.dumps(told))
+    redescribe(described, dt_s=None)
     with pytest.raises(LogError, match="a stream needs 'dt_s'"):
         StreamFeet(described, "tare")
 
