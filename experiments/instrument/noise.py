@@ -110,7 +110,8 @@ def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
     """
     sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
     steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
-    limit = QUIET / NORMAL * float(np.median(np.concatenate([np.zeros(0), *steps])) if parts else 0.0)
+    every = np.concatenate([np.zeros(0), *steps])
+    limit = QUIET / NORMAL * float(np.median(every)) if len(every) else 0.0
     found = []
     for one, size, step in zip(parts, sizes, steps, strict=True):
         runs = np.split(np.arange(len(step) + 1), np.flatnonzero(step > limit) + 1)

@@ -101,7 +101,8 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
         found = _channels(table, "walk", [])
         return replace(found, refusal=refusal)
     foot = (read.layout.wrench_map != 0.0).any(axis=1).argmax(axis=0)
-    swing = np.asarray(read.reference.swing)
+    swing = np.asarray(read.reference.swing)[read.reference_rows]
+    swing[len(swing) - read.lag :] = False
     if read.about.get("contacts") == FELT:
         # A load that turns at its least is flat as well, but not for long.
         size = round(BLOCK / read.dt)

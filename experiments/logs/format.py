@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
@@ -93,6 +94,11 @@ class Log:
             f"Log({len(self)} samples of {self.layout.channels} channels ({feet}), {span} at "
             f"{1.0 / self.dt:g} Hz, {self.mass:g} kg{more})"
         )
+
+    @property
+    def reference_rows(self) -> NDArray[np.intp]:
+        """The row of ``reference`` that describes each row's feet; the last row where none has come yet."""
+        return np.minimum(np.arange(len(self)) + self.lag, len(self) - 1)
 
     def cut(self, rows: slice) -> "Log":
         """Return the log of some of its rows."""
@@ -182,7 +188,10 @@ def read_log(
     curved = {"curves": curves.as_plain()} if curves.any else {}
     facts |= {**more, "about": facts["about"] | curved | about}
     if np.isnan(facts["nominal"].offset).any():
-        facts["nominal"] = _tare_map(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
+        late, swing = facts["lag"], np.asarray(reference.swing)
+        facts["nominal"] = _tare_map(
+            facts["nominal"], raw[: len(raw) - late], swing[late:], layout, path.name
+        )
     truth = LogTruth(**fields_of(values, layout, "truth")) if "truth" in kinds else None
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
 

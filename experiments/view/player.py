@@ -33,10 +33,8 @@ class LogFeet:
         self.log, self.layout = log, log.layout
         if log.truth is None:
             # A reference is late; the last one that was known stands for those that were not.
-            rows = np.minimum(np.arange(len(log)) + log.lag, len(log) - 1)
-            position, R = (
-                np.asarray(part)[rows] for part in (log.reference.position_sole, log.reference.R_level_sole)
-            )
+            soles = log.reference.position_sole, log.reference.R_level_sole
+            position, R = (np.asarray(part)[log.reference_rows] for part in soles)
             known = np.isfinite(position).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2, 3))
             if not known.any():
                 raise LogError("This log never says where the soles are.")

@@ -23,9 +23,11 @@ from surefoot.experiments.instrument.noise import conversions
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.instrument.response import creep_of, loop_of
 from surefoot.experiments.instrument.twin import Twin, identify
+from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.logs.table import LogError
 from surefoot.sensors import LoadCells
 from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import creep
 from surefoot.sensors.stages.hysteresis import hysteresis
@@ -211,6 +213,18 @@ def test_repeats_of_a_clock_and_of_coarse_steps_are_told_apart() -> None:
         assert found.slower
         assert len(found.rows) == pytest.approx(30.0 * rate, rel=0.02)
     assert not conversions(np.full(500, 7.0)).slower
+
+
+def test_a_walk_shows_its_cells_by_feet_in_the_air(walks: dict[str, Log], tmp_path: Path) -> None:
+    """The reference is late: rows in which a foot already stands again must not count as unloaded."""
+    log = walks["bad-start"]
+    assert log.truth is not None
+    recording = read_recording(write_log(log, tmp_path / "walk.parquet"))
+    assert np.abs(log.truth.force[recording.unloaded]).max() < 0.05
+    twin = identify(recording)
+    drift = {one.name: one.value for one in twin.parameters}["random walk of the offset"]
+    assert drift.value == pytest.approx(HX711_LOAD_CELLS.offset_drift, rel=0.15)
+    assert twin.alike, twin.likeness
 
 
 class TestUnknownLoads:
