@@ -196,6 +196,16 @@ def test_a_map_in_other_units_is_refused(log: Log, tmp_path: Path, unit: str) ->
     assert not list(tmp_path.iterdir())
 
 
+def test_a_plate_may_be_empty_most_of_the_time(log: Log) -> None:
+    log = balanced(log)
+    raw = log.raw.copy()
+    raw[2:] = -log.nominal.offset / log.nominal.scale
+    check_weight(dataclasses.replace(log, raw=raw), "nominal", log.nominal, "walk.csv")
+    light = Parameters(log.nominal.scale / GRAVITY, log.nominal.offset / GRAVITY)
+    with pytest.raises(LogError, match="A map in kilograms-force would look so"):
+        check_weight(dataclasses.replace(log, raw=raw), "nominal", light, "walk.csv")
+
+
 def test_a_map_of_the_wrong_sign_is_refused(log: Log, tmp_path: Path) -> None:
     log = dataclasses.replace(balanced(log), nominal=Parameters(*(-part for part in log.nominal)))
     with pytest.raises(LogError) as refused:
