@@ -266,6 +266,18 @@ def test_one_weight_is_no_line(tmp_path: Path) -> None:
     assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
 
 
+def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
+        if name.rpartition(".")[2] not in ("session", "recording", "world"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    fails(
+        ["view"],
+        'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
+        "--video walk.mp4.",
+    )
+
+
 def test_without_the_extra_the_command_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,7 +3,6 @@
 import json
 import shutil
 import socket
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,12 @@ from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.view.session import Session
 from surefoot.experiments.walks.replay import replay_log, starting_map
 
+pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
+from surefoot.experiments.view.page import Page
+from surefoot.experiments.view.player import LogFeet, LogPage
+from surefoot.experiments.view.server import address_of, close_server, open_server
+from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
+
 STAND = "surefoot/NaoStand-v0"
 
 
@@ -29,27 +34,8 @@ def free_port() -> int:
         return port
 
 
-def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
-        if name.rpartition(".")[2] not in ("session", "recording", "world"):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "viser", None)
-    fails(
-        ["view"],
-        'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
-        "--video walk.mp4.",
-    )
-
-
 @pytest.fixture
-def viser() -> Any:
-    return pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
-
-
-@pytest.fixture
-def server(viser: Any) -> Iterator[Any]:
-    from surefoot.experiments.view.server import close_server, open_server
-
+def server() -> Iterator[Any]:
     opened = open_server("127.0.0.1", free_port(), "surefoot")
     yield opened
     close_server(opened)
@@ -57,14 +43,12 @@ def server(viser: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def page(server: Any, tmp_path: Path) -> Iterator[Any]:
-    from surefoot.experiments.view.page import Page
-
     made = Page(server, Session(STAND, seed=1), folder=tmp_path / "made")
     yield made
     made.session.close()
 
 
-def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -> None:
+def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(
         ["view", "--repeat", "gone.parquet"],
         "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
@@ -86,8 +70,6 @@ def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -
 
 
 def test_it_is_bound_to_the_loopback_and_serves_no_files(page: Any) -> None:
-    from surefoot.experiments.view.server import address_of
-
     address = address_of(page.server)
     assert address == f"http://127.0.0.1:{page.server.get_port()}"
     assert b"<html" in urlopen(address, timeout=10).read()
@@ -169,8 +151,6 @@ def test_a_recording_goes_into_the_folder_of_the_command(page: Any, tmp_path: Pa
 
 
 def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
-    from surefoot.experiments.view.player import LogFeet, LogPage
-
     feet = LogFeet(log, "none")
     shown = feet.state_to_draw(30)
     assert log.truth is not None
@@ -199,14 +179,12 @@ def rows_of(log: Log, count: int) -> list[bytes]:
 
 
 @pytest.fixture
-def described(viser: Any, log: Log, tmp_path: Path) -> Path:
+def described(log: Log, tmp_path: Path) -> Path:
     write_log(log, tmp_path / "walk.csv")
     return tmp_path / "walk.json"
 
 
 def test_a_stream_is_read_as_the_log_is(log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "tare")
     for line in rows_of(log, 40):
         feet.take(line)
@@ -218,8 +196,6 @@ def test_a_stream_is_read_as_the_log_is(log: Log, described: Path) -> None:
 
 
 def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "moment")
     rows = [
         json.dumps({k: v for k, v in json.loads(line).items() if not k.startswith("reference_")}).encode()
@@ -246,8 +222,6 @@ def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
     ],
 )
 def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told: str) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "tare")
     feet.take(rows_of(log, 1)[0])
     with pytest.raises(LogError) as refused:
@@ -257,16 +231,12 @@ def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told
 
 
 def test_a_description_without_a_step_is_refused(described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     redescribe(described, dt_s=None)
     with pytest.raises(LogError, match="a stream needs 'dt_s'"):
         StreamFeet(described, "tare")
 
 
 def test_rows_come_by_udp(server: Any, log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
-
     rows = RowSocket("127.0.0.1", 0)
     with pytest.raises(OSError, match=f"UDP port {rows.port} of 127.0.0.1 cannot be listened to"):
         RowSocket("127.0.0.1", rows.port)
