@@ -196,6 +196,18 @@ def test_a_map_in_other_units_is_refused(log: Log, tmp_path: Path, unit: str) ->
     assert not list(tmp_path.iterdir())
 
 
+def test_the_length_of_a_foot_is_asked_for_where_no_cell_has_a_place(
+    log: Log, tmp_path: Path, no_page: None
+) -> None:
+    feet = [FootLayout(foot.name, foot.wrench_map, foot.channel_names) for foot in log.layout.feet]
+    log = dataclasses.replace(balanced(log), layout=FeetLayout(tuple(feet)))
+    with pytest.raises(
+        LogError, match=r'walk\.csv: .* give it in m in the description: "about": \{"foot_length'
+    ):
+        calibrate(log, tmp_path)
+    calibrate(dataclasses.replace(log, about={"foot_length_m": 0.15}), tmp_path)
+
+
 def test_a_plate_may_be_empty_most_of_the_time(log: Log) -> None:
     log = balanced(log)
     raw = log.raw.copy()
