@@ -96,7 +96,8 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     verdict = judge_log(log, initial)
     row, size = _first_bad(log, initial, verdict), (len(log) - log.lag) // PARTS
     # What began on the way is clearer where it has begun, which may be in the middle of a part.
-    late = [judge_log(_from(log, start), initial) for start in (row, row + size) if row]
+    rest = (replace(log.cut(slice(start, None)), truth=None) for start in (row, row + size) if row)
+    late = [judge_log(part, initial) for part in rest]
     named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
@@ -136,11 +137,6 @@ def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
         bad = [fit.evidence < other + np.log(HINT) for fit, other in zip(fits, undone, strict=True)]
     first = bad.index(True) if True in bad else 0
     return round(first * (len(log) - log.lag) / PARTS)
-
-
-def _from(log: Log, row: int) -> Log:
-    """Return the rest of a log."""
-    return replace(log.cut(slice(row, None)), truth=None)
 
 
 def _judge_sets(log: InSituLog) -> Iterator[Wrong]:

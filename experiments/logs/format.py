@@ -142,11 +142,7 @@ def write_log(log: Log, path: str | Path) -> Path:
 
 
 def read_log(
-    path: str | Path,
-    max_gap: float = MAX_GAP,
-    topics: str | Path | None = None,
-    *,
-    feet_alone: bool = False,
+    path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | None = None, *, feet_alone: bool = False
 ) -> Log:
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 

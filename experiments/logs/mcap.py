@@ -39,12 +39,7 @@ class _Topics:
         self._feet = [foot.name for foot in layout.feet]
         places = [f"{name}_{axis}_m" for name in ("level", *self._feet) for axis in "xy"]
         vertical = [f"vgrf_{name}_N" for name in self._feet]
-        self._fields = {
-            "/readings": cells,
-            "/force": [*cells, *vertical],
-            "/cop": places,
-            "/flags": cells,
-        }
+        self._fields = {"/readings": cells, "/force": [*cells, *vertical], "/cop": places, "/flags": cells}
         self._channels = {topic: self._register(topic, names) for topic, names in self._fields.items()}
 
     def _register(self, topic: str, names: Iterable[str]) -> int:
@@ -72,10 +67,6 @@ class _Topics:
             message = json.dumps(dict(zip(self._fields[topic], plain, strict=True))).encode()
             self.writer.add_message(self._channels[topic], stamp, message, stamp)
 
-    def finish(self) -> None:
-        """Write the summary."""
-        self.writer.finish()  # type: ignore[no-untyped-call]
-
 
 @contextmanager
 def open_mcap(path: Path, layout: FeetLayout) -> Iterator[Keep]:
@@ -83,7 +74,7 @@ def open_mcap(path: Path, layout: FeetLayout) -> Iterator[Keep]:
     with atomic_path(path) as part, part.open("wb") as file:
         topics = _Topics(file, layout)
         yield topics.write
-        topics.finish()
+        topics.writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_mcap(path: Path, log: Log, method: str, initial: Parameters) -> Path:

@@ -144,12 +144,7 @@ class StreamFeet:
         self._time = math.nan
         self._calibrators = [
             FootCalibrator(
-                self.layout,
-                method,
-                mass=facts.mass_kg,
-                initial=facts.nominal,
-                dt=facts.dt_s,
-                lag=self._late,
+                self.layout, method, mass=facts.mass_kg, initial=facts.nominal, dt=facts.dt_s, lag=self._late
             )
             for method in ("none", self.method)
         ]
