@@ -14,7 +14,6 @@ from surefoot.experiments.cli import calibrate, compare, controllers, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
-
 ORDER = ["demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay"]
 
 
