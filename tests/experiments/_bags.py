@@ -17,7 +17,6 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 START = 1_700_000_000  # s since 1970
-FORMATS = ("ros1", "sqlite3", "mcap")
 
 
 class Topic(NamedTuple):

@@ -9,30 +9,12 @@ import numpy as np
 import pytest
 from _logs import fails, run
 
-from surefoot.experiments.logs.bag import guess_topics, read_bag
+from surefoot.experiments.logs.bag import read_bag
 from surefoot.experiments.logs.format import LogError
 from surefoot.names import page
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
-from _bags import COUNTS, FORMATS, Ros, Topic, describe, one_format, topics_of
-
-
-@pytest.fixture(
-    scope="module",
-    params=[form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow) for form in FORMATS],
-)
-def ros(request: pytest.FixtureRequest) -> Ros:
-    return Ros(request.param)
-
-
-@pytest.fixture(scope="module")
-def bag(ros: Ros, recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recorded walk as a bag with its description and the mapping file that was guessed."""
-    path = tmp_path_factory.mktemp(ros.form) / "walk"
-    describe(path, recorded_walk)
-    path = ros.write(path, topics_of(recorded_walk), seed=1)
-    path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
-    return path
+from _bags import COUNTS, Ros, Topic, one_format
 
 
 def change(old: str, new: str) -> Callable[[Path], None]:

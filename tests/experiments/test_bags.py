@@ -21,27 +21,9 @@ from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import standard_deviations
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
-from _bags import COUNTS, FORMATS, IMU, JOINTS, WRENCH, Ros, Topic, describe, one_format, topics_of
+from _bags import COUNTS, IMU, JOINTS, WRENCH, Ros, Topic, describe, one_format
 
 VECTORS = (("specific_force", "m_s2"), ("angular_velocity", "rad_s"))
-
-
-@pytest.fixture(
-    scope="module",
-    params=[form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow) for form in FORMATS],
-)
-def ros(request: pytest.FixtureRequest) -> Ros:
-    return Ros(request.param)
-
-
-@pytest.fixture(scope="module")
-def bag(ros: Ros, recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recorded walk as a bag with its description and the mapping file that was guessed."""
-    path = tmp_path_factory.mktemp(ros.form) / "walk"
-    describe(path, recorded_walk)
-    path = ros.write(path, topics_of(recorded_walk), seed=1)
-    path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
-    return path
 
 
 @pytest.fixture(scope="module")
