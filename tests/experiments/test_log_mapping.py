@@ -120,7 +120,8 @@ def test_offsets_that_nobody_gave_are_read_in_the_air(log: Log, tmp_path: Path) 
     swing[:20, 0] = swing[30:50, 1] = True
     unloaded = np.linspace(80_000.0, 87_000.0, 8)
     raw = unloaded + (log.raw - log.raw.mean(axis=0)) * 0.0
-    raw[~swing.repeat(4, axis=1)] += 1000.0
+    # Row k of the reference describes the feet of row k - lag.
+    raw[~np.roll(swing, -log.lag, axis=0).repeat(4, axis=1)] += 1000.0
     swung = dataclasses.replace(log, raw=raw, reference=log.reference._replace(swing=swing), truth=None)
     path = write_log(swung, tmp_path / "walk.csv")
     redescribe(path, nominal={"scale_N_per_count": log.nominal.scale.tolist()})
