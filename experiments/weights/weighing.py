@@ -10,6 +10,7 @@ The same weights, put again and again into the same holes, say how far a centre 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import gymnasium as gym
@@ -80,9 +81,7 @@ class WeighingReport:
     channel_code: Floats  # mean counts under them, shape (n, K)
     channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
     corrections: tuple[CopCorrectionFit, ...]  # of the left foot and the right
-    held_out: (
-        pd.DataFrame
-    )  # at holes that no fit saw, by the data sheet's map ("initial") and by the "weights"
+    held_out: pd.DataFrame  # at holes that no fit saw, by the data sheet's map, "initial", and the "weights"
     repeats: pd.DataFrame  # the same weights in the same holes again and again, by further maps as well
 
     def errors(self, name: str) -> MethodErrors:
@@ -166,15 +165,14 @@ def run_weighing(
         raw = weighed.read_foot(where, cell_load)
         after = channels.value.force(raw)[:, where]
         fit = fit_cop_correction(after, load, hole, _positions(foot), held_out=unseen)
-        held_out.append(_read_by_maps(own, raw[unseen], hole[unseen], load[unseen], (foot, where, fit)))
+        read = partial(_read_by_maps, foot=foot.name, where=where, fit=fit)
+        held_out.append(read(own, raw[unseen], hole[unseen], load[unseen]))
         corrections.append(fit)
-        plates.append((plate, np.unique(hole[unseen], axis=0), (foot, where, fit)))
+        plates.append((plate, np.unique(hole[unseen], axis=0), where, read))
     repeats = [pd.DataFrame()]
-    for plate, holes, on in plates if maps is not None else ():
+    for plate, holes, where, read in plates if maps is not None else ():
         hole, load, cell_load = _repeat(setup, plate, holes, rng)
-        repeats.append(
-            _read_by_maps(own | dict(maps or {}), weighed.read_foot(on[1], cell_load), hole, load, on)
-        )
+        repeats.append(read(own | dict(maps or {}), weighed.read_foot(where, cell_load), hole, load))
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
@@ -191,17 +189,20 @@ def _read_by_maps(
     raw: Floats,
     hole: Floats,
     load: Floats,
-    on: tuple[FootLayout, slice, CopCorrectionFit],
+    *,
+    foot: str,
+    where: slice,
+    fit: CopCorrectionFit,
 ) -> pd.DataFrame:
     """Read weights in N, (n,), at holes in m, (n, 2), on a foot by each map of the counts, (n, K)."""
-    (foot, where, fit), found = on, []
+    about, found = {"foot": foot, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}, []
     for name, one in maps.items():
         force = one.force(raw)[:, where]
-        cop = fit.cop(force) if name == "weights" else cop_of_cells(force, _positions(foot))
-        about = {"map": name, "foot": foot.name, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}
+        cop = fit.cop(force) if name == "weights" else cop_of_cells(force, fit.position_cell_sole)
         vgrf = force.sum(axis=1)
+        read = {"map": name, "cop_x": cop[:, 0], "cop_y": cop[:, 1], "vgrf": vgrf}
         errors = {"cop_error": np.linalg.norm(cop - hole, axis=1), "vgrf_error": vgrf - load}
-        found.append(pd.DataFrame(about | {"cop_x": cop[:, 0], "cop_y": cop[:, 1], "vgrf": vgrf} | errors))
+        found.append(pd.DataFrame(about | read | errors))
     return pd.concat(found)
 
 
