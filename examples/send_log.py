@@ -11,27 +11,17 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from surefoot.experiments import Log, read_log
+from surefoot.experiments.logs.description import describe
 from surefoot.experiments.walks.replay import starting_map
 
 
 def lines_of(log: Log) -> Iterator[tuple[float, dict]]:
     """Yield the description and then the samples, each with the time in s at which it is due."""
-    start = starting_map(log)
-    feet = [
-        {
-            "name": foot.name,
-            "wrench_map": foot.wrench_map.tolist(),
-            "channel_names": foot.channel_names,
-            "position_cell_sole_m": foot.position_cell_sole.tolist(),
-        }
-        for foot in log.layout.feet
-    ]
-    nominal = {"scale_N_per_count": start.scale.tolist(), "offset_N": start.offset.tolist()}
-    robot = {"layout": feet, "mass_kg": log.mass, "nominal": nominal, "dt_s": log.dt, "lag_samples": log.lag}
-    yield 0.0, robot
+    yield 0.0, describe(replace(log, nominal=starting_map(log)))
     for k, now in enumerate(log.time.tolist()):
         reference = {key: part[k].tolist() for key, part in log.reference._asdict().items()}
         yield now - log.time[0], {"time_s": now, "raw": log.raw[k].tolist(), "reference": reference}

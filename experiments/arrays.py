@@ -15,5 +15,5 @@ def stack_rows(rows: Sequence[Any]) -> Any:
 
 
 def take_rows(record: Any, where: Any) -> Any:
-    """Take rows of every field of a named tuple: one by its number, or those of a slice."""
-    return type(record)(*(np.asarray(part)[where] for part in record))
+    """Take rows of every field of a named tuple but ``None``: one by its number, or those of a slice."""
+    return type(record)(*(None if part is None else np.asarray(part)[where] for part in record))

@@ -265,10 +265,7 @@ def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
 
 def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
     """Return one array, if it is as large as it says."""
-    read_header = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     with archive.open(member) as file:
         shape, _, dtype = read_header[np.lib.format.read_magic(file)](file)
         if dtype.hasobject or prod(shape) * dtype.itemsize != member.file_size - file.tell():

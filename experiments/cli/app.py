@@ -14,24 +14,15 @@ from surefoot.experiments.cli import calibrate, compare, controllers, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
+ORDER = ["demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay"]
+
 
 class _InOrder(TyperGroup):
     """Shows commands in this order, groups among them; an interruption ends any of them in one line."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
-        return [
-            "demo",
-            "view",
-            "compare",
-            "check",
-            "twin",
-            "calibrate",
-            "train",
-            "evaluate",
-            "sweep",
-            "replay",
-        ]
+        return ORDER
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""

@@ -11,8 +11,7 @@ from surefoot.names import page
 
 Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
 Accept = Annotated[
-    str | None,
-    Option(help="Why to go on past what is refused: every file says it.", metavar="REASON"),
+    str | None, Option(help="Why to go on past what is refused: every file says it.", metavar="REASON")
 ]
 Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits the bag, and end.")]
 

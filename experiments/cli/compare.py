@@ -82,11 +82,10 @@ def weights(
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
     from surefoot.experiments.study.page import save_tables
-    from surefoot.experiments.weights.paper import paper_table_2, repeat_tables, table_2, table_3
+    from surefoot.experiments.weights.paper import weight_tables
     from surefoot.experiments.weights.weighing import weigh_after_walk
 
-    report = weigh_after_walk(seed)
-    tables = (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
+    tables = weight_tables(weigh_after_walk(seed))
     if out is not None:
         save_tables(out, tables)
     show(tables, {} if out is None else {"tables": out}, as_json=as_json)

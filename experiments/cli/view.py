@@ -15,75 +15,69 @@ _PAGE_FEEDS = {"true": "true", "none": "raw"}  # what the page calls them; all o
 LOOPBACK = "127.0.0.1"
 
 
+Env = Annotated[
+    str | None, Argument(help="Environment on two feet; by default the NAO that walks.", metavar="[ENV]")
+]
+Controller = Annotated[
+    str | None, Option(help="shipped, shipped-randomised, stabiliser, zero, a file .npz, or module:function.")
+]
+Stream = Annotated[
+    Path | None, Option(help="Show a robot's stream of rows instead; a log's description, .json.")
+]
+Mcap = Annotated[
+    Path | None, Option(help="Write samples into this .mcap: of --stream, or of --log without a page.")
+]
+Drawn = Annotated[
+    str | None, Option(help="Show the feet of this environment, robot or MJCF file instead.", metavar="ENV")
+]
+
+
 def view(
-    env: Annotated[
-        str | None, Argument(help="Environment on two feet; by default the NAO that walks.", metavar="[ENV]")
-    ] = None,
+    env: Env = None,
     feed: Feeds = None,
     speed: Annotated[float, Option(help="Walking speed in m/s.")] = 0.04,
     seed: Annotated[int, Option(help="Seed of the walk and its sensors.", min=0)] = 0,
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
-    controller: Annotated[
-        str | None,
-        Option(help="shipped, shipped-randomised, stabiliser, zero, a file .npz, or module:function."),
-    ] = None,
+    controller: Controller = None,
     record: Annotated[Path, Option(help="Folder for what the page records.")] = Path("out/view"),
     repeat: Annotated[Path | None, Option(help="Show again what was recorded into this log.")] = None,
     log: Annotated[Path | None, Option(help="Show a log instead, from its beginning to its end.")] = None,
-    stream: Annotated[
-        Path | None, Option(help="Show a robot's stream of rows instead; a log's description, .json.")
-    ] = None,
+    stream: Stream = None,
     stream_port: Annotated[int, Option(help="UDP port that the rows come to.", min=1, max=65535)] = 9870,
-    mcap: Annotated[
-        Path | None, Option(help="Write samples into this .mcap: of --stream, or of --log without a page.")
-    ] = None,
+    mcap: Mcap = None,
     host: Annotated[str, Option(help="Address of the page; 0.0.0.0 lets other computers in.")] = LOOPBACK,
     port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
     window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
     video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no page.")] = None,
     duration: Annotated[float, Option(help="Of a film or window in s, 4 s of standing included.")] = 20.0,
-    feet: Annotated[
-        str | None,
-        Option(help="Show the feet of this environment, robot or MJCF file instead.", metavar="ENV"),
-    ] = None,
+    feet: Drawn = None,
     foot: Annotated[list[str] | None, Option(help="A foot's body, the left one first; else guessed.")] = None,
     soles: Annotated[bool, Option("--soles", help="Flat soles for feet without area.")] = False,
     image: Annotated[Path, Option(help="Where the picture of the feet goes.")] = Path("feet.png"),
 ) -> None:
     """Watch a robot in the browser and change its feet while it walks; or in a window, or film it."""
+    feeds = feed or ["window" if window or video else "moment"]
     if feet is not None:
         _show_feet(feet, foot, soles, image)
-        return
-    feeds = feed or ["window" if window or video else "moment"]
-    if window or video is not None:
+    elif window or video is not None:
         if env is not None or foot or soles:
             fail("a window and a film show the NAO that walks; leave out ENV, --foot and --soles.")
         _walk(video, feeds, speed=speed, seed=seed, duration=duration, severity=severity)
-        return
-    if env is None and (foot or soles):
+    elif env is None and (foot or soles):
         fail("--foot and --soles go with --feet ENV or with ENV, which say whose feet.")
-    if len(feeds) > 1:
+    elif len(feeds) > 1:
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
-    if mcap is not None and stream is None:
-        if log is None:
-            fail("--mcap takes what --stream or --log shows; give one of them.")
+    elif stream is not None:
+        _show_stream(stream, feeds[0], mcap, (host, stream_port), port)
+    elif mcap is not None:
         _write_mcap(mcap, log, feeds[0])
-        return
-    made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
-    made["start"] = {"speed": speed, "severity": severity}
-    if stream is not None:
-        with ExitStack() as kept:
-            options: dict[str, Any] = {"description": stream, "feed": feeds[0], "at": (host, stream_port)}
-            rows = partial(_stream_page, **options, mcap=mcap, kept=kept)
-            _show_page(rows, stream.name, f"; rows come to UDP port {stream_port}", host, port)
-        if mcap is not None:
-            typer.echo(f"MCAP: {mcap}")
     elif log is not None:
         _show_page(lambda server: _log_page(server, log, feeds[0]), log.name, "", host, port)
     else:
-        more = f"; recordings go to '{record}'"
+        made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
+        made["start"] = {"speed": speed, "severity": severity}
         live = partial(_live_page, env=env, feed=feeds[0], options=made, folder=record, repeat=repeat)
-        _show_page(live, env, more, host, port)
+        _show_page(live, env, f"; recordings go to '{record}'", host, port)
 
 
 def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: str, port: int) -> None:
@@ -151,25 +145,34 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
         return LogPage(server, LogFeet(read_log(log), _choose(feed).get("method", "moment")))
 
 
-def _stream_page(
-    server: Any, description: Path, feed: str, at: tuple[str, int], mcap: Path | None, kept: ExitStack
-) -> Any:
-    """Return a robot's stream on a page, or refuse it; a file takes its samples until ``kept`` is closed."""
-    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
+def _show_stream(
+    description: Path, feed: str, mcap: Path | None, address: tuple[str, int], port: int
+) -> None:
+    """Show a robot's stream on a page, or refuse it; a file takes its samples until the page ends."""
+    with ExitStack() as kept:
 
-    with _refuse():
-        feet = StreamFeet(description, _choose(feed).get("method", "moment"))
-        if mcap is not None:
-            feet.keep = kept.enter_context(_mcap().open_mcap(mcap, feet.layout))
-        return StreamPage(server, feet, RowSocket(*at))
+        def make(server: Any) -> Any:
+            from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
+
+            with _refuse():
+                feet = StreamFeet(description, _choose(feed).get("method", "moment"))
+                if mcap is not None:
+                    feet.keep = kept.enter_context(_mcap().open_mcap(mcap, feet.layout))
+                return StreamPage(server, feet, RowSocket(*address))
+
+        _show_page(make, description.name, f"; rows come to UDP port {address[1]}", address[0], port)
+    if mcap is not None:
+        typer.echo(f"MCAP: {mcap}")
 
 
-def _write_mcap(path: Path, log: Path, feed: str) -> None:
+def _write_mcap(path: Path, log: Path | None, feed: str) -> None:
     """Write a log into an MCAP file, or refuse it."""
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.walks.replay import starting_map
 
+    if log is None:
+        fail("--mcap takes what --stream or --log shows; give one of them.")
     with _refuse(), working("writing the samples"):
         files, method = _mcap(), _choose(feed).get("method", "none")
         read = read_log(log, feet_alone=method in ("none", "tare"))

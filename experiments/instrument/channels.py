@@ -23,6 +23,9 @@ from surefoot.experiments.instrument.noise import (
 )
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.format import MAX_GAP
+from surefoot.experiments.study.page import Words
+
+_settle = Words("instrument", "settle")
 
 STILL = 2.0  # s for which a channel may repeat one value while others move
 RAILED, LOST = (
@@ -105,50 +108,29 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
         raw = recording.raw[:, i]
         there = np.isfinite(raw)
         if not there.any():
-            yield Wrong(
-                Finding(
-                    "no reading", f"Column '{one.name}' holds no reading.", "Check its cable and its name."
-                ),
-                settle="Pull its plug and put it in again while logging: a reading must come and go.",
-            )
+            reason, cure = f"Column '{one.name}' holds no reading.", "Check its cable and its name."
+            yield _wrong(recording, 0, Finding("no reading", reason, cure))
             continue
         if one.missing > LOST:
-            yield Wrong(
-                Finding(
-                    "missing", f"{100 * one.missing:.0f} % of the readings of '{one.name}' are missing.",
-                    "If its converter is slower than the rows, write rows at its rate.", one.missing, LOST,
-                    refuses=False,
-                ),
-                _when(recording, int(np.argmin(there))),
-            )  # fmt: skip
+            reason = f"{100 * one.missing:.0f} % of the readings of '{one.name}' are missing."
+            cure = "If its converter is slower than the rows, write rows at its rate."
+            finding = Finding("missing", reason, cure, one.missing, LOST, refuses=False)
+            yield _wrong(recording, int(np.argmin(there)), finding)
         if (railed := np.isin(raw, RAILS) & there).mean() > RAILED:
-            yield Wrong(
-                Finding(
-                    "rails", f"{railed.sum()} readings of column '{one.name}' are a converter's last code "
-                    f"({raw[railed][0]:.0f}).", "Lower the gain, or look for a broken wire.",
-                    float(railed.mean()), RAILED,
-                ),
-                _when(recording, int(np.argmax(railed))),
-                "Lift the foot: a wire that is broken stays at the end.",
-            )  # fmt: skip
+            last = f"column '{one.name}' are a converter's last code ({raw[railed][0]:.0f})"
+            reason, cure = f"{railed.sum()} readings of {last}.", "Lower the gain, or look for a broken wire."
+            finding = Finding("rails", reason, cure, float(railed.mean()), RAILED)
+            yield _wrong(recording, int(np.argmax(railed)), finding)
         if constant[i] >= 0:
-            yield Wrong(
-                Finding(
-                    "constant", f"'{one.name}' is {raw[there][-1]:.10g} in all readings from then on, while "
-                    "others move.", "Check its cable and its converter.",
-                ),
-                _when(recording, int(constant[i])),
-                "Press on this cell alone.",
-            )  # fmt: skip
+            value = f"{raw[there][-1]:.10g}"
+            reason = f"'{one.name}' is {value} in all readings from then on, while others move."
+            finding = Finding("constant", reason, "Check its cable and its converter.")
+            yield _wrong(recording, int(constant[i]), finding)
         if abs(one.slope) > one.slope_std * float(student.ppf(1.0 - ALARM / 2.0, max(len(one.rests) - 2, 1))):
             size = "" if recording.scale is None else f" ({60 * one.slope * recording.scale[i]:+.2g} N)"
-            yield Wrong(
-                Finding(
-                    "drift", f"Unloaded, column '{one.name}' drifts by {60 * one.slope:+.3g} counts a "
-                    f"minute{size}.", "A method that follows offsets undoes it.", refuses=False,
-                ),
-                settle="Let the feet hang for a minute after a quarter of an hour of power.",
-            )  # fmt: skip
+            reason = f"Unloaded, column '{one.name}' drifts by {60 * one.slope:+.3g} counts a minute{size}."
+            finding = Finding("drift", reason, "A method that follows offsets undoes it.", refuses=False)
+            yield _wrong(recording, 0, finding, "drift-unloaded")
 
 
 def _check_clock(recording: Recording) -> Iterator[Wrong]:
@@ -156,23 +138,31 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
     forward = steps[steps > 0]
     if (steps <= 0).any() and recording.kind != "six-axis sensor":
         row = int(np.argmax(steps <= 0)) + 1
-        yield Wrong(
-            Finding(
-                "clock", f"Times do not increase at row {row}.", "Sort the rows, and drop repeated times."
-            ),
-            _when(recording, row),
-        )
+        reason, cure = f"Times do not increase at row {row}.", "Sort the rows, and drop repeated times."
+        yield _wrong(recording, row, Finding("clock", reason, cure))
     if not len(forward):
         return
     gaps = steps > max(MAX_GAP, 4.0 * float(np.median(forward)))
     if gaps.any() and recording.kind != "six-axis sensor":
-        yield Wrong(
-            Finding(
-                "gaps", f"The clock leaps {gaps.sum()} times, by {steps.max():.3g} s at most.",
-                "Calibrate parts one by one, or with --split-gaps.", refuses=False,
-            ),
-            _when(recording, int(np.argmax(gaps)) + 1),
-        )  # fmt: skip
+        reason = f"The clock leaps {gaps.sum()} times, by {steps.max():.3g} s at most."
+        finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=False)
+        yield _wrong(recording, int(np.argmax(gaps)) + 1, finding)
+
+
+def _wrong(recording: Recording, row: int, finding: Finding, kind: str = "") -> Wrong:
+    if row == 0:
+        since = "all along"
+    else:
+        since = f"{recording.time[row]:.6g} s" if recording.has_times else f"row {row}"
+    return Wrong(finding, since, settling_motion(kind or finding.name))
+
+
+def settling_motion(kind: str) -> str:
+    """Return the shortest motion or reading that tells whether a mistake of a kind was made."""
+    try:
+        return _settle(kind.replace(" ", "-"))
+    except KeyError:
+        return ""
 
 
 def _stuck(recording: Recording) -> NDArray[np.intp]:
@@ -190,9 +180,3 @@ def _stuck(recording: Recording) -> NDArray[np.intp]:
         if np.isfinite(recording.raw[:, i]).sum() > FEWEST and (lasting or row == 0 < last):
             found[i] = row
     return found
-
-
-def _when(recording: Recording, row: int) -> str:
-    if row == 0:
-        return "all along"
-    return f"{recording.time[row]:.6g} s" if recording.has_times else f"row {row}"

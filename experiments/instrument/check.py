@@ -11,13 +11,18 @@ from surefoot.calibration.in_situ import KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.log import InSituLog
-from surefoot.experiments.instrument.channels import ChannelFacts, Wrong, facts_of, find_wrong
+from surefoot.experiments.instrument.channels import (
+    ChannelFacts,
+    Wrong,
+    facts_of,
+    find_wrong,
+    settling_motion,
+)
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import NOTHING, Table, decimal, number, percent, span
+from surefoot.experiments.study.tables import NOTHING, Table, decimal, number, percent, sentence, span
 from surefoot.experiments.study.tables import Verdict as Mark
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
 from surefoot.experiments.walking.hypotheses import Hypothesis
@@ -29,8 +34,6 @@ from surefoot.experiments.weights.judge import judge_weighings
 
 PARTS = 6  # of a log, each of which is judged to say since when it contradicts itself
 ONSET = 0.2  # s to which the moment is told: two blocks of a fit
-
-_settle = Words("instrument", "settle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +70,8 @@ def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
     """Yield the findings of the judge of the log's own command."""
     read = recording.read
     if recording.refusal:
-        reason, cure = recording.refusal.removeprefix(f"{recording.file}: "), ""
-        yield Wrong(Finding("unreadable", f"{reason[0].upper()}{reason[1:]}", cure))
+        reason = recording.refusal.removeprefix(f"{recording.file}: ")
+        yield Wrong(Finding("unreadable", sentence(reason)))
     elif recording.kind == "weighings":
         findings = judge_weighings(read_weighings(path)).findings
         yield from (Wrong(one, settle=settling_motion(one.name)) for one in findings)
@@ -83,20 +86,20 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     known = set(recording.notices)
     for notice in log_notices(log, ""):
         if notice not in known:
-            text = notice.removeprefix(": ")
-            yield Wrong(Finding("notice", f"{text[0].upper()}{text[1:]}", refuses=False))
+            yield Wrong(Finding("notice", sentence(notice.removeprefix(": ")), refuses=False))
     try:
         check_weight(log, "nominal", initial, "")
     except LogError as error:
-        text = str(error).removeprefix(": ")
-        yield Wrong(Finding("weight", f"{text[0].upper()}{text[1:]}"), settle=settling_motion("mass"))
+        text = sentence(str(error).removeprefix(": "))
+        yield Wrong(Finding("weight", text), settle=settling_motion("mass"))
         return
     if log.about.get("feet_alone"):
         return
     verdict = judge_log(log, initial)
     row, size = _first_bad(log, initial, verdict), (len(log) - log.lag) // PARTS
     # What began on the way is clearer where it has begun, which may be in the middle of a part.
-    late = [judge_log(_from(log, start), initial) for start in (row, row + size) if row]
+    rest = (replace(log.cut(slice(start, None)), truth=None) for start in (row, row + size) if row)
+    late = [judge_log(part, initial) for part in rest]
     named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
@@ -138,11 +141,6 @@ def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
     return round(first * (len(log) - log.lag) / PARTS)
 
 
-def _from(log: Log, row: int) -> Log:
-    """Return the rest of a log."""
-    return replace(log.cut(slice(row, None)), truth=None)
-
-
 def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
     config = log.config
     mass, std = config.limb.mass_kg, config.limb.mass_std_kg
@@ -161,14 +159,6 @@ def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
         yield Wrong(Finding("sets", one.reason, one.cure), settle=settling_motion("sets"))
     for text in fit.warnings:
         yield Wrong(Finding("notice", text, refuses=False))
-
-
-def settling_motion(kind: str) -> str:
-    """Return the shortest motion or reading that tells whether a mistake of a kind was made."""
-    try:
-        return _settle(kind.replace(" ", "-"))
-    except KeyError:
-        return ""
 
 
 def wrong_table(checked: Checked) -> Table:

@@ -7,14 +7,7 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.instrument.noise import (
-    FEWEST,
-    Stretch,
-    conversions,
-    find_settled,
-    rests,
-    step_of,
-)
+from surefoot.experiments.instrument.noise import FEWEST, Stretch, conversions, find_settled, rests, step_of
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import AFTER
 from surefoot.sensors import LoadCells
@@ -54,34 +47,28 @@ def constant_stretches(
     return found
 
 
-def simulate(recording: Recording, cells: LoadCells, periods: Floats, seed: int = 0) -> Recording:
+def simulate(recording: Recording, cells: LoadCells, periods: Floats) -> Recording:
     """Simulate readings of cells under the loads of a recording; chips of known periods in s keep them."""
-    rows = slice(0, LONGEST)
-    time, K = recording.time[rows], len(recording.names)
-    load = np.zeros((len(time), K)) if recording.load is None else recording.load[rows]
+    time, K = recording.time, len(recording.names)
+    load = np.zeros((len(time), K)) if recording.load is None else recording.load
     signs = cells.polarity if len(cells.polarity) == K else (cells.polarity[0],)
     mechanics = replace(cells.mechanics, mounting_warp_std=0.0, mounting_common_std=0.0)
     device = load_cells(replace(cells, channels=K, polarity=signs, mechanics=mechanics, shear_std=0.0))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     state, read = device.init((K,), rng), np.empty((len(time), K))
     state = state._replace(period=np.where(np.isfinite(periods), periods, state.period))
     dt = float(np.median(np.diff(time)))
     for row, (now, step) in enumerate(zip(load, np.diff(time, prepend=time[0] - dt), strict=True)):
         read[row], state = device.apply(now[None], state, rng, float(step))
-    unloaded = recording.unloaded[rows]
-    loads = None if recording.load is None else load
-    return replace(recording, time=time, raw=read, load=loads, unloaded=unloaded, read=None)
+    return replace(recording, raw=read, read=None)
 
 
 def compare(
     recording: Recording, cells: LoadCells, periods: Floats, size: Floats
 ) -> tuple[tuple[str, float], ...]:
     """Return the probability that twin and log are as different as they are by chance, of several sides."""
-    rows = slice(0, LONGEST)
-    load = None if recording.load is None else recording.load[rows]
-    raw, still = recording.raw[rows], recording.unloaded[rows]
-    log = replace(recording, time=recording.time[rows], raw=raw, load=load, unloaded=still)
-    twin = simulate(recording, cells, periods)
+    log = recording.cut(slice(0, LONGEST))
+    twin = simulate(log, cells, periods)
     step = 1.0 / cells.counts_per_newton
     seen = [_features(log, size, step), _features(twin, np.full(len(size), step), step)]
     found = []
@@ -94,7 +81,9 @@ def compare(
 
 def _features(recording: Recording, scale: Floats, step: float) -> dict[str, Floats]:
     """Return independent numbers that show noise, drift and clock; differences are whole steps in N."""
-    noise, drift, runs = [], [], []
+    noise: list[Floats] = []
+    drift: list[Floats] = []
+    runs: list[Floats] = []
     for one, _, own in constant_stretches(recording, scale):
         # Every second difference of neighbours shares no noise with the next.
         differences = np.diff(one.value)[::2]
@@ -110,12 +99,9 @@ def _features(recording: Recording, scale: Floats, step: float) -> dict[str, Flo
         if slower:
             # Lateness beats with the rows: runs of one length follow each other.
             runs.append(np.diff(rows[::8])[::2].astype(float))
-    names = (
-        "noise: differences of conversions",
-        f"drift: differences of means of {SUMMED}",
-        "clock: rows of 8 conversions",
-    )
-    parts = (noise, drift, runs)
-    return {
-        name: np.concatenate(part) if part else np.zeros(0) for name, part in zip(names, parts, strict=True)
+    parts = {
+        "noise: differences of conversions": noise,
+        f"drift: differences of means of {SUMMED}": drift,
+        "clock: rows of 8 conversions": runs,
     }
+    return {name: np.concatenate([np.zeros(0), *part]) for name, part in parts.items()}

@@ -110,7 +110,8 @@ def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
     """
     sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
     steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
-    limit = QUIET / NORMAL * float(np.median(np.concatenate([np.zeros(0), *steps])) if parts else 0.0)
+    every = np.concatenate([np.zeros(0), *steps])
+    limit = QUIET / NORMAL * float(np.median(every)) if len(every) else 0.0
     found = []
     for one, size, step in zip(parts, sizes, steps, strict=True):
         runs = np.split(np.arange(len(step) + 1), np.flatnonzero(step > limit) + 1)
@@ -151,7 +152,7 @@ def allan(stretches: Sequence[Stretch]) -> Allan:
     """Return the overlapping Allan deviations of all stretches together, at octaves of conversions."""
     longest = max((len(one.value) for one in stretches), default=0)
     taus, deviations, pairs = [], [], []
-    interval = _interval(stretches) if stretches else float("nan")
+    interval = float(np.concatenate([np.diff(one.time) for one in stretches]).mean()) if stretches else np.nan
     for m in 2 ** np.arange(0, max(int(np.log2(max(longest / 3, 1))), 0) + 1):
         squares, count, independent = 0.0, 0, 0.0
         for one in stretches:
@@ -167,11 +168,6 @@ def allan(stretches: Sequence[Stretch]) -> Allan:
             deviations.append(np.sqrt(0.5 * squares / count))
             pairs.append(independent)
     return Allan(*(np.array(part, dtype=np.float64) for part in (taus, deviations, pairs)))
-
-
-def _interval(stretches: Sequence[Stretch]) -> float:
-    steps = np.concatenate([np.diff(one.time) for one in stretches])
-    return float(steps.mean())
 
 
 def noise_of(curve: Allan) -> Noise:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,13 @@ class Recording:
         """Whether the load of any row is known, be it none."""
         return self.load is not None or bool(self.unloaded.any())
 
+    def cut(self, rows: slice) -> "Recording":
+        """Return some of its samples."""
+        load = None if self.load is None else self.load[rows]
+        return replace(
+            self, time=self.time[rows], raw=self.raw[rows], unloaded=self.unloaded[rows], load=load
+        )
+
 
 def read_recording(path: Path, topics: Path | None = None) -> Recording:
     """Read a log of any kind; LogError if it is no readable table or holds no channel.
@@ -92,9 +99,10 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
         refusal = str(error)
     if read is None:
         found = _channels(table, "walk", [])
-        return Recording(**{**vars(found), "refusal": refusal})
+        return replace(found, refusal=refusal)
     foot = (read.layout.wrench_map != 0.0).any(axis=1).argmax(axis=0)
-    swing = np.asarray(read.reference.swing)
+    swing = np.asarray(read.reference.swing)[read.reference_rows]
+    swing[len(swing) - read.lag :] = False
     if read.about.get("contacts") == FELT:
         # A load that turns at its least is flat as well, but not for long.
         size = round(BLOCK / read.dt)

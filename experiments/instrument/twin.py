@@ -182,24 +182,9 @@ def _preset(
     response: Response | None,
 ) -> tuple[LoadCells, tuple[str, ...]]:
     """Return the cells, and notes on open questions."""
-    notes: list[str] = []
-    step = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
-    unit = step if np.isfinite(step) else 1.0
-    codes = unit * FINEST > float(np.max(np.nanmax(recording.raw, axis=0) - np.nanmin(recording.raw, axis=0)))
-    if not codes:
-        unit = float(np.mean(np.abs(slope)))
-        notes.append(
-            f"Readings step by {step:.2g}, finer than any converter: they were filtered or scaled since. The "
-            "preset reads newtons, and its noise is that after the filter."
-        )
-    elif abs(unit - 1.0) > ROUND:
-        notes.append(f"Readings step by {unit:.4g}: a count of the preset is one such step.")
+    default, row = LoadCells(), float(np.median(np.diff(recording.time)))
+    unit, bits, binary, notes = _find_converter(recording, slope)
     counts, slope = recording.raw / unit, slope / unit
-    row = float(np.median(np.diff(recording.time)))
-    high, default = float(np.nanmax(np.abs(counts))), LoadCells()
-    binary = codes and bool(np.nanmedian(counts) > 2.0 ** (default.adc_bits - 2))
-    bits = default.adc_bits if high > 2.0**15 else max(int(np.ceil(np.log2(high + 1.0))) + 1, 8)
-    bits = bits if codes else 0
     gain = default.rated_output * default.adc_gain * 2.0**bits
     signs = tuple(int(one) for one in np.sign(slope))
     size = float(np.mean(np.abs(slope)))
@@ -236,6 +221,23 @@ def _preset(
         wire=Wire(delay=delay, under_way=max(Wire().under_way, int(np.ceil(delay / row)) + 2)),
     )
     return cells, tuple(notes)
+
+
+def _find_converter(recording: Recording, slope: Floats) -> tuple[float, int, bool, list[str]]:
+    """Return one step in readings, the bits, 0 for none, whether they are offset-binary, and notes."""
+    step = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
+    unit, most = step if np.isfinite(step) else 1.0, LoadCells().adc_bits
+    if unit * FINEST <= float(np.max(np.nanmax(recording.raw, axis=0) - np.nanmin(recording.raw, axis=0))):
+        note = (
+            f"Readings step by {step:.2g}, finer than any converter: they were filtered or scaled since. The "
+            "preset reads newtons, and its noise is that after the filter."
+        )
+        return float(np.mean(np.abs(slope))), 0, False, [note]
+    uneven = f"Readings step by {unit:.4g}: a count of the preset is one such step."
+    counts = recording.raw / unit
+    high, binary = float(np.nanmax(np.abs(counts))), bool(np.nanmedian(counts) > 2.0 ** (most - 2))
+    bits = most if high > 2.0**15 else max(int(np.ceil(np.log2(high + 1.0))) + 1, 8)
+    return unit, bits, binary, [uneven] * (abs(unit - 1.0) > ROUND)
 
 
 def _zero_of(counts: Floats, recording: Recording) -> Floats:

@@ -169,27 +169,21 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
         wanted = [one for one in reader.connections if one.topic in topics.topics]
         with explain_damage(path):
             messages = list(reader.messages(wanted))
-        origin = messages[0][1]
         series, notices = [], []
         for topic, fields in topics.topics.items():
-            mine = [(received, message_of(path, reader, *one)) for *one, received in _of(messages, topic)]
-            received = 1e-9 * (np.array([time for time, _ in mine], dtype=np.int64) - origin)
-            stamps = _stamps([message for _, message in mine], origin)
-            columns = _numbers(f"{path.name}: '{topic}'", fields, [message for _, message in mine])
-            time, clock = _clock(received, stamps, topics.offsets_s.get(topic))
+            mine = [one for one in messages if one[0].topic == topic]
+            decoded = [message_of(path, reader, link, data) for link, _, data in mine]
+            received = 1e-9 * (np.array([stamp for _, stamp, _ in mine]) - messages[0][1])
+            columns = _numbers(f"{path.name}: '{topic}'", fields, decoded)
+            time, clock = _clock(received, _stamps(decoded, messages[0][1]), topics.offsets_s.get(topic))
             kept = np.unique(time, return_index=True)[1]
-            parts = {name: values[kept] for name, values in columns.items()}
-            series.append(Series(topic, time[kept], parts))
-            repeats = f" {len(time) - len(kept)} messages repeat a time and were left out." * (
-                len(kept) < len(time)
-            )
-            rate = f"{1.0 / series[-1].period:.4g} a second" if len(kept) > 1 else "one alone"
-            notices.append(f"{path.name}: '{topic}': {len(time)} messages, {rate}; {clock}.{repeats}")
+            one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
+            series.append(one)
+            rate = f"{1.0 / one.period:.4g} a second" if len(kept) > 1 else "one alone"
+            repeats = len(time) - len(kept)
+            more = f" {repeats} messages repeat a time and were left out." if repeats else ""
+            notices.append(f"{path.name}: '{topic}': {len(time)} messages, {rate}; {clock}.{more}")
     return Bag(path.name, tuple(series), tuple(notices))
-
-
-def _of(messages: list[Any], topic: str) -> Iterator[tuple[Any, bytes, int]]:
-    return ((one, data, received) for one, received, data in messages if one.topic == topic)
 
 
 def _read_topics(path: Path, mapping: Path) -> Topics:

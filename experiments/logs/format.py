@@ -17,13 +17,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.arrays import Floats, take_rows
-from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
+from surefoot.experiments.logs.bag import Bag, is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     PHASES,
@@ -94,6 +95,11 @@ class Log:
             f"{1.0 / self.dt:g} Hz, {self.mass:g} kg{more})"
         )
 
+    @property
+    def reference_rows(self) -> NDArray[np.intp]:
+        """The row of ``reference`` that describes each row's feet; the last row where none has come yet."""
+        return np.minimum(np.arange(len(self)) + self.lag, len(self) - 1)
+
     def cut(self, rows: slice) -> "Log":
         """Return the log of some of its rows."""
         truth = self.truth and LogTruth(**{name: part[rows] for name, part in vars(self.truth).items()})
@@ -136,11 +142,7 @@ def write_log(log: Log, path: str | Path) -> Path:
 
 
 def read_log(
-    path: str | Path,
-    max_gap: float = MAX_GAP,
-    topics: str | Path | None = None,
-    *,
-    feet_alone: bool = False,
+    path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | None = None, *, feet_alone: bool = False
 ) -> Log:
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
@@ -153,74 +155,68 @@ def read_log(
     not, or time leaps.
     """
     path = Path(path)
-    mapping, tables, table, moved = _read_tables(path, None if topics is None else Path(topics))
-    told = _description(path, tables[0].data.schema.metadata if tables else None)
-    description = Description.read(told, f"{path.name}: the description")
-    beside = description.motion is not None and description.motion.table
-    if beside:
-        moved = mapping.read_by_mapping(path.parent / beside, "motion.table gives its path from the log.")
-        tables.append(moved)
-    mapping.check_units(tables)
-    if np.isnan(description.dt_s):
-        table.require(["time_s"], LISTED)
-        description = description.model_copy(update={"dt_s": table.step})
+    description, table, moved = _read_sources(path, None if topics is None else Path(topics))
     facts, layout = description.facts(), description.layout
-    has_truth, has_momentum = (
-        any(name.startswith(f"{kind}_") for name in table.names) for kind in ("truth", "momentum")
-    )
-    counts = ["time_s", *raw_names_of(layout)]
-    bare = description.motion is None and not has_references(table.names)
+    made = description.motion is not None
+    bare = not made and not has_references(table.names)
     alone = feet_alone and bare
-    names = [*counts] if alone or description.motion is not None else names_of(layout)
-    has_momentum = has_momentum and not bare and description.motion is None
-    names += part_names(layout, "truth") if has_truth else []
-    names += part_names(layout, "momentum") if has_momentum else []
+    counts = ["time_s", *raw_names_of(layout)]
+    names = counts if alone or made else names_of(layout)
+    kinds = ["truth"] if bare or made else ["truth", "momentum"]
+    kinds = [kind for kind in kinds if any(name.startswith(f"{kind}_") for name in table.names)]
+    names = [*names, *(name for kind in kinds for name in part_names(layout, kind))]
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
     curves = description.straightening
     raw = curves.straighten(stack(values, counts[1:]))
-    if curves.any:
-        facts["about"] = facts["about"] | {"curves": curves.as_plain()}
     if alone:
-        reference, facts = _reference_of_feet(table, raw, facts)
-    elif description.motion is None:
-        reference = Reference(**fields_of(values, layout, "reference"))
+        reference, more, about = _refer_to_feet(table, raw, facts)
+    elif made:
+        reference, more, about = _make_beliefs(path, table, moved or table, description, time)
+    else:
+        reference, more, about = Reference(**fields_of(values, layout, "reference")), {}, {}
         check_reference(reference, path.name)
-        if has_momentum:
+        if "momentum" in kinds:
             contacts_too = {phase: getattr(reference, phase) for phase in PHASES}
-            facts["momentum"] = MomentumReference(**fields_of(values, layout, "momentum"), **contacts_too)
-    else:
-        made = _make_beliefs(path, table, moved or table, description, time)
-        reference, facts["momentum"], about, facts["turned"], facts["motion"] = made
-        facts["about"] = facts["about"] | about
-    if table.notices:
-        facts["about"] = facts["about"] | {"notices": table.notices}
+            more["momentum"] = MomentumReference(**fields_of(values, layout, "momentum"), **contacts_too)
+    about |= {"notices": table.notices} if table.notices else {}
+    curved = {"curves": curves.as_plain()} if curves.any else {}
+    facts |= {**more, "about": facts["about"] | curved | about}
     if np.isnan(facts["nominal"].offset).any():
-        facts["nominal"] = _tare_map(facts["nominal"], raw, np.asarray(reference.swing), layout, path.name)
-    return Log(
-        time=time,
-        raw=raw,
-        reference=reference,
-        truth=LogTruth(**fields_of(values, layout, "truth")) if has_truth else None,
-        **facts,
-    )
+        late, swing = facts["lag"], np.asarray(reference.swing)
+        facts["nominal"] = _tare_map(
+            facts["nominal"], raw[: len(raw) - late], swing[late:], layout, path.name
+        )
+    truth = LogTruth(**fields_of(values, layout, "truth")) if "truth" in kinds else None
+    return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
 
 
-def _read_tables(
-    path: Path, topics: Path | None
-) -> tuple[TableMapping, list[LogTable], LogTable, LogTable | None]:
-    """Read a log's mapping, the tables that it is of, and of a bag the robot's motion besides."""
-    mapping = TableMapping() if is_bag(path) else TableMapping.beside(path)
-    tables, bag = [], None
+def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTable, LogTable | None]:
+    """Read a log's description, its table, and that of the robot's motion if it has rows of its own."""
+    moved: LogTable | None = None
     if is_bag(path):
-        bag = read_bag(path, topics)
+        mapping, tables = TableMapping(), list[LogTable]()
+        bag: Bag | None = read_bag(path, topics)
     else:
+        mapping = TableMapping.beside(path)
         tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
         bag = merge(tables) if len(tables) > 1 else None
+    told = _description(path, tables[0].data.schema.metadata if tables else None)
     if bag is None:
-        return mapping, tables, tables[0], None
-    return mapping, tables, bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+        table = tables[0]
+    else:
+        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+    description = Description.read(told, f"{path.name}: the description")
+    if description.motion is not None and description.motion.table:
+        beside = path.parent / description.motion.table
+        moved = mapping.read_by_mapping(beside, "motion.table gives its path from the log.")
+        tables.append(moved)
+    mapping.check_units(tables)
+    if np.isnan(description.dt_s):
+        table.require(["time_s"], LISTED)
+        description = description.model_copy(update={"dt_s": table.step})
+    return description, table, moved
 
 
 def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
@@ -242,10 +238,12 @@ def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, 
 ALONE = "Feet alone, without references, can be calibrated by --method tare or none."
 
 
-def _reference_of_feet(
-    table: LogTable, raw: Floats, facts: dict[str, Any]
-) -> tuple[Reference, dict[str, Any]]:
-    """Return a reference that knows contacts alone, and the log's facts: feet lie level, and nobody moves.
+Found = tuple[Reference, dict[str, Any], dict[str, Any]]
+"""A reference, further fields of its log, and what is about it."""
+
+
+def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found:
+    """Return a reference that knows contacts alone: feet lie level, and nobody moves.
 
     Contacts that the log does not hold are guessed from the load.
     """
@@ -255,24 +253,20 @@ def _reference_of_feet(
     if any(name in table for name in names):
         flags = check_columns(table, names)
         down = stack(flags, names) > 0.5
-        stance, swing, source = down[:, :feet], down[:, feet:], "as the log says"
+        stance, swing, source, more = down[:, :feet], down[:, feet:], "as the log says", {}
     else:
         scale, offset = facts["nominal"]
         load = sole_wrenches(scale * raw + np.nan_to_num(offset), layout)[..., 2]
         stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
-        facts, source = facts | {"lag": 0}, FELT
+        source, more = FELT, {"lag": 0}
     reference = refer_to_contacts(stance, swing, np.zeros((len(raw), feet, 3)))
-    return reference, facts | {"about": facts["about"] | {"feet_alone": True, "contacts": source}}
+    return reference, more, {"feet_alone": True, "contacts": source}
 
 
 def _make_beliefs(
-    path: Path,
-    table: LogTable,
-    moved: LogTable,
-    description: Description,
-    time: Floats,
-) -> tuple[Reference, MomentumReference, dict[str, Any], dict[str, Callable[[], Reference]], MotionFacts]:
-    """Make beliefs of joints and IMU; return both kinds, their source, and the fields of joints of a log."""
+    path: Path, table: LogTable, moved: LogTable, description: Description, time: Floats
+) -> Found:
+    """Make beliefs of joints and IMU."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(
@@ -281,14 +275,14 @@ def _make_beliefs(
         )
     facts = description.motion.of_log(path.parent, moved.step if moved is not table else dt)
     try:
-        from surefoot.experiments.logs.model import check_spin, load_model, make_beliefs
+        from surefoot.experiments.logs.model import check_spin, load_model, make_beliefs, moving_soles
     except ImportError as error:
         raise LogError(
             f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
-    model = load_model(facts, path.name)
-    motion = read_motion(moved, facts, model.joint_names)
+    model, R_torso_imu = load_model(facts, path.name)
+    motion = read_motion(moved, facts, model.joint_names).rotate(R_torso_imu)
     check_spin(motion, model, moved.file)
     known = facts, model, description.mass_kg, description.layout, dt
     reference, momentum = make_beliefs(time, motion, *known)
@@ -301,15 +295,16 @@ def _make_beliefs(
     stance, swing, source = contacts(table, names, reference, dt)
     about: dict[str, Any] = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
 
-    def turn(joint: str) -> Reference:
-        found, _ = make_beliefs(time, motion.turn(joint_names.index(joint)), *known)
+    def turn(joint: int) -> Reference:
+        found, _ = make_beliefs(time, motion.turn(joint), *known)
         down, up, _ = contacts(table, names, found, dt)
         return found._replace(stance=down, swing=up)
 
-    joint_names, legs = model.joint_names, model.moving_soles(motion.joint)
-    made: dict[str, Callable[[], Reference]] = {name: partial(turn, name) for name in legs}
+    legs = moving_soles(model, motion.joint)
+    turned = {name: partial(turn, model.joint_names.index(name)) for name in legs}
     reference = reference._replace(stance=stance, swing=swing)
-    return reference, momentum._replace(stance=stance, swing=swing), about, made, facts
+    momentum = momentum._replace(stance=stance, swing=swing)
+    return reference, {"momentum": momentum, "turned": turned, "motion": facts}, about
 
 
 def _description(path: Path, metadata: Any) -> Any:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from mcap.writer import Writer
@@ -17,7 +17,7 @@ from mcap.writer import Writer
 import surefoot
 from surefoot.calibration import FeetLayout, Parameters
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
@@ -39,12 +39,7 @@ class _Topics:
         self._feet = [foot.name for foot in layout.feet]
         places = [f"{name}_{axis}_m" for name in ("level", *self._feet) for axis in "xy"]
         vertical = [f"vgrf_{name}_N" for name in self._feet]
-        self._fields = {
-            "/readings": cells,
-            "/force": [*cells, *vertical],
-            "/cop": places,
-            "/flags": cells,
-        }
+        self._fields = {"/readings": cells, "/force": [*cells, *vertical], "/cop": places, "/flags": cells}
         self._channels = {topic: self._register(topic, names) for topic, names in self._fields.items()}
 
     def _register(self, topic: str, names: Iterable[str]) -> int:
@@ -72,10 +67,6 @@ class _Topics:
             message = json.dumps(dict(zip(self._fields[topic], plain, strict=True))).encode()
             self.writer.add_message(self._channels[topic], stamp, message, stamp)
 
-    def finish(self) -> None:
-        """Write the summary."""
-        self.writer.finish()  # type: ignore[no-untyped-call]
-
 
 @contextmanager
 def open_mcap(path: Path, layout: FeetLayout) -> Iterator[Keep]:
@@ -83,18 +74,13 @@ def open_mcap(path: Path, layout: FeetLayout) -> Iterator[Keep]:
     with atomic_path(path) as part, part.open("wb") as file:
         topics = _Topics(file, layout)
         yield topics.write
-        topics.finish()
+        topics.writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_mcap(path: Path, log: Log, method: str, initial: Parameters) -> Path:
     """Write a log, calibrated by a method from a map; LogError if its times are below 0."""
     estimate = replay_log(log, method, initial)
-    parts: dict[str, Any] = {
-        name: np.asarray(getattr(estimate, name))
-        for name in ("force", "vgrf", "cop", "cop_valid", "cop_foot", "cop_foot_valid", "flags")
-    }
     with open_mcap(path, log.layout) as keep:
         for i, (time, raw) in enumerate(zip(log.time, log.raw, strict=True)):
-            one = {name: part[i] for name, part in parts.items()}
-            keep(float(time), raw, Estimate(scale=None, offset=None, wrench=None, covariance=None, **one))
+            keep(float(time), raw, take_rows(estimate, i))
     return path

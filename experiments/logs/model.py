@@ -35,62 +35,11 @@ _NOT_NEEDED = (
 """Parts that need files or that a posture does not; what refers to others goes first."""
 
 
-class LogModel:
-    """The robot of a log as it believes itself to be; postures are those of :class:`NominalModel`.
+def load_model(facts: MotionFacts, file: str) -> tuple[NominalModel, Floats]:
+    """Load a drawing as the robot's own model, and the rotation from the IMU's axes to the torso's, (3, 3).
 
-    ``joint_names`` are the hinges in the order of angles, ``mass`` is the drawing's in kg, ``R_torso_imu``
-    rotates from the IMU's axes to the torso's.
+    Raises LogError if it cannot be read, lacks a part, or is no robot on hinges.
     """
-
-    def __init__(self, nominal: NominalModel, right_first: bool, R_torso_imu: Floats) -> None:
-        self._evaluate: Any = nominal.evaluate
-        self._velocities: Any = nominal.velocities
-        self._right_first = right_first
-        self.joint_names = nominal.joint_names
-        self.mass = nominal.mass
-        self.gravity, self.feet = nominal.gravity, nominal.feet
-        self.R_torso_imu, self.revision = R_torso_imu, nominal.revision
-        self._tree = nominal.tree
-
-    def evaluate(
-        self, position: Floats, velocity: Floats, spin: Floats
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the posture, as :meth:`NominalModel.evaluate` does."""
-        com, momentum, sites, axes = self._evaluate(position, velocity, spin)
-        if self._right_first:
-            return com, momentum, sites[[0, 2, 1]], axes[[3, 4, 5, 0, 1, 2]]
-        return com, momentum, sites, axes
-
-    def velocities(self) -> tuple[Floats, Floats]:
-        """Return the last posture's velocities, as :meth:`NominalModel.velocities` does."""
-        com, twist = self._velocities()
-        return com, twist[[0, 2, 1]] if self._right_first else twist
-
-    def tree(self) -> dict[str, NDArray[Any]] | None:
-        """Return the bodies, as :meth:`NominalModel.tree` does."""
-        tree = self._tree()
-        if tree is not None and self._right_first:
-            for name in ("site_body", "position_site", "R_body_site"):
-                tree[name] = tree[name][[0, 2, 1]]
-        return tree
-
-    def moving_soles(self, joint: Floats) -> list[str]:
-        """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
-        still = np.zeros(len(self.joint_names)), np.zeros(3)
-        found = []
-        for i, name in enumerate(self.joint_names):
-            for posture in joint[:: max(len(joint) // POSTURES, 1)]:
-                turned = posture.copy()
-                turned[i] *= -1.0
-                places = [np.vstack(self.evaluate(one, *still)[2:]).copy() for one in (posture, turned)]
-                if np.abs(places[0] - places[1]).max() > MOVES:
-                    found.append(name)
-                    break
-        return found
-
-
-def load_model(facts: MotionFacts, file: str) -> LogModel:
-    """Load a drawing; raise LogError if it cannot be read, lacks a part, or is no robot on hinges."""
     if not facts.model.is_file():
         raise LogError(
             f"{file}: the description's motion.model '{facts.model}' is not there; give its path from the "
@@ -114,10 +63,7 @@ def load_model(facts: MotionFacts, file: str) -> LogModel:
             if spec.site(name) is None:
                 spec.body(name).add_site(name=name)
         R_torso_imu = _place_imu(spec, facts, file)
-        full = spec.copy().compile()
-        right_first = full.site(facts.soles[0]).id > full.site(facts.soles[1]).id
-        soles = facts.soles[::-1] if right_first else facts.soles
-        nominal = NominalModel(spec, NO_ERRORS, sites=(_IMU, *soles), torso=facts.torso)
+        nominal = NominalModel(spec, NO_ERRORS, sites=(_IMU, *facts.soles), torso=facts.torso)
     except LogError:
         raise
     except (ValueError, mujoco.FatalError) as error:
@@ -125,7 +71,7 @@ def load_model(facts: MotionFacts, file: str) -> LogModel:
         if "opening file" in str(error):
             cure = "; a link without a mass takes it from its mesh: put the file there, or give it its mass."
         raise LogError(f"{file}: the model '{facts.model.name}' cannot be used: {error}{cure}") from None
-    return LogModel(nominal, right_first, R_torso_imu)
+    return nominal, R_torso_imu
 
 
 def _check_place(spec: Any, name: str, role: str, file: str, *, bodies_only: bool = False) -> None:
@@ -174,6 +120,21 @@ def _place_imu(spec: Any, facts: MotionFacts, file: str) -> Floats:
     return R
 
 
+def moving_soles(model: NominalModel, joint: Floats) -> list[str]:
+    """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
+    still = np.zeros(joint.shape[1]), np.zeros(3)
+    found = []
+    for i, name in enumerate(model.joint_names):
+        for posture in joint[:: max(len(joint) // POSTURES, 1)]:
+            turned = posture.copy()
+            turned[i] *= -1.0
+            places = [np.vstack(model.evaluate(one, *still)[2:]) for one in (posture, turned)]
+            if np.abs(places[0] - places[1]).max() > MOVES:
+                found.append(name)
+                break
+    return found
+
+
 FASTER, FAST = 15.0, 0.3
 """A gyroscope that turns this many times faster than the robot on its soles, and by more rad/s than this, is
 in other units: degrees are 57 times as many."""
@@ -187,7 +148,7 @@ def make_beliefs(
     time: Floats,
     motion: Motion,
     facts: MotionFacts,
-    model: LogModel,
+    model: NominalModel,
     mass: float,
     layout: FeetLayout,
     dt: float,
@@ -199,9 +160,7 @@ def make_beliefs(
     """
     where = TelemetryLayout(len(model.joint_names))
     link = motion.period, 0.0, facts.averaged
-    touching = touching_points(layout)
-    beliefs = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching))  # type: ignore[arg-type]
-    force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
+    beliefs = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching_points(layout)))
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place)
@@ -212,7 +171,10 @@ def make_beliefs(
     for moment, row, fine in zip(moments.tolist(), place.tolist(), known.tolist(), strict=True):
         while fed < min(row + ahead, len(motion.time)):
             values[where.joint_position] = motion.joint[fed]
-            values[where.accelerometer], values[where.gyroscope] = force[fed], spin[fed]
+            values[where.accelerometer], values[where.gyroscope] = (
+                motion.accelerometer[fed],
+                motion.gyroscope[fed],
+            )
             beliefs.update((Packet(int(motion.number[fed]), float(motion.time[fed]), values.copy()),))
             fed += 1
         if fine:
@@ -243,11 +205,11 @@ def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_
     return found
 
 
-def check_spin(motion: Motion, model: LogModel, file: str) -> None:
+def check_spin(motion: Motion, model: NominalModel, file: str) -> None:
     """Raise LogError if a gyroscope is far faster than the torso over the sole that turns less under it."""
     stride = max(round(APART / motion.period), 1)
-    still = np.zeros(len(model.joint_names)), np.zeros(3)
-    axes = np.array([model.evaluate(joint, *still)[3].copy() for joint in motion.joint[::stride]])
+    still = np.zeros(motion.joint.shape[1]), np.zeros(3)
+    axes = np.array([model.evaluate(joint, *still)[3] for joint in motion.joint[::stride]])
     R = axes.reshape(-1, 2, 3, 3)
     cosine = 0.5 * (np.einsum("nfij,nfij->nf", R[1:], R[:-1]) - 1.0)
     turned = np.arccos(np.clip(cosine, -1.0, 1.0)).min(axis=1) / (stride * motion.period)

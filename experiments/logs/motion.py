@@ -36,14 +36,19 @@ class Motion(NamedTuple):
     time: Floats  # in s on the clock of the feet, without the chance in its lateness, shape (M,)
     period: float  # between two numbers in s
     joint: Floats  # angles of the model's hinges in rad, shape (M, J)
-    accelerometer: Floats  # specific force in m/s^2, IMU axes, shape (M, 3)
-    gyroscope: Floats  # in rad/s, IMU axes, shape (M, 3)
+    accelerometer: Floats  # specific force in m/s^2, in the axes of the IMU or the torso, shape (M, 3)
+    gyroscope: Floats  # in rad/s, in the same axes, shape (M, 3)
 
     def turn(self, joint: int) -> "Motion":
         """Return it with the sign of one joint turned round."""
         angles = self.joint.copy()
         angles[:, joint] *= -1.0
         return self._replace(joint=angles)
+
+    def rotate(self, R_torso_imu: Floats) -> "Motion":
+        """Return it with the IMU's vectors in the torso's axes."""
+        force, spin = (part @ R_torso_imu.T for part in (self.accelerometer, self.gyroscope))
+        return self._replace(accelerometer=force, gyroscope=spin)
 
 
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:

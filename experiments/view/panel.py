@@ -51,7 +51,7 @@ class Panel:
         self._offset.value = round(float(self._session.errors.offset[channel]), 3)
 
     def _channel(self) -> int:
-        return list(self._session.channel_names).index(str(self._cell.value))
+        return list(self._session.layout.channel_names).index(str(self._cell.value))
 
     def _tell(self, handle: Any, what: str, value: Callable[[Any], Any] = lambda chosen: chosen) -> None:
         """Ask for a browser's choice at a control."""
@@ -108,7 +108,7 @@ class Panel:
         self._slider("severity", "severity", 0.0, 5.0, 0.1, "Factor of all errors of the cells.")
         self._slider("drift", "drift", 0.0, 20.0, 0.5, "Factor of the speed of their drift.")
         self._slider("temperature, K", "temperature", -20, 40, 1, "How much warmer than at power-up.")
-        self._cell = gui.add_dropdown("cell", session.channel_names)
+        self._cell = gui.add_dropdown("cell", session.layout.channel_names)
         self._cell.on_update(lambda event: self.show_cell())
         self._scale = gui.add_slider("its scale, %", -90, 100, 1, 0, hint="Error on top of its own.")
         limit = round(0.2 * session.drawing.weight, 0)
@@ -118,7 +118,7 @@ class Panel:
         self._tell(self._scale, "scale", lambda percent: (self._channel(), 0.01 * float(percent)))
         self._tell(self._offset, "offset", lambda force: (self._channel(), float(force)))
         what = gui.add_dropdown("this cell", FAULTS)
-        other = gui.add_dropdown("with", session.channel_names[::-1], visible=False)
+        other = gui.add_dropdown("with", session.layout.channel_names[::-1], visible=False)
 
         def show_other(event: Any) -> None:
             other.visible = what.value == "swaps with"
@@ -146,7 +146,7 @@ class Panel:
             most = round(0.25 * mass, 1)
             self._slider("payload, kg", "payload", 0.0, most, 0.05, "A mass before the chest; at once.")
         self._slider("slope, °", "slope", -5.0, 5.0, 0.25, "The ground rises in front; at once.")
-        if session.plans:
+        if session.walks:
             self._slider("speed, m/s (next reset)", "speed", -0.06, 0.1, 0.01, "From the next reset on.")
 
     def _recordings(self) -> None:

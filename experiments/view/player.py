@@ -8,14 +8,14 @@ import viser
 
 from surefoot.calibration import GRAVITY, METHODS
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.server import when_changed
 from surefoot.experiments.view.session import check_method
-from surefoot.experiments.view.shown import Reading, Shown, move_cop
+from surefoot.experiments.view.shown import Reading, Shown, show_feet
 from surefoot.experiments.walks.replay import replay_log, starting_map
 
 SIZE = 1.0  # length in m by which the scene of a log is scaled: its robot is not known
@@ -30,13 +30,11 @@ class LogFeet:
 
     def __init__(self, log: Log, method: str) -> None:
         check_load_cells(log.layout, "log")
-        self.log = log
+        self.log, self.layout = log, log.layout
         if log.truth is None:
             # A reference is late; the last one that was known stands for those that were not.
-            rows = np.minimum(np.arange(len(log)) + log.lag, len(log) - 1)
-            position, R = (
-                np.asarray(part)[rows] for part in (log.reference.position_sole, log.reference.R_level_sole)
-            )
+            soles = log.reference.position_sole, log.reference.R_level_sole
+            position, R = (np.asarray(part)[log.reference_rows] for part in soles)
             known = np.isfinite(position).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2, 3))
             if not known.any():
                 raise LogError("This log never says where the soles are.")
@@ -54,20 +52,14 @@ class LogFeet:
 
     def state_to_draw(self, i: int) -> Shown:
         """State to draw of sample ``i``."""
-        readings: dict[str, Reading] = {}
-        flags = np.asarray(self._estimate.flags)[i]
-        now = Shown(float(self.log.time[i]), self._position[i], self._R[i], readings, flags)
-        if self.log.truth is not None:
-            readings["true"] = self._truth(self.log.truth.force[i], now)
-        for way, estimate in (("raw", self._raw), ("calibrated", self._estimate)):
-            one = Estimate(*(None if part is None else np.asarray(part)[i] for part in estimate))
-            readings[way] = move_cop(now, one, one.cop)
-        return now
+        true = {} if self.log.truth is None else {"true": self._truth(self.log.truth.force[i], i)}
+        raw, calibrated = (take_rows(one, i) for one in (self._raw, self._estimate))
+        return show_feet(float(self.log.time[i]), self._position[i], self._R[i], raw, calibrated, **true)
 
-    def _truth(self, force: Floats, now: Shown) -> Reading:
+    def _truth(self, force: Floats, i: int) -> Reading:
         """Return the truth of a sample, its centre of pressure by the places of the cells."""
-        cells = np.array([foot.position_cell_sole for foot in self.log.layout.feet])
-        places = now.position_sole[:, None] + cells @ now.R_world_sole.swapaxes(1, 2)
+        cells = np.array([foot.position_cell_sole for foot in self.layout.feet])
+        places = self._position[i][:, None] + cells @ self._R[i].swapaxes(1, 2)
         vgrf = force.reshape(2, -1).sum(axis=1)
         total = float(vgrf.sum())
         cop = np.full(2, np.nan)

@@ -23,13 +23,7 @@ class Served:
     """
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        *,
-        layout: FeetLayout,
-        weight: float,
-        size: float,
-        aside: float = 1.0,
+        self, server: viser.ViserServer, *, layout: FeetLayout, weight: float, size: float, aside: float = 1.0
     ) -> None:
         self.server = server
         server.gui.reset()

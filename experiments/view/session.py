@@ -20,7 +20,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.recording import Recording
-from surefoot.experiments.view.shown import WAYS, Reading, Shown, move_cop
+from surefoot.experiments.view.shown import WAYS, Reading, Shown, show_feet
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
@@ -108,6 +108,9 @@ class Session:
         fell: Whether the episode ended with a fall.
         over: Whether the episode has ended; the next step needs a reset.
         feeds: The possible feeds of a controller, among :data:`WAYS`.
+        settings: The present choice of :data:`START`.
+        walks: Whether the robot's walk can be planned afresh, at another speed.
+        recording: What was recorded so far, ``None`` unless it records.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
@@ -124,12 +127,12 @@ class Session:
         feet: Sequence[str] | None = None,
         soles: bool = False,
     ) -> None:
-        self.env_id, self._walks = env_id, env_id == WALK
+        self.env_id, self.walks = env_id, env_id == WALK
         self._made = {"controller": controller, "feet": feet, "soles": soles}
-        self._settings = dict(START) | dict(start or {})
-        self._planned = float(self._settings["speed"])
+        self.settings = dict(START) | dict(start or {})
+        self._planned = float(self.settings["speed"])
         options: dict[str, Any] = {}
-        if self._walks:
+        if self.walks:
             options = {"speed": self._planned, "duration": WALK_TIME, "stand_time": STAND_TIME}
             options["push_impulse"] = (0.0, 0.0)
         self._tap = TruthTap(gym.make(env_id, disable_env_checker=True, **options))
@@ -148,8 +151,8 @@ class Session:
         seen = self._tap.observation_space
         true = isinstance(seen, gym.spaces.Dict) and set(TRUE_KEYS) <= set(seen.spaces)
         self.feeds = WAYS if true else WAYS[1:]
-        if self._settings["feed"] not in self.feeds:
-            raise ValueError(f"There is no feed '{self._settings['feed']}'. Available: {self.feeds}.")
+        if self.settings["feed"] not in self.feeds:
+            raise ValueError(f"There is no feed '{self.settings['feed']}'. Available: {self.feeds}.")
         self._controller = self._load_controller(controller)
         self._actions: Mapping[str, Callable[[Any], None]] = {
             **{what: partial(self._set, what) for what in _RANGES},
@@ -169,7 +172,7 @@ class Session:
         self.changes: list[Change] = []
         self.fell = self.over = False
         self.steps = self._episode_steps = 0
-        self._recording: Recording | None = None
+        self.recording: Recording | None = None
         self.power_up(seed)
 
     def _wear(self, env: gym.Env[Any, Any], cells: LoadCells) -> FootSensors:
@@ -183,7 +186,7 @@ class Session:
     def power_up(self, seed: int) -> None:
         """Begin again with the sensors, the robot and the chances of a seed, and nothing broken."""
         self.seed, self.steps = int(seed), 0
-        self.changes = [Change(0, what, value) for what, value in self._settings.items()]
+        self.changes = [Change(0, what, value) for what, value in self.settings.items()]
         rng = np.random.default_rng([ERROR_STREAM, self.seed])
         self.errors = LiveErrors(
             self._sensors.instruments, self._walk_densities, self._tempcos, self.drawing.sides, self.dt, rng
@@ -192,7 +195,7 @@ class Session:
         for what in ("severity", "drift", "temperature", "payload", "slope"):
             # A robot without a torso carries nothing, which is no reason to refuse it.
             if what != "payload" or self.world.carries:
-                self._actions[what](self._settings[what])
+                self._actions[what](self.settings[what])
         self._reset(self.seed)
 
     def change(self, what: str, value: Any = None) -> None:
@@ -218,8 +221,8 @@ class Session:
         if what not in self._actions:
             raise ValueError(f"There is no change '{what}'. Available: {', '.join(self._actions)}.")
         self._actions[what](value)
-        if what in self._settings:
-            self._settings[what] = value
+        if what in self.settings:
+            self.settings[what] = value
         self.changes.append(Change(self.steps, what, value))
 
     def step(self) -> None:
@@ -235,15 +238,10 @@ class Session:
         if self.fell:
             self._retract()
         self.over = bool(self.fell or truncated)
-        if self._recording is not None:
-            self._recording.keep(
+        if self.recording is not None:
+            self.recording.keep(
                 self.time, self._raw, self._env.reference, self.source.truth, self.errors.parameters
             )
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The present choice of :data:`START`."""
-        return dict(self._settings)
 
     @property
     def time(self) -> float:
@@ -253,42 +251,25 @@ class Session:
     @property
     def standing(self) -> bool:
         """Whether the robot still stands, so that calibrators can begin, before it walks."""
-        return self._walks and self.time < STAND_TIME
-
-    @property
-    def plans(self) -> bool:
-        """Whether the walk can be planned afresh, at another speed."""
-        return self._walks
-
-    @property
-    def channel_names(self) -> tuple[str, ...]:
-        """Names of the channels for words, such as ``"left/front-left"``."""
-        return tuple(self.layout.channel_names)
-
-    @property
-    def recording(self) -> bool:
-        """Whether it is recording."""
-        return self._recording is not None
+        return self.walks and self.time < STAND_TIME
 
     def state_to_draw(self) -> Shown:
         """State to draw now."""
         truth = self.source.truth
         position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
         force = np.asarray(truth.force_cell[-1], dtype=np.float64).copy()
-        readings = {"true": Reading(force, np.asarray(truth.vgrf()), np.asarray(truth.cop_world()))}
-        calibrated = self._lines[self._settings["method"]]
-        now = Shown(self.time, position, R, readings, np.asarray(calibrated.estimate.flags).copy())
-        for way, line in (("raw", self._lines["none"]), ("calibrated", calibrated)):
-            readings[way] = move_cop(now, line.estimate, line.seen["cop"])
-        return now
+        true = Reading(force, np.asarray(truth.vgrf()), np.asarray(truth.cop_world()))
+        lines = self._lines["none"], self._lines[self.settings["method"]]
+        found = (line.estimate._replace(cop=line.seen["cop"]) for line in lines)
+        return show_feet(self.time, position, R, *found, true=true)
 
     def record(self) -> None:
         """Record from now on, to the end of the episode at the latest."""
-        self._recording = Recording(self.dt)
+        self.recording = Recording(self.dt)
 
     def stop_recording(self) -> Log:
         """Stop recording and return the log; ValueError if nothing was."""
-        recording, self._recording = self._recording or Recording(self.dt), None
+        recording, self.recording = self.recording or Recording(self.dt), None
         setup = self._env.calibrator.setup
         about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
         about["view"] = {"env": self.env_id, "seed": self.seed, **self._made, "changes": self.changes}
@@ -308,14 +289,14 @@ class Session:
     @property
     def record_is_full(self) -> bool:
         """Whether a recording must be taken now: its episode has ended, or it is as long as it may be."""
-        return self._recording is not None and (self.over or self._recording.full)
+        return self.recording is not None and (self.over or self.recording.full)
 
     def _reset(self, seed: int | None) -> None:
         """Begin an episode: with a seed everything is fresh, without one feet and calibration stay."""
-        speed = float(self._settings["speed"])
-        if self._walks and speed != self._planned:
+        speed = float(self.settings["speed"])
+        if self.walks and speed != self._planned:
             self.source.pattern, self._planned = _plan(speed, WALK_TIME), speed
-        self._recording = None
+        self.recording = None
         self.world.put_down()
         observation, _ = self._env.reset(seed=seed)
         self._momentum.reset(seed)
@@ -325,7 +306,7 @@ class Session:
         self.fell = self.over = False
         self._episode_steps = 0
         if seed is not None:
-            for method in dict.fromkeys(("none", self._settings["method"])):
+            for method in dict.fromkeys(("none", self.settings["method"])):
                 self._lines[method] = _Line(self._env, self._sensors, method)
         for line in self._lines.values():
             line.view.begin_episode()
@@ -354,17 +335,17 @@ class Session:
 
     def _feed(self) -> None:
         """Give the controller its feed of the last sample."""
-        feed = self._settings["feed"]
+        feed = self.settings["feed"]
         if feed == "true":
             seen: Mapping[str, Any] = {key: self._tap.seen[key] for key in TRUE_KEYS}
         else:
-            seen = self._lines["none" if feed == "raw" else self._settings["method"]].seen
+            seen = self._lines["none" if feed == "raw" else self.settings["method"]].seen
         self._fed = {**self._observation, **seen}
 
     def _load_controller(self, name: str | None) -> Any:
         layout = getattr(self.source, "state_layout", None)
         if name is None and layout is not None and "cop_reference" in layout:
-            return Stabiliser(layout, engage_after=STAND_TIME if self._walks else 0.0)
+            return Stabiliser(layout, engage_after=STAND_TIME if self.walks else 0.0)
         if name in (None, "zero"):
             space: Any = self._env.action_space
             still = np.zeros(space.shape, dtype=space.dtype)
@@ -381,14 +362,14 @@ class Session:
         getattr(self.errors, what)[channel] = _within(what, error, low, high)
 
     def _check_speed(self, value: Any) -> None:
-        if not self._walks:
+        if not self.walks:
             raise ValueError(f"Only '{WALK}' is planned afresh at another speed.")
         _plan(float(value), 3.0 * STAND_TIME)
 
     def _check_feed(self, feed: Any) -> None:
         if feed not in self.feeds:
             raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(self.feeds)}.")
-        self._settings["feed"] = feed
+        self.settings["feed"] = feed
         self._feed()
 
     def _choose(self, method: Any) -> None:
@@ -396,7 +377,7 @@ class Session:
         if method not in self._lines:
             line = self._lines[method] = _Line(self._env, self._sensors, method)
             self._update(line)
-        self._settings["method"] = method
+        self.settings["method"] = method
         self._feed()
 
 

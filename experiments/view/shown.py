@@ -47,12 +47,27 @@ class Shown:
         return float(np.linalg.norm(apart))
 
 
-def move_cop(now: Shown, estimate: Estimate, cop: Any) -> Reading:
-    """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
+def show_feet(
+    time: float,
+    position_sole: Floats,
+    R_world_sole: Floats,
+    raw: Estimate,
+    calibrated: Estimate,
+    **true: Reading,
+) -> Shown:
+    """Return feet as two estimates and perhaps the truth have them, of soles as in :class:`Shown`."""
+    readings = dict(true)
+    now = Shown(time, position_sole, R_world_sole, readings, np.array(calibrated.flags))
+    readings |= {"raw": _move_cop(now, raw), "calibrated": _move_cop(now, calibrated)}
+    return now
+
+
+def _move_cop(now: Shown, estimate: Estimate) -> Reading:
+    """Return an estimate with its centre of pressure put under the true soles."""
     x, y = now.heading
     R_world_level = np.array([[x, -y], [y, x]])
     middle = now.position_sole[:, :2].mean(axis=0)
-    where = middle + R_world_level @ np.asarray(cop, dtype=np.float64)
+    where = middle + R_world_level @ np.asarray(estimate.cop, dtype=np.float64)
     covariance = estimate.cop_covariance
     return Reading(
         np.array(estimate.force, dtype=np.float64),

@@ -30,7 +30,7 @@ from surefoot.experiments.view.player import SIZE
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.server import when_changed
 from surefoot.experiments.view.session import check_method
-from surefoot.experiments.view.shown import Reading, Shown, move_cop
+from surefoot.experiments.view.shown import Shown, show_feet
 from surefoot.files import parse_json, read_text
 
 LARGEST_PACKET = 65536  # bytes, which is all that UDP carries
@@ -131,11 +131,8 @@ class StreamFeet:
         raw_estimate, estimate = (one.update(raw, reference, step) for one in self._calibrators)
         self._time = time
         self.rows += 1
-        readings: dict[str, Reading] = {}
-        now = Shown(time, reference.position_sole, reference.R_level_sole, readings, estimate.flags)
-        for way, one in (("raw", raw_estimate), ("calibrated", estimate)):
-            readings[way] = move_cop(now, one, one.cop)
-        self.shown = now
+        soles = reference.position_sole, reference.R_level_sole
+        self.shown = show_feet(time, *soles, raw_estimate, estimate)
         if self.keep is not None:
             self.keep(time, counts, estimate)
 
@@ -147,12 +144,7 @@ class StreamFeet:
         self._time = math.nan
         self._calibrators = [
             FootCalibrator(
-                self.layout,
-                method,
-                mass=facts.mass_kg,
-                initial=facts.nominal,
-                dt=facts.dt_s,
-                lag=self._late,
+                self.layout, method, mass=facts.mass_kg, initial=facts.nominal, dt=facts.dt_s, lag=self._late
             )
             for method in ("none", self.method)
         ]

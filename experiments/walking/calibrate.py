@@ -84,6 +84,11 @@ def calibrate_log(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
         )
     options = {"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}
+    if not options and any(foot.position_cell_sole is None for foot in log.layout.feet):
+        raise LogError(
+            f"{file}: channels have no places, which would tell the length of a foot; give it in m in the "
+            'description: "about": {"foot_length_m": 0.25}.'
+        )
     if stand and method != "window":
         raise ValueError(
             f"A quiet stand tells the weights of the window alone, not of '{method}'; leave out --stand."

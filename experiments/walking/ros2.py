@@ -82,11 +82,11 @@ def parameters_of_log(log: Log, initial: Parameters, **options: Any) -> tuple[di
         return {}, f"the log has no joints, IMU and drawing ('motion' in {page('log-format')})."
     from surefoot.experiments.logs.model import load_model, touching_points
 
-    model = load_model(facts, facts.model.name)
+    model, R_torso_imu = load_model(facts, facts.model.name)
     link = Link(rate=1.0 / facts.dt_s, delay=facts.delay_s, jitter=0.0)
     lag = usual_lag(link, facts.dt_s, log.dt, facts.readings_age_s)
     beliefs = Beliefs(
-        model,  # type: ignore[arg-type]
+        model,
         TelemetryLayout(len(model.joint_names)),
         facts.dt_s,
         facts.delay_s,
@@ -103,7 +103,7 @@ def parameters_of_log(log: Log, initial: Parameters, **options: Any) -> tuple[di
             MomentumBeliefs(beliefs),
             joints={name: facts.held_rad.get(name, np.nan) for name in model.joint_names},
             soles=facts.soles,
-            R_torso_imu=model.R_torso_imu,
+            R_torso_imu=R_torso_imu,
             age=facts.readings_age_s,
         )
     except (RuntimeError, ValueError) as problem:

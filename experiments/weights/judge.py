@@ -166,32 +166,22 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
             f", and a converter that spans {span:.3g} N" if span > RANGE else ""
         )
         near = "grams look so" if table.column == "load_kg" else "millinewtons look so"
-        yield Finding(
-            "units",
-            f"Column '{table.column}' means loads of {seen}, and no cell of a foot is made for that: {near}.",
-            "Give kilograms in 'load_kg', or newtons in 'load_N'.",
-            max(heaviest / HEAVIEST, span / RANGE),
-            1.0,
+        reason = (
+            f"Column '{table.column}' means loads of {seen}, and no cell of a foot is made for that: {near}."
         )
+        cure = "Give kilograms in 'load_kg', or newtons in 'load_N'."
+        yield Finding("units", reason, cure, max(heaviest / HEAVIEST, span / RANGE), 1.0)
     values = np.unique(known[known != 0.0]) / table.unit
     listed = ", ".join(f"{one:g}" for one in values[:4])
     if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):
-        yield _note(
-            "round newtons",
-            f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are.",
-            "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then.",
-        )
+        reason = f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are."
+        cure = "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then."
+        yield _note("round newtons", reason, cure)
     tenths = values * 10.0 / GRAVITY
-    if (
-        table.column == "load_kg"
-        and len(values) > 1
-        and np.allclose(tenths, np.rint(tenths), atol=2e-3, rtol=0.0)
-    ):
-        yield Finding(
-            "newtons",
-            f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are.",
-            "Name the column 'load_N', or give kilograms.",
-        )
+    even = len(values) > 1 and np.allclose(tenths, np.rint(tenths), atol=2e-3, rtol=0.0)
+    if table.column == "load_kg" and even:
+        reason = f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are."
+        yield Finding("newtons", reason, "Name the column 'load_N', or give kilograms.")
 
 
 def _check_labels(table: Weighings, lines: list[Line | None]) -> Finding | None:
@@ -234,15 +224,12 @@ def _check_labels(table: Weighings, lines: list[Line | None]) -> Finding | None:
         abs(np.nanmax(np.abs(one.residual)) / one.slope) for one in lines if one is not None and one.slope
     )
     sure = "more than 99.9 %" if certain > 0.999 else f"{100 * certain:.2g} %"
-    return Finding(
-        "labels",
+    reason = (
         f"The weighings contradict each other by up to {worst:.2g} N. The likeliest cause: in column "
-        f"'{table.column}' {tries[best][0]} (probability {sure}; next: {second}).",
-        f"{tries[best][1].capitalize()}, or leave these rows out.",
-        float(gains[best]),
-        limit,
-        contradicts=True,
+        f"'{table.column}' {tries[best][0]} (probability {sure}; next: {second})."
     )
+    cure = f"{tries[best][1].capitalize()}, or leave these rows out."
+    return Finding("labels", reason, cure, float(gains[best]), limit, contradicts=True)
 
 
 def _repeat(table: Weighings, i: int, line: Line) -> float:
@@ -282,29 +269,24 @@ def _check_cell(
     kept = read & np.isfinite(load) & ~out
     x, span = load[kept], float(np.ptp(load[kept])) if kept.any() else 0.0
     if not line.follows:
-        yield Finding(
-            "dead cell",
-            f"Column '{name}' does not follow the load: from {table.label(x.min())} to "
-            f"{table.label(x.max())} its counts change by {abs(line.slope) * span:.3g}, and "
-            f"they scatter by {line.scale:.3g}.",
-            "Check its wiring and that the weights rest on it, or leave the column out.",
-            abs(line.slope) / line.slope_std,
-            FOLLOWS,
+        ends = f"from {table.label(x.min())} to {table.label(x.max())}"
+        reason = (
+            f"Column '{name}' does not follow the load: {ends} its counts change by "
+            f"{abs(line.slope) * span:.3g}, and they scatter by {line.scale:.3g}."
         )
+        cure = "Check its wiring and that the weights rest on it, or leave the column out."
+        yield Finding("dead cell", reason, cure, abs(line.slope) / line.slope_std, FOLLOWS)
         return
     if out.any():
         rows, many = np.flatnonzero(out), out.sum() > MOST * read.sum()
         listed = ", ".join(f"{row + 2}" for row in rows[:6]) + (" and more" if len(rows) > 6 else "")
-        yield Finding(
-            "outliers",
+        far = np.nanmax(np.abs(code[out] - line.slope * load[out] - line.level)) / abs(line.slope)
+        reason = (
             f"Column '{name}': {len(rows)} of {read.sum()} readings lie off the line of the others by up to "
-            f"{_off(line, code[out], load[out]):.3g} N (line {listed} of the file, such as "
-            f"{code[rows[0]]:.10g}).",
-            "Weigh this cell again." if many else "They are left out.",
-            len(rows) / len(code),
-            MOST,
-            refuses=bool(many),
+            f"{far:.3g} N (line {listed} of the file, such as {code[rows[0]]:.10g})."
         )
+        cure = "Weigh this cell again." if many else "They are left out."
+        yield Finding("outliers", reason, cure, len(rows) / len(code), MOST, refuses=bool(many))
         if many:
             return
     bend = _bend(load[kept], code[kept], line)
@@ -320,31 +302,22 @@ def _check_line(
     scatter = abs(line.scale / line.slope)
     bent = f"Column '{name}' is no line: under {at} its readings lie {size:.2g} N from it"
     if curve is not None:
-        yield _note(
-            "curve",
-            f"{bent}.",
+        cure = (
             f"A {curve.shape} takes its place; weights that were left out are found to {curve.std:.2g} N "
-            f"(by a line to {curve.line_std:.2g} N).",
-            curve.line_std,
-            LEAST * span,
+            f"(by a line to {curve.line_std:.2g} N)."
         )
+        yield _note("curve", f"{bent}.", cure, curve.line_std, LEAST * span)
     elif size > max(FOLLOWS * doubt, LEAST * span):
-        yield _note(
-            "curve",
-            f"{bent}, and they scatter by {scatter:.2g} N.",
-            "Forces between the weights are that uncertain; weigh near the loads that matter.",
-            size,
-            LEAST * span,
-        )
+        reason = f"{bent}, and they scatter by {scatter:.2g} N."
+        cure = "Forces between the weights are that uncertain; weigh near the loads that matter."
+        yield _note("curve", reason, cure, size, LEAST * span)
     elif not (memory and memory.loops) and scatter > FOLLOWS * LEAST * span:
-        yield _note(
-            "scatter",
+        reason = (
             f"Column '{name}' scatters by {scatter:.2g} N about its line, of {span:.3g} N: a curve, creep, "
-            "or weights that do not rest on it alone.",
-            "Weigh each load three times or more, up and down.",
-            scatter,
-            FOLLOWS * LEAST * span,
+            "or weights that do not rest on it alone."
         )
+        cure = "Weigh each load three times or more, up and down."
+        yield _note("scatter", reason, cure, scatter, FOLLOWS * LEAST * span)
 
 
 def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | None:
@@ -367,29 +340,19 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
     share, std = (100.0 * part for part in (memory.hysteresis, memory.hysteresis_std))
     if memory.loops:
         value, deviation = round_to(abs(share), std)
-        yield _note(
-            "hysteresis",
+        reason = (
             f"Column '{name}' reads {'more' if share > 0.0 else 'less'} on the way down than on the way up: "
             f"a hysteresis of {value} ± {deviation} % of full scale, {abs(memory.hysteresis) * span:.2g} N "
-            "at half the load.",
-            "No line or curve undoes it: forces are off by up to half of it, up or down.",
-            abs(memory.hysteresis),
-            max(LEAST_LOOP, memory.reach * memory.hysteresis_std),
+            "at half the load."
         )
+        cure = "No line or curve undoes it: forces are off by up to half of it, up or down."
+        limit = max(LEAST_LOOP, memory.reach * memory.hysteresis_std)
+        yield _note("hysteresis", reason, cure, abs(memory.hysteresis), limit)
     if memory.drifts and abs(memory.drift) > LEAST * span:
-        yield _note(
-            "drift",
-            f"Column '{name}' drifts while it is weighed, by {memory.drift:+.2g} N from its first row to its "
-            "last.",
-            "Let the cell warm up for a quarter of an hour under no load, and weigh again.",
-            abs(memory.drift),
-            LEAST * span,
-        )
-
-
-def _off(line: Line, code: Floats, load: Floats) -> float:
-    """Return the largest distance of readings from a line in N."""
-    return float(np.nanmax(np.abs(code - line.slope * load - line.level)) / abs(line.slope))
+        drift = f"{memory.drift:+.2g} N from its first row to its last"
+        reason = f"Column '{name}' drifts while it is weighed, by {drift}."
+        cure = "Let the cell warm up for a quarter of an hour under no load, and weigh again."
+        yield _note("drift", reason, cure, abs(memory.drift), LEAST * span)
 
 
 def _bend(load: Floats, code: Floats, line: Line) -> tuple[float, float, float]:

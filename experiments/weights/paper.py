@@ -22,7 +22,7 @@ from surefoot.experiments.study.tables import (
     table_of,
     with_deviation,
 )
-from surefoot.experiments.weights.weighing import WeighingReport
+from surefoot.experiments.weights.weighing import MethodErrors, WeighingReport, errors_of
 
 
 class WeightTable(NamedTuple):
@@ -33,13 +33,6 @@ class WeightTable(NamedTuple):
     code: np.ndarray  # of the converters, shape (8, n)
     scale: np.ndarray  # in kg per count, shape (8,)
     offset: np.ndarray  # in kg, shape (8,)
-
-
-class MethodErrors(NamedTuple):
-    """Root-mean-square errors of the centre of pressure in m and of the vertical force in N."""
-
-    cop: float
-    vgrf: float
 
 
 TABLE_2 = WeightTable(
@@ -115,15 +108,15 @@ def table_2(report: WeighingReport) -> Table:
 
 def table_3(report: WeighingReport) -> Table:
     """Return the errors on held-out holes as the paper's Table 3."""
-    both = (report.initial, report.calibrated, TABLE_3["initial"], TABLE_3["calibrated"])
+    both = (report.errors("initial"), report.errors("weights"), *TABLE_3.values())
     rows = (
         ("CoP (mm)", *(number(1e3 * errors.cop) for errors in both)),
         ("vGRF (N)", *(number(errors.vgrf) for errors in both)),
     )
     columns = ("rmse", "initial, ours", "calibrated, ours", "initial, paper", "calibrated, paper")
-    calibrated = report.calibrated
+    calibrated = report.held_out[report.held_out["map"] == "weights"]
     note = (
-        f"{calibrated.placements} placements with a centre of pressure and {calibrated.weighings} weighings "
+        f"{calibrated['cop_x'].count()} placements with a centre of pressure and {len(calibrated)} weighings "
         "at holes that the fit never saw; the paper does not say how many of its were held out."
     )
     return Table("table3", "Table 3: before and after calibration from weights", columns, rows, note)
@@ -135,10 +128,7 @@ _MAPS = {"initial": "initial", "weights": "weights", "window": "window, walked",
 def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
     """Return how repeated placements agree with their holes and with each other: by map, and by hole."""
     spots = ["foot", "x", "y", "load"]
-    rows = report.repeats.assign(
-        off=lambda row: np.hypot(row["cop_x"] - row["x"], row["cop_y"] - row["y"]),
-        force_off=lambda row: row["vgrf"] - GRAVITY * row["load"],
-    )
+    rows = report.repeats
     parts = list(rows.groupby("map", sort=False))
     published = dict(zip(_MAPS, TABLE_3.values(), strict=False))
 
@@ -147,7 +137,7 @@ def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
         return lambda part: number(factor * float(np.sqrt(part[1].groupby(spots)[column].var().mean())))
 
     def rmse(column: str, factor: float) -> Cell:
-        return lambda part: number(factor * float(np.sqrt((part[1][column] ** 2).mean())))
+        return lambda part: number(factor * getattr(errors_of(part[1]), column))
 
     def paper(column: str, factor: float) -> Cell:
         return lambda part: (
@@ -156,11 +146,11 @@ def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
 
     columns: dict[str, Cell] = {
         "map": lambda part: _MAPS[part[0]],
-        "CoP rmse (mm)": rmse("off", 1e3),
+        "CoP rmse (mm)": rmse("cop", 1e3),
         "CoP rmse, paper (mm)": paper("cop", 1e3),
         "std of repeats, x (mm)": spread("cop_x", 1e3),
         "std of repeats, y (mm)": spread("cop_y", 1e3),
-        "vGRF rmse (N)": rmse("force_off", 1.0),
+        "vGRF rmse (N)": rmse("vgrf", 1.0),
         "vGRF rmse, paper (N)": paper("vgrf", 1.0),
         "std of repeats, vGRF (N)": spread("vgrf", 1.0),
     }
@@ -184,33 +174,42 @@ def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
     return by_map, table_of("repeats_holes", title, by_hole, list(left.groupby(spots)))
 
 
+def weight_tables(report: WeighingReport) -> tuple[Table, ...]:
+    """Return all tables about known weights."""
+    return (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
+
+
 def weights_section(report: WeighingReport, folder: Path) -> Section:
     """Return the section about known weights, and draw its figures into a folder."""
-    tables = (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
     shown = (
         ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", _say("figure_7")),
         ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", _say("figure_8")),
     )
-    return Section("weights", "Known weights", (_say("weights"),), tables=tables, figures=shown)
+    return Section(
+        "weights", "Known weights", (_say("weights"),), tables=weight_tables(report), figures=shown
+    )
 
 
 def cop_figure(path: Path, report: WeighingReport) -> Path:
     """Draw measured centres of pressure of the left foot against the plate's holes (the paper's Figure 7)."""
-    left = report.held_out[0]
+    held_out = report.held_out
+    left = held_out[held_out["foot"] == held_out["foot"].iloc[0]]
+    maps = [left[left["map"] == name] for name in ("initial", "weights")]
     # Of the lightest weights one map may have a centre of pressure, and the other none.
-    pressed = np.isfinite(left.cop_initial + left.cop_calibrated).all(axis=1)
-    holes = left.hole[pressed]
+    pressed = np.logical_and(*(rows["cop_x"].notna() for rows in maps))
     with figure_at(path, 9.0, 4.4) as figure:
         panels = grid_of(figure, 1, 2, sharex=True, sharey=True)[0]
-        for axes, places, name, title in (
-            (panels[0], left.cop_initial[pressed], "none", _BEFORE),
-            (panels[1], left.cop_calibrated[pressed], "baseline", _AFTER),
+        for axes, rows, name, title in zip(
+            panels, maps, ("none", "baseline"), (_BEFORE, _AFTER), strict=True
         ):
+            seen = rows[pressed]
             ring = {"s": 46, "facecolors": "none", "edgecolors": "#9a9a9a"}
-            axes.scatter(*(1e3 * holes.T), label="holes (truth)", **ring)
-            axes.scatter(*(1e3 * places.T), s=7, color=look_of(name).colour, label="measured", zorder=3)
-            off = 1e3 * np.linalg.norm(places - holes, axis=1)
-            axes.set_title(f"{title}: {np.sqrt(np.mean(off**2)):.3g} mm rmse")
+            axes.scatter(1e3 * seen["x"], 1e3 * seen["y"], label="holes (truth)", **ring)
+            colour = look_of(name).colour
+            axes.scatter(
+                1e3 * seen["cop_x"], 1e3 * seen["cop_y"], s=7, color=colour, label="measured", zorder=3
+            )
+            axes.set_title(f"{title}: {1e3 * errors_of(seen).cop:.3g} mm rmse")
             axes.set_aspect("equal")
             axes.set_xlabel("x in the sole frame (mm)")
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
@@ -220,13 +219,13 @@ def cop_figure(path: Path, report: WeighingReport) -> Path:
 
 def vgrf_figure(path: Path, report: WeighingReport) -> Path:
     """Draw the vertical force of held-out placements on both feet (the paper's Figure 8)."""
-    load = np.concatenate([foot.load for foot in report.held_out])
-    initial = np.concatenate([foot.vgrf_initial for foot in report.held_out])
-    calibrated = np.concatenate([foot.vgrf_calibrated for foot in report.held_out])
+    maps = [report.held_out[report.held_out["map"] == name] for name in ("initial", "weights")]
+    load = GRAVITY * maps[0]["load"].to_numpy()
     order, index = np.argsort(load, kind="stable"), np.arange(len(load))
     with figure_at(path, 9.0, 4.2) as figure:
         top, bottom = grid_of(figure, 2, 1, sharex=True, height_ratios=[2, 1])[:, 0]
-        for forces, name, label in ((initial, "none", _BEFORE), (calibrated, "baseline", _AFTER)):
+        for rows, name, label in zip(maps, ("none", "baseline"), (_BEFORE, _AFTER), strict=True):
+            forces = rows["vgrf"].to_numpy()
             style = {"color": look_of(name).colour, "linestyle": "none", "marker": ".", "markersize": 4}
             top.plot(index, forces[order], label=label, **style)
             bottom.plot(index, np.maximum(np.abs(forces - load)[order], 1e-5), **style)

@@ -10,6 +10,8 @@ The same weights, put again and again into the same holes, say how far a centre 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -22,7 +24,7 @@ from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
-from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
+from surefoot.calibration.weights.cop_correction import CopCorrectionFit, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.experiments.arrays import Floats
 from surefoot.sensors import LoadCells, load_cells
@@ -59,32 +61,38 @@ class WeighingSetup:
         check_not_negative(self, "cell_position_std", "nonlinearity", "hole_play", "seconds_per_weighing")
 
 
-@dataclass(frozen=True, eq=False)
-class Placements:
-    """Weighings of one foot at holes that its fit never saw."""
+class MethodErrors(NamedTuple):
+    """Root-mean-square errors of the centre of pressure in m and of the vertical force in N."""
 
-    hole: Floats  # where the weights stood in the sole frame in m, shape (n, 2)
-    load: Floats  # in N, shape (n,)
-    cop_initial: Floats  # by the data sheet's map in m, shape (n, 2); NaN below 5 N
-    cop_calibrated: Floats  # by the fitted channels and correction
-    vgrf_initial: Floats  # vertical force by the data sheet's map in N, shape (n,)
-    vgrf_calibrated: Floats  # by the fitted channels
+    cop: float
+    vgrf: float
 
 
 @dataclass(frozen=True, eq=False)
 class WeighingReport:
-    """The result of known weights; feet are (left, right)."""
+    """The result of known weights.
+
+    Placements have a row a map, foot, hole (x, y in m), weight (load in kg) and repeat: cop_x, cop_y in m,
+    NaN below 5 N, vgrf in N, and their errors.
+    """
 
     channel_names: tuple[str, ...]
     channel_load: Floats  # on each cell in kg, shape (n,)
     channel_code: Floats  # mean counts under them, shape (n, K)
     channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
-    corrections: tuple[CopCorrectionFit, ...]
-    initial: PlacementScore  # on held-out holes, by the data sheet's map
-    calibrated: PlacementScore  # there, by the fitted channels and correction
-    held_out: tuple[Placements, ...]
-    # A row a map, foot, hole (x, y in m), weight (load in kg) and repeat: cop_x, cop_y in m, vgrf in N.
-    repeats: pd.DataFrame
+    corrections: tuple[CopCorrectionFit, ...]  # of the left foot and the right
+    held_out: pd.DataFrame  # at holes that no fit saw, by the data sheet's map, "initial", and the "weights"
+    repeats: pd.DataFrame  # the same weights in the same holes again and again, by further maps as well
+
+    def errors(self, name: str) -> MethodErrors:
+        """Errors of a map at held-out holes, on both feet."""
+        return errors_of(self.held_out[self.held_out["map"] == name])
+
+
+def errors_of(placements: pd.DataFrame) -> MethodErrors:
+    """Root-mean-square errors over placements; those without a centre of pressure have none of it."""
+    squares = (placements[["cop_error", "vgrf_error"]] ** 2).mean()
+    return MethodErrors(*np.sqrt(squares).tolist())
 
 
 @dataclass(eq=False)
@@ -150,55 +158,52 @@ def run_weighing(
     code = weighed.read(np.repeat(weight[:, None], cells.channels, axis=1))
     channels = fit_channels(code, weight, layout.channel_names)
 
-    nominal = Parameters(cells.nominal_scale, cells.nominal_offset)
-    corrections, initial, placements, plates = [], [], [], []
+    own = {"initial": Parameters(cells.nominal_scale, cells.nominal_offset), "weights": channels.value}
+    corrections, held_out, plates = [], [], []
     for foot, where in zip(layout.feet, layout.slices, strict=True):
-        hole, load, held_out, cell_load, plate = _place(setup, foot, rng)
+        hole, load, unseen, cell_load, plate = _place(setup, foot, rng)
         raw = weighed.read_foot(where, cell_load)
-        before, after = (part.force(raw)[:, where] for part in (nominal, channels.value))
-        fit = fit_cop_correction(after, load, hole, _positions(foot), held_out=held_out)
-        unseen = hole[held_out], load[held_out], before[held_out], after[held_out]
-        placements.append(_compare_maps(fit, _positions(foot), *unseen))
-        initial.append(fit.score(before[held_out], load[held_out], hole[held_out]))
+        after = channels.value.force(raw)[:, where]
+        fit = fit_cop_correction(after, load, hole, _positions(foot), held_out=unseen)
+        read = partial(_read_by_maps, foot=foot.name, where=where, fit=fit)
+        held_out.append(read(own, raw[unseen], hole[unseen], load[unseen]))
         corrections.append(fit)
-        plates.append(plate)
-    repeats = []
-    every = {"initial": nominal, "weights": channels.value, **(maps or {})}
-    for i, plate in enumerate(plates if maps is not None else ()):
-        foot, where, fit = layout.feet[i], layout.slices[i], corrections[i]
-        hole, load, cell_load = _repeat(setup, plate, np.unique(placements[i].hole, axis=0), rng)
-        raw = weighed.read_foot(where, cell_load)
-        for name, one in every.items():
-            force = one.force(raw)[:, where]
-            cop = fit.cop(force) if name == "weights" else cop_of_cells(force, _positions(foot))
-            about = {"map": name, "foot": foot.name, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}
-            found = {"cop_x": cop[:, 0], "cop_y": cop[:, 1], "vgrf": force.sum(axis=1)}
-            repeats.append(pd.DataFrame(about | found))
+        plates.append((plate, np.unique(hole[unseen], axis=0), where, read))
+    repeats = [pd.DataFrame()]
+    for plate, holes, where, read in plates if maps is not None else ():
+        hole, load, cell_load = _repeat(setup, plate, holes, rng)
+        repeats.append(read(own | dict(maps or {}), weighed.read_foot(where, cell_load), hole, load))
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
         channel_code=code,
         channels=channels,
         corrections=tuple(corrections),
-        initial=_pool(initial),
-        calibrated=_pool([fit.score_held_out for fit in corrections]),
-        held_out=tuple(placements),
-        repeats=pd.concat(repeats) if repeats else pd.DataFrame(),
+        held_out=pd.concat(held_out),
+        repeats=pd.concat(repeats),
     )
 
 
-def _compare_maps(
-    fit: CopCorrectionFit, positions: Floats, hole: Floats, load: Floats, before: Floats, after: Floats
-) -> Placements:
-    """Return weighings at holes in m, (n, 2), by forces of the data sheet's map and the fitted one."""
-    return Placements(
-        hole=hole,
-        load=load,
-        cop_initial=cop_of_cells(before, positions),
-        cop_calibrated=fit.cop(after),
-        vgrf_initial=before.sum(axis=1),
-        vgrf_calibrated=after.sum(axis=1),
-    )
+def _read_by_maps(
+    maps: Mapping[str, Parameters],
+    raw: Floats,
+    hole: Floats,
+    load: Floats,
+    *,
+    foot: str,
+    where: slice,
+    fit: CopCorrectionFit,
+) -> pd.DataFrame:
+    """Read weights in N, (n,), at holes in m, (n, 2), on a foot by each map of the counts, (n, K)."""
+    about, found = {"foot": foot, "x": hole[:, 0], "y": hole[:, 1], "load": load / GRAVITY}, []
+    for name, one in maps.items():
+        force = one.force(raw)[:, where]
+        cop = fit.cop(force) if name == "weights" else cop_of_cells(force, fit.position_cell_sole)
+        vgrf = force.sum(axis=1)
+        read = {"map": name, "cop_x": cop[:, 0], "cop_y": cop[:, 1], "vgrf": vgrf}
+        errors = {"cop_error": np.linalg.norm(cop - hole, axis=1), "vgrf_error": vgrf - load}
+        found.append(pd.DataFrame(about | read | errors))
+    return pd.concat(found)
 
 
 def weigh_after_walk(seed: int = 0, methods: tuple[str, ...] = ("window", "moment")) -> WeighingReport:
@@ -269,19 +274,3 @@ def _repeat(
 def _share(plate: SolePlate, load: Floats, stands: Floats) -> Floats:
     """Return the cells' loads in N, (n, 4), under weights in N, (n,), that stand at places in m, (n, 2)."""
     return np.column_stack([load, stands[:, 1] * load, -stands[:, 0] * load]) @ plate.share.T
-
-
-def _pool(scores: list[PlacementScore]) -> PlacementScore:
-    """Return the scores of both feet together."""
-    both = pd.DataFrame(scores)
-
-    def pool(name: str, count: str) -> float:
-        return float(np.sqrt((both[count] * both[name] ** 2).sum() / both[count].sum()))
-
-    return PlacementScore(
-        placements=int(both["placements"].sum()),
-        weighings=int(both["weighings"].sum()),
-        cop_raw=pool("cop_raw", "placements"),
-        cop=pool("cop", "placements"),
-        vgrf=pool("vgrf", "weighings"),
-    )

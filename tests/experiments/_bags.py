@@ -1,12 +1,11 @@
 """Writers of ROS bags, and bags of the recorded walk."""
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import redescribe
 
 from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.logs.motion import count_rows, even_times
@@ -17,9 +16,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-RUNNER = CliRunner()
 START = 1_700_000_000  # s since 1970
-FORMATS = ("ros1", "sqlite3", "mcap")
 
 
 class Topic(NamedTuple):
@@ -117,11 +114,8 @@ def describe(path: Path, walk: Any, **changes: Any) -> None:
     """Write a log's description beside it."""
     write_log(walk.log, path.with_suffix(".csv"))
     path.with_suffix(".csv").unlink()
-    side = path.with_suffix(".json")
-    told = json.loads(side.read_text())
-    del told["lag_samples"]
     motion = {key: value for key, value in walk.description.items() if key not in ("delay_s", "dt_s")}
-    side.write_text(json.dumps(told | {"motion": motion | changes}))
+    redescribe(path, lag_samples=None, motion=motion | changes)
 
 
 one_format = pytest.mark.parametrize("ros", ["mcap"], indirect=True)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +18,7 @@ from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.episodes.episode import row_of_failure
+from surefoot.experiments.logs.bag import guess_topics
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
@@ -190,3 +192,30 @@ class RecordedWalk:
 def recorded_walk() -> RecordedWalk:
     """Give eight seconds of a walk, with everything that a robot knows of it."""
     return RecordedWalk()
+
+
+@pytest.fixture(
+    scope="session",
+    params=[
+        form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow)
+        for form in ("ros1", "sqlite3", "mcap")
+    ],
+)
+def ros(request: pytest.FixtureRequest) -> Any:
+    """Give a writer of ROS bags of a format."""
+    pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
+    from _bags import Ros
+
+    return Ros(request.param)
+
+
+@pytest.fixture(scope="session")
+def bag(ros: Any, recorded_walk: RecordedWalk, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recorded walk as a bag with its description and the mapping file that was guessed."""
+    from _bags import describe, topics_of
+
+    path = tmp_path_factory.mktemp(ros.form) / "walk"
+    describe(path, recorded_walk)
+    path = ros.write(path, topics_of(recorded_walk), seed=1)
+    path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
+    return path

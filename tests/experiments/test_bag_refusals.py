@@ -7,32 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from _logs import fails, run
 
-from surefoot.experiments.cli.app import app
-from surefoot.experiments.logs.bag import guess_topics, read_bag
+from surefoot.experiments.logs.bag import read_bag
 from surefoot.experiments.logs.format import LogError
 from surefoot.names import page
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
-from _bags import COUNTS, FORMATS, RUNNER, Ros, Topic, describe, one_format, topics_of
-
-
-@pytest.fixture(
-    scope="module",
-    params=[form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow) for form in FORMATS],
-)
-def ros(request: pytest.FixtureRequest) -> Ros:
-    return Ros(request.param)
-
-
-@pytest.fixture(scope="module")
-def bag(ros: Ros, recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recorded walk as a bag with its description and the mapping file that was guessed."""
-    path = tmp_path_factory.mktemp(ros.form) / "walk"
-    describe(path, recorded_walk)
-    path = ros.write(path, topics_of(recorded_walk), seed=1)
-    path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
-    return path
+from _bags import COUNTS, Ros, Topic, one_format
 
 
 def change(old: str, new: str) -> Callable[[Path], None]:
@@ -115,8 +97,7 @@ def test_a_bad_bag_is_one_line(bag: Path, tmp_path: Path, case: str) -> None:
         (shutil.copytree if one.is_dir() else shutil.copy)(one, tmp_path / one.name)
     path = tmp_path / bag.name
     spoil(path)
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
-    assert result.exit_code == 2, result.output
+    result = run("calibrate", "walk", path, "--method", "none", code=2)
     assert result.stderr.count("\n") == 1
     expected = "surefoot: " + reason.format(bag=bag.name, path=path)
     assert result.stderr[: len(expected)] == expected
@@ -128,8 +109,7 @@ def test_a_bag_that_ends_in_the_middle(bag: Path, tmp_path: Path) -> None:
     (shutil.copytree if bag.is_dir() else shutil.copy)(bag, path)
     file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path)])
-    assert result.exit_code == 2
+    result = run("calibrate", "walk", path, code=2)
     assert result.stderr.startswith(f"surefoot: {path.name}: not a whole bag (")
     assert result.stderr.endswith(
         "); `ros2 bag reindex` or `rosbag reindex` mends a recording that was cut off, and `rosbags-convert "
@@ -141,12 +121,10 @@ def test_a_bag_that_ends_in_the_middle(bag: Path, tmp_path: Path) -> None:
 def test_an_empty_bag_and_what_is_none(ros: Ros, tmp_path: Path) -> None:
     path = ros.write(tmp_path / "walk", [Topic("/feet", COUNTS, np.zeros(0), np.zeros((0, 8)))])
     for options in ([], ["--guess"]):
-        result = RUNNER.invoke(app, ["calibrate", "walk", str(path), *options])
-        assert result.exit_code == 2
-        assert result.stderr == f"surefoot: {path.name}: the bag is empty: it holds no message.\n"
+        fails(["calibrate", "walk", path, *options], f"{path.name}: the bag is empty: it holds no message.")
     (tmp_path / "walk.csv").write_text("time_s\n")
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(tmp_path / "walk.csv"), "--guess"])
-    assert result.stderr == ("surefoot: walk.csv: no bag; one is a folder or ends in .bag, .mcap, .db3.\n")
+    words = ["calibrate", "walk", tmp_path / "walk.csv", "--guess"]
+    fails(words, "walk.csv: no bag; one is a folder or ends in .bag, .mcap, .db3.")
 
 
 def test_without_rosbags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

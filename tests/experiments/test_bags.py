@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from _logs import run
 
 from surefoot.calibration import calibrate_in_situ, replay
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.instrument.check import check_log
@@ -21,27 +21,9 @@ from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import standard_deviations
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
-from _bags import COUNTS, FORMATS, IMU, JOINTS, RUNNER, WRENCH, Ros, Topic, describe, one_format, topics_of
+from _bags import COUNTS, IMU, JOINTS, WRENCH, Ros, Topic, describe, one_format
 
 VECTORS = (("specific_force", "m_s2"), ("angular_velocity", "rad_s"))
-
-
-@pytest.fixture(
-    scope="module",
-    params=[form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow) for form in FORMATS],
-)
-def ros(request: pytest.FixtureRequest) -> Ros:
-    return Ros(request.param)
-
-
-@pytest.fixture(scope="module")
-def bag(ros: Ros, recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recorded walk as a bag with its description and the mapping file that was guessed."""
-    path = tmp_path_factory.mktemp(ros.form) / "walk"
-    describe(path, recorded_walk)
-    path = ros.write(path, topics_of(recorded_walk), seed=1)
-    path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -112,9 +94,7 @@ def test_the_command_reads_a_bag_and_writes_ros2_parameters(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
-    arguments = ["calibrate", "walk", str(bag), "--method", "tare", "--ros2", "--out", str(tmp_path)]
-    result = RUNNER.invoke(app, arguments)
-    assert result.exit_code == 0, result.output
+    result = run("calibrate", "walk", bag, "--method", "tare", "--ros2", "--out", tmp_path)
     assert f"Note: {bag.name}: '/imu': " in result.stdout
     told = json.loads((tmp_path / "walk.tare.json").read_text())
     assert told["notices"][3].startswith(f"{bag.name}: '/imu': ")
@@ -128,8 +108,7 @@ def test_the_command_reads_a_bag_and_writes_ros2_parameters(
 
 @one_format
 def test_guess_prints_the_mapping_file(bag: Path) -> None:
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(bag), "--guess"])
-    assert result.exit_code == 0
+    result = run("calibrate", "walk", bag, "--guess")
     assert result.stdout == bag.with_suffix(".topics.toml").read_text()
     assert (
         '[topics."/feet/right"]  # std_msgs/msg/Float64MultiArray\ndata.0 = "raw_right_front_left_count"'
@@ -236,8 +215,7 @@ def test_in_situ_sets_in_one_bag_give_the_calibration_of_the_log(tmp_path: Path)
 
 def test_a_drivers_wrench_is_guessed_as_such(ros: Ros, tmp_path: Path) -> None:
     path = ros.write(tmp_path / "leg", [Topic("/wrench", WRENCH, np.arange(20) * 0.01, np.ones((20, 6)))])
-    result = RUNNER.invoke(app, ["calibrate", "ft", str(path), "--guess"])
-    assert result.exit_code == 0
+    result = run("calibrate", "ft", path, "--guess")
     assert 'wrench.force.x = "force_x_N"\n' in result.stdout
     assert 'wrench.torque.z = "torque_z_Nm"\n' in result.stdout
     path.with_suffix(".topics.toml").write_text(result.stdout)

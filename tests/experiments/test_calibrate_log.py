@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from _logs import fails, refusal_of, run
 
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, FootLayout, Parameters, replay
 from surefoot.calibration.layout import FeetLayout
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.cli.calibrate import walk
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
@@ -21,8 +20,6 @@ from surefoot.experiments.walking.agreement import agreement, ground_of_forces, 
 from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.tables import Facts, terminal_tables
-
-RUNNER = CliRunner()
 
 
 def calibrate(log: Log, folder: Path, method: str = "none", **options: Any) -> CalibratedLog:
@@ -199,6 +196,28 @@ def test_a_map_in_other_units_is_refused(log: Log, tmp_path: Path, unit: str) ->
     assert not list(tmp_path.iterdir())
 
 
+def test_the_length_of_a_foot_is_asked_for_where_no_cell_has_a_place(
+    log: Log, tmp_path: Path, no_page: None
+) -> None:
+    feet = [FootLayout(foot.name, foot.wrench_map, foot.channel_names) for foot in log.layout.feet]
+    log = dataclasses.replace(balanced(log), layout=FeetLayout(tuple(feet)))
+    with pytest.raises(
+        LogError, match=r'walk\.csv: .* give it in m in the description: "about": \{"foot_length'
+    ):
+        calibrate(log, tmp_path)
+    calibrate(dataclasses.replace(log, about={"foot_length_m": 0.15}), tmp_path)
+
+
+def test_a_plate_may_be_empty_most_of_the_time(log: Log) -> None:
+    log = balanced(log)
+    raw = log.raw.copy()
+    raw[2:] = -log.nominal.offset / log.nominal.scale
+    check_weight(dataclasses.replace(log, raw=raw), "nominal", log.nominal, "walk.csv")
+    light = Parameters(log.nominal.scale / GRAVITY, log.nominal.offset / GRAVITY)
+    with pytest.raises(LogError, match="A map in kilograms-force would look so"):
+        check_weight(dataclasses.replace(log, raw=raw), "nominal", light, "walk.csv")
+
+
 def test_a_map_of_the_wrong_sign_is_refused(log: Log, tmp_path: Path) -> None:
     log = dataclasses.replace(balanced(log), nominal=Parameters(*(-part for part in log.nominal)))
     with pytest.raises(LogError) as refused:
@@ -270,24 +289,21 @@ def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path, no_page: No
 def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path, no_page: None) -> None:
     gap = dataclasses.replace(log, time=log.time + 22.6 * (np.arange(len(log)) >= 30))
     path = write_log(gap, tmp_path / "walk.csv")
-    refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
-    assert refused.exit_code == 2
-    assert refused.stderr == (
-        "surefoot: walk.csv: column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there "
-        "and calibrate the parts one by one, or bridge it with --split-gaps.\n"
+    fails(
+        ["calibrate", "walk", path, "--method", "none"],
+        "walk.csv: column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there and "
+        "calibrate the parts one by one, or bridge it with --split-gaps.",
     )
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none", "--split-gaps"])
-    assert result.exit_code == 0, result.output
+    result = run("calibrate", "walk", path, "--method", "none", "--split-gaps")
     assert (
         "Note: walk.csv: column 'time_s' leaps 1 times by more than 0.1 s, the longest by 22.6 s; after each "
         "the filters start again, and what was learnt is kept.\n" in result.stdout
     )
     assert "the clock jumped; filters start again" in result.stdout
     both = ["--split-gaps", "--zero-phase"]
-    refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none", *both])
-    assert refused.stderr == (
-        "surefoot: walk.csv: --zero-phase filters across the gaps that --split-gaps lets through; use one of "
-        "them.\n"
+    fails(
+        ["calibrate", "walk", path, "--method", "none", *both],
+        "walk.csv: --zero-phase filters across the gaps that --split-gaps lets through; use one of them.",
     )
 
 
@@ -321,10 +337,9 @@ def test_references_in_other_units_are_refused(log: Log, tmp_path: Path, case: s
     path = write_log(log, tmp_path / "walk.csv")
     table = pd.read_csv(path)
     table.assign(**{name: factor * table[name] for name, factor in factors.items()}).to_csv(path, index=False)
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value).startswith(f"walk.csv: {start}")
-    assert str(refused.value).endswith(end)
+    reason = refusal_of(path)
+    assert reason.startswith(f"walk.csv: {start}")
+    assert reason.endswith(end)
 
 
 def test_instruments_of_a_foot_survive_the_file(log: Log, tmp_path: Path) -> None:

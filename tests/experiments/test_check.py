@@ -1,30 +1,25 @@
 """`surefoot check`: any log, what is wrong with it, since when, and what would settle it."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from _logs import fails, run_for_json
 
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.instrument.check import check_log
 from surefoot.experiments.instrument.noise import Stretch, allan, noise_of
 from surefoot.experiments.logs.format import Log, write_log
 
-RUNNER = CliRunner()
-
 
 def check(path: Path, code: int) -> dict[str, Any]:
     """Run the command and return its JSON."""
-    result = RUNNER.invoke(app, ["check", str(path), "--json"])
-    assert result.exit_code == code, result.output
+    found = run_for_json("check", path, code=code)
     assert path.with_suffix(".check.html").is_file()
-    return json.loads(result.stdout)
+    return found
 
 
 def test_noise_and_drift_are_those_that_were_put_in() -> None:
@@ -105,9 +100,8 @@ def test_sets_weighings_and_bare_channels(tmp_path: Path, undrawn: None) -> None
 
 def test_what_is_no_log_ends_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y\n1,2\n")
-    result = RUNNER.invoke(app, ["check", str(tmp_path / "a.csv")])
-    assert result.exit_code == 2
-    assert result.stderr == (
-        "surefoot: a.csv: holds no column 'raw_<channel>_count'; there are 'x', 'y'. Name yours under "
-        "[columns] in a.toml.\n"
+    fails(
+        ["check", tmp_path / "a.csv"],
+        "a.csv: holds no column 'raw_<channel>_count'; there are 'x', 'y'. Name yours under "
+        "[columns] in a.toml.",
     )

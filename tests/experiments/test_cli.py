@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
+from _logs import fails, run, run_for_json
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -26,15 +27,12 @@ from surefoot.experiments.study import progress
 from surefoot.experiments.study.tables import Table, decimal, number
 from surefoot.names import page
 
-RUNNER = CliRunner()
-
-
 COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay")
 
 
 def test_version_and_help() -> None:
-    assert RUNNER.invoke(app, ["--version"]).stdout == f"surefoot {surefoot.__version__}\n"
-    shown = RUNNER.invoke(app, ["--help"]).stdout
+    assert run("--version").stdout == f"surefoot {surefoot.__version__}\n"
+    shown = run("--help").stdout
     places = [shown.find(f"│ {command} ") for command in COMMANDS]
     assert places == sorted(places)
     assert places[0] > 0
@@ -62,22 +60,10 @@ def test_the_full_study_chooses_its_scenarios_itself() -> None:
     )
 
 
-def as_json(arguments: list[str]) -> dict[str, Any]:
-    """Parse the JSON that a command prints: all of its output, and not a word beside it on a pipe."""
-    result = RUNNER.invoke(app, [*arguments, "--json"])
-    assert result.exit_code == 0, result.output
-    assert result.stderr == ""
-
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} is no JSON")
-
-    return json.loads(result.stdout, parse_constant=refuse)
-
-
 def test_a_calibrated_walk_as_json(log: Log, tmp_path: Path, undrawn: None) -> None:
     path = write_log(log, tmp_path / "walk.parquet")
     new = tmp_path / "new"
-    said = as_json(["calibrate", "walk", str(path), "--method", "tare", "--out", str(new)])
+    said = run_for_json("calibrate", "walk", path, "--method", "tare", "--out", new)
     ends = {"calibrated walk": "parquet", "parameters": "json", "report": "html"}
     assert said["files"] == {what: str(new / f"walk.tare.{end}") for what, end in ends.items()}
     first = said["tables"]["parameters"]["rows"][0]
@@ -93,7 +79,7 @@ def test_a_calibrated_walk_as_json(log: Log, tmp_path: Path, undrawn: None) -> N
 
 
 def test_weights_as_json(tmp_path: Path) -> None:
-    said = as_json(["compare", "weights", "--out", str(tmp_path)])
+    said = run_for_json("compare", "weights", "--out", tmp_path)
     assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
     names = ["table2_paper", "table2_simulated", "table3", "repeats", "repeats_holes"]
     assert list(said["tables"]) == names
@@ -102,7 +88,7 @@ def test_weights_as_json(tmp_path: Path) -> None:
     load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
     table = pd.DataFrame({"load_kg": load, "raw_left_front_left_count": 8.3e6 - 4e5 * load})
     table.to_csv(tmp_path / "scales.csv", index=False)
-    said = as_json(["calibrate", "weights", str(tmp_path / "scales.csv")])
+    said = run_for_json("calibrate", "weights", tmp_path / "scales.csv")
     (row,) = said["tables"]["weighings"]["rows"]
     assert row["scale (1e-6 N/count), ± one sigma"]["value"] == pytest.approx(-9.81 / 0.4, rel=1e-12)
     files = {"map": "scales.map.json", "report": "scales.map.html"}
@@ -124,10 +110,9 @@ def test_every_command_that_prints_a_table_prints_json() -> None:
         for path, command in named(typer.main.get_command(app))
     }
     assert {path for path, known in options.items() if "--json" not in known} == {("train",), ("view",)}
-    scenarios = as_json(["sweep", "--scenarios"])["tables"]["scenarios"]["rows"]
+    scenarios = run_for_json("sweep", "--scenarios")["tables"]["scenarios"]["rows"]
     assert {"scenario": "speed-0.04", "what it is": "0.04 m/s"} in scenarios
-    result = RUNNER.invoke(app, ["calibrate", "weights", "gone.csv", "--json"])
-    assert (result.exit_code, result.stdout) == (2, "")
+    assert run("calibrate", "weights", "gone.csv", "--json", code=2).stdout == ""
 
 
 def test_headings_that_are_twice_there_are_numbered_in_json() -> None:
@@ -184,7 +169,7 @@ def test_an_interruption_ends_in_one_line(tmp_path: Path, module: str) -> None:
 
 def test_shells_complete_commands() -> None:
     asked = {"_SUREFOOT_COMPLETE": "complete_bash", "COMP_WORDS": "surefoot calibrate w", "COMP_CWORD": "2"}
-    assert RUNNER.invoke(app, [], prog_name="surefoot", env=asked).stdout.split() == ["walk", "weights"]
+    assert CliRunner().invoke(app, [], prog_name="surefoot", env=asked).stdout.split() == ["walk", "weights"]
 
 
 @pytest.mark.parametrize(
@@ -203,18 +188,12 @@ def test_a_page_has_an_address_as_soon_as_the_project_has_one(
 
 
 def test_help_names_the_address_of_a_page() -> None:
-    shown = RUNNER.invoke(app, ["calibrate", "weights", "--help"]).stdout
+    shown = run("calibrate", "weights", "--help").stdout
     assert page("weights") in "".join(shown.split())
 
 
-def fails(arguments: list[str], message: str) -> None:
-    result = RUNNER.invoke(app, arguments)
-    assert result.exit_code == 2
-    assert result.stderr == f"surefoot: {message}\n"
-
-
 def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
-    path = str(write_log(log, tmp_path / "walk.parquet"))
+    path = write_log(log, tmp_path / "walk.parquet")
     walk = ["calibrate", "walk"]
     fails(
         [*walk, "gone.parquet"],
@@ -278,14 +257,25 @@ BAD_WEIGHINGS = {
 def test_bad_weighings_are_refused(tmp_path: Path, case: str) -> None:
     columns, message = BAD_WEIGHINGS[case]
     pd.DataFrame(columns).to_csv(tmp_path / "scales.csv", index=False)
-    fails(["calibrate", "weights", str(tmp_path / "scales.csv")], f"scales.csv: {message}")
+    fails(["calibrate", "weights", tmp_path / "scales.csv"], f"scales.csv: {message}")
 
 
 def test_one_weight_is_no_line(tmp_path: Path) -> None:
     pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "scales.csv", index=False)
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(tmp_path / "scales.csv")])
-    assert result.exit_code == 3
+    result = run("calibrate", "weights", tmp_path / "scales.csv", code=3)
     assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
+        if name.rpartition(".")[2] not in ("session", "recording", "world"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    fails(
+        ["view"],
+        'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
+        "--video walk.mp4.",
+    )
 
 
 def test_without_the_extra_the_command_says_what_to_install(

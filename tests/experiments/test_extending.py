@@ -13,8 +13,8 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from _logs import run
 from gymnasium.envs.registration import EnvSpec
-from typer.testing import CliRunner
 
 from surefoot.calibration import (
     GRAVITY,
@@ -27,7 +27,6 @@ from surefoot.calibration import (
     register_method,
 )
 from surefoot.calibration.episodes import begin_episode
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
@@ -137,8 +136,7 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
     # On a log from the command line: a foot in the air takes its reading away, with the time constant.
     log.reference.swing[:, 0], log.reference.stance[:, 0] = True, False
     path = write_log(log, tmp_path / "walk.parquet")
-    ran = CliRunner().invoke(app, ["calibrate", "walk", str(path), "--method", name])
-    assert ran.exit_code == 0, ran.output
+    run("calibrate", "walk", path, "--method", name)
     found = pd.read_parquet(tmp_path / "walk.slow-tare.parquet")
     for k in range(2, len(log)):
         calibrator.update(log.nominal.force(log.raw[k - 2]), row_of(log, k))

@@ -9,21 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import refusal_of, run
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.experiments import write_log
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.checks import LISTED
-from surefoot.experiments.logs.format import Log, LogError, read_log
+from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walking.claims import claims_of, fit_claims
 from surefoot.experiments.walking.hypotheses import hypotheses
 from surefoot.experiments.walking.judge import Verdict, judge_log
 from surefoot.experiments.walks.replay import starting_map
-
-RUNNER = CliRunner()
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +116,7 @@ class TestCommand:
 
     def test_it_refuses(self, spoilt: ModuleType, bad_start: Log, tmp_path: Path) -> None:
         path = write_log(spoil(spoilt, bad_start, "feet"), tmp_path / "walk.parquet")
-        result = RUNNER.invoke(app, ["calibrate", "walk", str(path)])
-        assert result.exit_code == 3
+        result = run("calibrate", "walk", path, code=3)
         assert result.stderr.startswith(
             "surefoot: walk.parquet: Readings, layout, mass and motion contradict each other (by the best "
         )
@@ -146,8 +142,7 @@ class TestCommand:
             calibrate_log(spoil(spoilt, bad_start, "x and y"), "none", **options)
 
     def test_a_reason_must_be_given(self, tmp_path: Path) -> None:
-        result = RUNNER.invoke(app, ["calibrate", "walk", str(tmp_path / "walk.csv"), "--accept", " "])
-        assert result.exit_code == 2
+        result = run("calibrate", "walk", tmp_path / "walk.csv", "--accept", " ", code=2)
         assert "--accept needs the reason why a refusal may be passed" in result.stderr
 
     def test_slow_converters_are_told(
@@ -187,8 +182,7 @@ class TestFeetAlone:
         monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
         log = walks["bad-start"]
         path = feet_alone(dataclasses.replace(log, truth=None), tmp_path / "feet.csv", contacts=contacts)
-        result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "tare", "--json"])
-        assert result.exit_code == 0, result.output
+        result = run("calibrate", "walk", path, "--method", "tare", "--json")
         assert "agreement" not in json.loads(result.stdout)["tables"]
         found = pd.read_parquet(tmp_path / "feet.tare.parquet")
         assert "cop_level_x_m" not in found
@@ -214,9 +208,7 @@ class TestFeetAlone:
 
     def test_other_methods_need_the_robot(self, log: Log, tmp_path: Path) -> None:
         path = feet_alone(log, tmp_path / "feet.csv", contacts=True)
-        with pytest.raises(LogError) as refused:
-            read_log(path)
-        assert str(refused.value).endswith(
+        assert refusal_of(path).endswith(
             f"{LISTED} Feet alone, without references, can be calibrated by --method tare or none."
         )
 

@@ -9,10 +9,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import fails, redescribe, refusal_of, run, run_for_json
 
 from surefoot.calibration import GRAVITY, Curves
-from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walks.replay import with_map
 from surefoot.experiments.weights.judge import Weighings, find_memory, judge_weighings
@@ -20,7 +20,6 @@ from surefoot.experiments.weights.page import falls
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
-RUNNER = CliRunner()
 SHAPES = ("one cell", "four cells", "single readings", "four loads")
 MISTAKES = ("rail", "off", "labels", "dead", "grams", "curve", "newtons")
 LOOP = np.repeat((0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.0), 3)
@@ -72,11 +71,10 @@ def test_a_reading_at_the_rail_does_not_turn_the_line(spoilt: ModuleType, tmp_pa
     scales = []
     for table in (sound, spoilt.count(sound, 7, 8388607)):
         path = write(table, tmp_path / "scales.csv")
-        result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
-        assert result.exit_code == 0, result.output
+        told = run_for_json("calibrate", "weights", path)
         said = json.loads((tmp_path / "scales.map.json").read_text())
         scales.append(said["scale_N_per_count"][0])
-        assert said["notices"] == json.loads(result.stdout)["notices"]
+        assert said["notices"] == told["notices"]
     assert scales[1] == pytest.approx(scales[0], rel=1e-3)
     assert said["notices"][0].startswith(
         "scales.csv: Column 'raw_c0_count': 1 of 30 readings lie off the line of "
@@ -86,8 +84,7 @@ def test_a_reading_at_the_rail_does_not_turn_the_line(spoilt: ModuleType, tmp_pa
 
 def test_a_page_does_not_replace_its_map(spoilt: ModuleType, tmp_path: Path) -> None:
     path = write(spoilt.weigh("one cell", 3), tmp_path / "scales.csv")
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--out", str(tmp_path / "map.html")])
-    assert result.exit_code == 2
+    result = run("calibrate", "weights", path, "--out", tmp_path / "map.html", code=2)
     assert "end the map's name in .json" in result.stderr
     assert not (tmp_path / "map.html").exists()
 
@@ -97,14 +94,12 @@ def test_exchanged_labels_end_the_command(spoilt: ModuleType, tmp_path: Path) ->
     load = table.load / GRAVITY
     table = replace(table, load=GRAVITY * np.where(load == 1, 2, np.where(load == 2, 1, load)))
     path = write(table, tmp_path / "scales.csv")
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(path)])
-    assert result.exit_code == 3
+    result = run("calibrate", "weights", path, code=3)
     assert (
         "in column 'load_kg' the labels 1 and 2 are exchanged (probability more than 99.9 %" in result.stderr
     )
     assert not (tmp_path / "scales.map.json").exists()
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--accept", "they are right"])
-    assert result.exit_code == 0
+    result = run("calibrate", "weights", path, "--accept", "they are right")
     assert "Note: scales.csv: accepted (they are right): The weighings contradict each other" in result.stdout
 
 
@@ -145,9 +140,7 @@ def test_a_drift_is_no_hysteresis() -> None:
 
 def test_hysteresis_is_said_with_its_size(tmp_path: Path) -> None:
     path = write(loop(0.01, 2), tmp_path / "scales.csv")
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
-    assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
+    told = run_for_json("calibrate", "weights", path)
     (row,) = told["tables"]["weighings"]["rows"]
     assert row["hysteresis (% of full scale)"]["value"] == pytest.approx(1.0, abs=0.03)
     (note,) = told["notices"]
@@ -182,39 +175,31 @@ def test_loads_are_told_up_from_down() -> None:
 def test_exact_readings_are_as_sure_as_their_rounding(tmp_path: Path) -> None:
     path = tmp_path / "scales.csv"
     path.write_text("load_kg,raw_a_count\n0,100\n1,50100\n2,100100\n3,150100\n")
-    result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
-    (row,) = json.loads(result.stdout)["tables"]["weighings"]["rows"]
+    (row,) = run_for_json("calibrate", "weights", path)["tables"]["weighings"]["rows"]
     # A rounded count has a standard deviation of 0.29, over four readings that spread by 112,000 in all.
     plus_minus = row["scale (1e-6 N/count), ± one sigma"]["plus_minus"]
     assert plus_minus == pytest.approx(196.133 * np.sqrt(1 / 12) / 111803.4, rel=1e-3)
 
 
 def test_a_log_starts_from_a_file_of_weights(log: Log, tmp_path: Path, undrawn: None) -> None:
-    names = ("left_front_left", "left_front_right", "left_rear_left", "left_rear_right")
-    names += tuple(name.replace("left", "right", 1) for name in names)
     load = np.repeat([0.0, 1.0, 2.0, 4.0], 2)
-    rows = [f"{kg:g}," + ",".join(f"{8e6 + 1000 * i + 5e5 * kg:.0f}" for i in range(8)) for kg in load]
-    path = tmp_path / "scales.csv"
-    path.write_text(
-        "load_kg," + ",".join(f"raw_{name}_count" for name in names) + "\n" + "\n".join(rows) + "\n"
-    )
-    assert RUNNER.invoke(app, ["calibrate", "weights", str(path)]).exit_code == 0
+    code = 8e6 + 1000 * np.arange(8) + 5e5 * load[:, None]
+    names = tuple(raw_names_of(log.layout))
+    path = write(Weighings(load * GRAVITY, code, names, "load_kg", GRAVITY), tmp_path / "scales.csv")
+    run("calibrate", "weights", path)
     started = with_map(log, tmp_path / "scales.map.json").calibrated
     assert started is not None
     np.testing.assert_allclose(started.scale, GRAVITY / 5e5)
     np.testing.assert_allclose(started.offset, -GRAVITY / 5e5 * (8e6 + 1000 * np.arange(8)))
     walk = write_log(log, tmp_path / "walk.parquet")
     start = ["--start", str(tmp_path / "scales.map.json"), "--method", "none", "--json"]
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(walk), *start])
-    assert result.exit_code == 0, result.output
+    run("calibrate", "walk", walk, *start)
     last = json.loads((tmp_path / "walk.none.json").read_text())
     np.testing.assert_allclose(last["scale_N_per_count"], GRAVITY / 5e5)
 
 
 def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, undrawn: None) -> None:
     """A channel of eight is a resistor; the others keep their lines bit for bit."""
-    names = ("left_front_left", "left_front_right", "left_rear_left", "left_rear_right")
-    names += tuple(name.replace("left", "right", 1) for name in names)
     load = np.repeat([0.0, 0.5, 1.0, 2.0, 3.0, 4.0], 2)
     code = np.rint(8e6 + 1000.0 * np.arange(8) + 5e5 * load[:, None])
     maps = []
@@ -222,11 +207,10 @@ def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, und
         if bent:
             code[:, 2] = np.rint(8e6 + 2e6 * load / (load + 2.0))
         path = write(
-            Weighings(load * GRAVITY, code, tuple(f"raw_{name}_count" for name in names), "load_kg", GRAVITY),
+            Weighings(load * GRAVITY, code, tuple(raw_names_of(log.layout)), "load_kg", GRAVITY),
             tmp_path / "scales.csv",
         )
-        result = RUNNER.invoke(app, ["calibrate", "weights", str(path), "--json"])
-        assert result.exit_code == 0, result.output
+        run("calibrate", "weights", path)
         maps.append(json.loads((tmp_path / "scales.map.json").read_text()))
     line, curve = maps
     assert "curves" not in line
@@ -246,29 +230,23 @@ def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, und
     np.testing.assert_allclose(read, np.repeat(load[:, None] * GRAVITY, 8, axis=1), atol=0.02)
     walk = write_log(log, tmp_path / "walk.parquet")
     start = ["--start", str(tmp_path / "scales.map.json"), "--method", "none"]
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(walk), *start, "--json"])
-    assert result.exit_code == 0, result.output
+    run("calibrate", "walk", walk, *start)
     assert json.loads((tmp_path / "walk.none.json").read_text())["curves"] == curve["curves"]
-    result = RUNNER.invoke(app, ["calibrate", "walk", str(walk), *start, "--ros2"])
-    assert (result.exit_code, result.stderr) == (
-        2,
-        "surefoot: walk.parquet: a ROS 2 node takes no curves, and the map to start from has some.\n",
+    fails(
+        ["calibrate", "walk", walk, *start, "--ros2"],
+        "walk.parquet: a ROS 2 node takes no curves, and the map to start from has some.",
     )
 
 
 def test_a_description_may_hold_curves(log: Log, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "walk.csv")
-    described = json.loads((tmp_path / "walk.json").read_text())
-    knots = [[7e6, 8e6, 9e6], [7e6, 8.2e6, 9e6]]
-    described["curves"] = Curves([None] * 7 + [knots]).as_plain()
-    (tmp_path / "walk.json").write_text(json.dumps(described))
+    curves = Curves([None] * 7 + [[[7e6, 8e6, 9e6], [7e6, 8.2e6, 9e6]]])
+    redescribe(path, curves=curves.as_plain())
     read = read_log(path)
-    np.testing.assert_array_equal(read.raw, Curves([None] * 7 + [knots]).straighten(log.raw))
-    assert read.about["curves"] == described["curves"]
-    described["curves"] = [None]
-    (tmp_path / "walk.json").write_text(json.dumps(described))
-    with pytest.raises(LogError, match="'curves' must be a list of 8, null for a channel without one"):
-        read_log(path)
+    np.testing.assert_array_equal(read.raw, curves.straighten(log.raw))
+    assert read.about["curves"] == curves.as_plain()
+    redescribe(path, curves=[None])
+    assert "'curves' must be a list of 8, null for a channel without one" in refusal_of(path)
 
 
 @pytest.mark.parametrize(

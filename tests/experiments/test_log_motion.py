@@ -1,6 +1,5 @@
 """Logs of joints and IMU: the references made of them are those of the robot's own beliefs."""
 
-import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -8,12 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from _motion_logs import refusal_of, write_motion
-from typer.testing import CliRunner
+from _logs import redescribe, refusal_of, run, write_motion
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.logs.motion import count_rows
@@ -134,9 +131,7 @@ def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: Any, tmp_path: Pa
     table.loc[200:203, "joint_LKneePitch_rad"] = np.nan
     description = recorded.description | {"delay_s": 0.0, "dt_s": log.dt, "averaged": False}
     path = write_motion(log, table, tmp_path / "walk.csv", description)
-    told = json.loads(path.with_suffix(".json").read_text())
-    del told["motion"]["table"]
-    path.with_suffix(".json").write_text(json.dumps(told))
+    redescribe(path, motion=description)
     pd.concat([pd.read_csv(path), table.drop(columns="time_s")], axis=1).to_csv(path, index=False)
     made = read_log(path).reference
     unknown = np.flatnonzero(np.isnan(made.com[:, 0]))
@@ -150,9 +145,7 @@ def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: Any, tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_command_calibrates_it(recorded: Any, tmp_path: Path) -> None:
-    arguments = ["calibrate", "walk", str(recorded.path), "--method", "tare", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 0, result.output
+    run("calibrate", "walk", recorded.path, "--method", "tare", "--out", tmp_path)
     walk = pd.read_parquet(tmp_path / "walk.tare.parquet")
     swing = read_log(recorded.path).reference.swing
     after = np.flatnonzero((np.cumsum(swing, axis=0) > 20).all(axis=1))

@@ -6,17 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import run
 
 from surefoot.calibration import FootCalibrator
 from surefoot.experiments import write_log
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 
 reader = pytest.importorskip("mcap.reader", reason="the extra mcap is not installed")
-RUNNER = CliRunner()
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
@@ -35,8 +33,7 @@ def messages(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
 def test_a_log_is_read_back(log: Log, tmp_path: Path) -> None:
     log.raw[7, 2] = np.nan
     walk, path = write_log(log, tmp_path / "walk.parquet"), tmp_path / "walk.mcap"
-    result = RUNNER.invoke(app, ["view", "--log", str(walk), "--feed", "none", "--mcap", str(path)])
-    assert result.exit_code == 0, result.output
+    result = run("view", "--log", walk, "--feed", "none", "--mcap", path)
     assert result.stdout == f"MCAP: {path}\n"
     found = messages(path)
     assert set(found) == {"/readings", "/force", "/cop", "/flags"}
@@ -86,6 +83,5 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(log: Log, tmp_path
     ):
         write_mcap(tmp_path / "walk.mcap", early, "none", log.nominal)
     assert list(tmp_path.iterdir()) == []
-    result = RUNNER.invoke(app, ["view", "--mcap", str(tmp_path / "walk.mcap")])
-    assert result.exit_code == 2
+    result = run("view", "--mcap", tmp_path / "walk.mcap", code=2)
     assert "--mcap takes what --stream or --log shows; give one of them." in result.stderr

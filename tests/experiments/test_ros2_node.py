@@ -71,12 +71,12 @@ class Replay:
     def __init__(self, log: Log, initial: Parameters, lag: int) -> None:
         facts = log.motion
         assert facts is not None
-        model = load_model(facts, "walk.csv")
+        model, _ = load_model(facts, "walk.csv")
         self.lag, self.age, self.dt = lag, facts.readings_age_s, log.dt
         self.layout, self.period = TelemetryLayout(len(model.joint_names)), facts.dt_s
         link = facts.dt_s, facts.delay_s, facts.averaged
         points = touching_points(log.layout)
-        beliefs = Beliefs(model, self.layout, *link, lag=lag, dt=log.dt, touching=points)  # type: ignore[arg-type]
+        beliefs = Beliefs(model, self.layout, *link, lag=lag, dt=log.dt, touching=points)
         self.beliefs = native_beliefs(MomentumBeliefs(beliefs))
         self.calibrator = FootCalibrator(log.layout, mass=log.mass, initial=initial, dt=log.dt, lag=lag)
         self.number, self.came, self.last, self.tare = -1, 0.0, 0, range(0)

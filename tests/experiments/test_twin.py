@@ -12,21 +12,22 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from _logs import run
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.instrument.likeness import compare
 from surefoot.experiments.instrument.noise import conversions
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.instrument.response import creep_of, loop_of
 from surefoot.experiments.instrument.twin import Twin, identify
+from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.logs.table import LogError
 from surefoot.sensors import LoadCells
 from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import creep
 from surefoot.sensors.stages.hysteresis import hysteresis
@@ -171,8 +172,7 @@ def test_the_command_writes_a_preset_that_feet_take(
     table.insert(0, "load_N", recording.load[:, 0])
     table.insert(0, "time_s", recording.time)
     table.to_csv(tmp_path / "rig.csv", index=False)
-    result = CliRunner().invoke(app, ["twin", str(tmp_path / "rig.csv"), "--capacity", "98.1", "--json"])
-    assert result.exit_code == 0, result.output
+    result = run("twin", tmp_path / "rig.csv", "--capacity", "98.1", "--json")
     assert json.loads(result.stdout)["alike"]
     given = json.loads((tmp_path / "rig.twin.json").read_text())
     env = FootSensors(gym.make("surefoot/NaoStand-v0"), given)
@@ -213,6 +213,18 @@ def test_repeats_of_a_clock_and_of_coarse_steps_are_told_apart() -> None:
         assert found.slower
         assert len(found.rows) == pytest.approx(30.0 * rate, rel=0.02)
     assert not conversions(np.full(500, 7.0)).slower
+
+
+def test_a_walk_shows_its_cells_by_feet_in_the_air(walks: dict[str, Log], tmp_path: Path) -> None:
+    """The reference is late: rows in which a foot already stands again must not count as unloaded."""
+    log = walks["bad-start"]
+    assert log.truth is not None
+    recording = read_recording(write_log(log, tmp_path / "walk.parquet"))
+    assert np.abs(log.truth.force[recording.unloaded]).max() < 0.05
+    twin = identify(recording)
+    drift = {one.name: one.value for one in twin.parameters}["random walk of the offset"]
+    assert drift.value == pytest.approx(HX711_LOAD_CELLS.offset_drift, rel=0.15)
+    assert twin.alike, twin.likeness
 
 
 class TestUnknownLoads:

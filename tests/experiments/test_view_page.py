@@ -3,7 +3,6 @@
 import json
 import shutil
 import socket
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,12 +12,17 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from _logs import fails, redescribe
 
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.view.session import Session
 from surefoot.experiments.walks.replay import replay_log, starting_map
+
+pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
+from surefoot.experiments.view.page import Page
+from surefoot.experiments.view.player import LogFeet, LogPage
+from surefoot.experiments.view.server import address_of, close_server, open_server
+from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
 STAND = "surefoot/NaoStand-v0"
 
@@ -30,33 +34,8 @@ def free_port() -> int:
         return port
 
 
-def fails(arguments: list[str], message: str) -> None:
-    result = CliRunner().invoke(app, ["view", *arguments])
-    assert result.exit_code == 2
-    assert result.stderr == f"surefoot: {message}\n"
-
-
-def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
-        if name.rpartition(".")[2] not in ("session", "recording", "world"):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "viser", None)
-    fails(
-        [],
-        'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
-        "--video walk.mp4.",
-    )
-
-
 @pytest.fixture
-def viser() -> Any:
-    return pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
-
-
-@pytest.fixture
-def server(viser: Any) -> Iterator[Any]:
-    from surefoot.experiments.view.server import close_server, open_server
-
+def server() -> Iterator[Any]:
     opened = open_server("127.0.0.1", free_port(), "surefoot")
     yield opened
     close_server(opened)
@@ -64,37 +43,33 @@ def server(viser: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def page(server: Any, tmp_path: Path) -> Iterator[Any]:
-    from surefoot.experiments.view.page import Page
-
     made = Page(server, Session(STAND, seed=1), folder=tmp_path / "made")
     yield made
     made.session.close()
 
 
-def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -> None:
+def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(
-        ["--repeat", "gone.parquet"],
+        ["view", "--repeat", "gone.parquet"],
         "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
     )
-    path = str(write_log(log, tmp_path / "walk.parquet"))
+    path = write_log(log, tmp_path / "walk.parquet")
     fails(
-        ["--repeat", path],
+        ["view", "--repeat", path],
         "This log was not recorded by 'surefoot view', so that there is nothing to repeat.",
     )
-    fails(["--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
+    fails(["view", "--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
         fails(
-            [STAND, "--port", str(port)],
+            ["view", STAND, "--port", port],
             f"port {port} of 127.0.0.1 is in use or not yours; choose another with --port {port + 1}.",
         )
 
 
 def test_it_is_bound_to_the_loopback_and_serves_no_files(page: Any) -> None:
-    from surefoot.experiments.view.server import address_of
-
     address = address_of(page.server)
     assert address == f"http://127.0.0.1:{page.server.get_port()}"
     assert b"<html" in urlopen(address, timeout=10).read()
@@ -176,8 +151,6 @@ def test_a_recording_goes_into_the_folder_of_the_command(page: Any, tmp_path: Pa
 
 
 def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
-    from surefoot.experiments.view.player import LogFeet, LogPage
-
     feet = LogFeet(log, "none")
     shown = feet.state_to_draw(30)
     assert log.truth is not None
@@ -206,14 +179,12 @@ def rows_of(log: Log, count: int) -> list[bytes]:
 
 
 @pytest.fixture
-def described(viser: Any, log: Log, tmp_path: Path) -> Path:
+def described(log: Log, tmp_path: Path) -> Path:
     write_log(log, tmp_path / "walk.csv")
     return tmp_path / "walk.json"
 
 
 def test_a_stream_is_read_as_the_log_is(log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "tare")
     for line in rows_of(log, 40):
         feet.take(line)
@@ -225,8 +196,6 @@ def test_a_stream_is_read_as_the_log_is(log: Log, described: Path) -> None:
 
 
 def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "moment")
     rows = [
         json.dumps({k: v for k, v in json.loads(line).items() if not k.startswith("reference_")}).encode()
@@ -253,8 +222,6 @@ def test_a_stream_of_feet_alone(log: Log, described: Path) -> None:
     ],
 )
 def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told: str) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
     feet = StreamFeet(described, "tare")
     feet.take(rows_of(log, 1)[0])
     with pytest.raises(LogError) as refused:
@@ -264,18 +231,12 @@ def test_a_row_that_is_none_is_told(log: Log, described: Path, line: bytes, told
 
 
 def test_a_description_without_a_step_is_refused(described: Path) -> None:
-    from surefoot.experiments.view.stream import StreamFeet
-
-    told = json.loads(described.read_text())
-    del told["dt_s"]
-    described.write_text(json.dumps(told))
+    redescribe(described, dt_s=None)
     with pytest.raises(LogError, match="a stream needs 'dt_s'"):
         StreamFeet(described, "tare")
 
 
 def test_rows_come_by_udp(server: Any, log: Log, described: Path) -> None:
-    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
-
     rows = RowSocket("127.0.0.1", 0)
     with pytest.raises(OSError, match=f"UDP port {rows.port} of 127.0.0.1 cannot be listened to"):
         RowSocket("127.0.0.1", rows.port)

@@ -264,7 +264,7 @@ def test_a_recording_ends_with_its_episode() -> None:
     ],
 )
 def test_what_is_refused_changes_nothing(stand: Session, what: str, value: Any, message: str) -> None:
-    before = stand.settings, list(stand.changes), stand.errors.scale.copy(), stand.errors.faults
+    before = dict(stand.settings), list(stand.changes), stand.errors.scale.copy(), stand.errors.faults
     with pytest.raises(ValueError, match=r".") as refused:
         stand.change(what, value)
     assert str(refused.value).startswith(message)
