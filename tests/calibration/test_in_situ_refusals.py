@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_COM_LEG, ADDED_MASS, make_set, moving_sets, noisy_sets, swept_gravity
+from _in_situ import (
+    ADDED_COM_LEG,
+    ADDED_MASS,
+    NOISE,
+    make_set,
+    moving_sets,
+    noisy_sets,
+    random_gravity,
+    swept_gravity,
+)
 from _in_situ_leg import COM, MASS, MATRIX, RESPONSE, leg_sets, sound_fit, with_raw
 from scipy.signal import lfilter
 
@@ -138,6 +147,19 @@ def test_samples_that_are_off_by_a_little_stay(share, out):
     fit = calibrate_in_situ([*sets[:2], replace(sets[2], raw=raw), sets[3]])
     assert any("'data set 3': 20 samples that disagree" in warning for warning in fit.warnings) == out
     assert fit.limb.mass == pytest.approx(MASS, rel=0.002)
+
+
+def test_postures_that_a_filter_settles_in_are_answered():
+    rng, share = np.random.default_rng(1), np.exp(-1.0)
+    sets = []
+    for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True):
+        held = np.repeat(random_gravity(rng, 24), 25, axis=0)
+        one = make_set(MATRIX, 500.0, (MASS, COM), (added, place), held)
+        raw = lfilter([1.0 - share], [1.0, -share], one.raw, axis=0, zi=share * one.raw[:1])[0]
+        raw = raw + (NOISE * rng.standard_normal((600, 6))) @ RESPONSE.T
+        sets.append(replace(one, raw=raw, time=np.arange(600) / 10.0))
+    fit = calibrate_in_situ(sets)
+    assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std < 0.1 * MASS
 
 
 def test_takes_the_same_sets_unhurt():
