@@ -16,6 +16,7 @@ in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. Th
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Evidence, name_cause
+from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import (
@@ -46,19 +47,16 @@ from surefoot.calibration.in_situ.effects import (
     shows_loops,
     turns_slowly,
 )
+from surefoot.calibration.in_situ.factory import check_factory
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
-from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
+from surefoot.calibration.in_situ.maker import AGED, KEPT, Leaning, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-_AGED = 0.1
-"""Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
-off by 5 to 20 %."""
 
 _DELAYS, _SETTLED = 6, 1e-4
 """Fits at most until the delay of an IMU has settled, and its last step in s."""
@@ -256,14 +254,16 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
     if worst is None:
         return findings
+    cure, symptom = "", worst
+    if drift is not None:
+        cure, symptom = worst.cure, worst.with_cause(drift.reason, drift.cure)
     # A delay that is longer than those of sound logs is one of the causes.
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
-    try:
-        named = name_cause(worst, _gather_evidence(solved.task, sets), drift)
-    except np.linalg.LinAlgError:
-        named = worst
-    return [named if one is worst else one for one in findings]
+    with suppress(np.linalg.LinAlgError):
+        found = find_causes(_gather_evidence(solved.task, sets))
+        symptom = tell_causes(symptom, found, cure)
+    return [symptom if one is worst else one for one in findings]
 
 
 def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
@@ -274,7 +274,7 @@ def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     if max(float(np.mean(part.source.rejected)) for part in problem.sets) > limits.FEW_REJECTED:
         problem, first = _pose(task, sets, replace(task.options, robust=False), warms)
     if data_rank(problem, first[0]).missing:
-        problem = replace(problem, maker=prior_of(task, problem.noise, _AGED))
+        problem = replace(problem, maker=prior_of(task, problem.noise, AGED))
     plain = minima(problem, first)[0]
     if task.options.hysteresis and task.timed and shows_loops(problem):
         plain = lag_loads(sets, plain)

@@ -158,50 +158,73 @@ class Cause(NamedTuple):
     choices: int
 
 
-def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
-    """Add the likeliest cause to a symptom; return the symptom itself if no cause explains it.
+class Ranked(NamedTuple):
+    """A cause that explains something.
 
-    Args:
-        symptom: Sets that contradict each other or themselves.
-        evidence: Data and fit that causes are judged by.
-        drift: A finding that a drift may explain, or None.
+    Attributes:
+        words: The cause, for a message.
+        cure: Advice for the user.
+        share: Its probability beside the others and none of them.
+        gain: Logarithm of its odds against none of them in nats.
     """
-    if drift is not None:
-        symptom = symptom.with_cause(drift.reason, drift.cure)
-    found = _rank_causes(evidence)
-    if not found:
-        return symptom
-    shares: dict[str, float] = {}
-    for cause, share in found:
-        shares[cause.words] = shares.get(cause.words, 0.0) + share
-    likeliest = sorted(shares, key=lambda words: -shares[words])
-    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
-    cure = next(cause.cure for cause, _ in found if cause.words == likeliest[0])
-    if drift is not None:
-        cure += f" If that is not it: {symptom.cure}"
-    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
+
+    words: str
+    cure: str
+    share: float
+    gain: float
 
 
-def _format_percent(share: float) -> str:
-    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
-
-
-def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
-    """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
+def find_causes(evidence: Evidence) -> list[Ranked]:
+    """Try each known cause; return those that explain something, the likeliest first."""
     tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in _KINDS:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
-    # The best of n alternatives gains 2 log n by chance.
-    penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
     channels = _separate_channels([part.source for part in evidence.problem.sets])
-    scores = np.array([_deviance(cause.solution, channels) for cause in tried]) + penalties
-    weights = np.exp(-0.5 * (scores - scores.min()))
-    weights /= weights.sum()
-    order = np.argsort(scores)
-    return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
+    return rank(
+        [
+            (
+                one.words,
+                one.cure,
+                -0.5 * _deviance(one.solution, channels) - penalise(one.free, rows, one.choices),
+            )
+            for one in tried
+        ]
+    )
+
+
+def penalise(free: int, rows: int, choices: int) -> float:
+    """Return the nats that the best of some alternatives, with free unknowns, gains by chance."""
+    return float(0.5 * free * np.log(rows) + np.log(choices))
+
+
+def rank(tried: Sequence[tuple[str, str, float]]) -> list[Ranked]:
+    """Return causes, (words, cure, log odds), likelier than the first, which is none; the likeliest first."""
+    odds = np.array([one[2] for one in tried])
+    shares = np.exp(odds - np.max(odds))
+    shares /= np.sum(shares)
+    order = [i for i in np.argsort(-odds) if odds[i] > odds[0]]
+    return [Ranked(tried[i][0], tried[i][1], float(shares[i]), float(odds[i] - odds[0])) for i in order]
+
+
+def tell_causes(symptom: Finding, found: Sequence[Ranked], instead: str = "") -> Finding:
+    """Add the likeliest causes, if any, to a symptom; the cure ``instead`` if that is not it."""
+    if not found:
+        return symptom
+    shares: dict[str, float] = {}
+    for one in found:
+        shares[one.words] = shares.get(one.words, 0.0) + one.share
+    likeliest = sorted(shares, key=lambda words: -shares[words])
+    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
+    cure = next(one.cure for one in found if one.words == likeliest[0])
+    cure += f" If that is not it: {instead}" if instead else ""
+    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
+
+
+def _format_percent(share: float) -> str:
+    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
 
 
 def _separate_channels(rows: Sequence[SetRows]) -> Matrix:

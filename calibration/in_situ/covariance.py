@@ -160,7 +160,7 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
         lagging, changes = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A)
     changes = (shares * doublings)[:, None, None] * changes
     swing, reach = _swing_and_reach(loads[-1:])
-    came = shares * mean * np.log2(np.maximum(reach, swing) / swing)
+    came = shares * mean * np.log2(reach / swing)
     stored = UNIFORM * shares * np.ptp([np.ptp(one, axis=0) for one in loads], axis=0)
     return (C @ changes @ C).reshape(len(changes), -1).T, lagging * np.hypot(came, stored)
 
@@ -169,7 +169,8 @@ def _swing_and_reach(loads: Sequence[Matrix]) -> tuple[Vector, Vector]:
     """Return half of the widest swing of loads, (n_j, a) a set, and their largest size, shape (a,) each."""
     swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
     reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
-    return np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach) + np.finfo(float).tiny), reach
+    swing = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach) + np.finfo(float).tiny)
+    return swing, np.maximum(reach, swing)
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:

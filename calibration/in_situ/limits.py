@@ -101,6 +101,3 @@ READ_BETTER = Limit(
     0.7, "share of what is missed", "chosen: another way to read a matrix that is worth a look"
 )
 CLEARER = Limit(10.0, "nats", "1 in 22,000")
-FACTORY_SCALE = Limit(0.6931471805599453, "logarithm", "a factor of two: sensors age by less")
-OTHER_UNIT = Limit(0.5, "share of that logarithm", "twice as near to another unit")
-AXES_APART = Limit(3.0, "factor between axes", "axes age by less, units change all alike")
