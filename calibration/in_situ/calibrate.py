@@ -41,7 +41,6 @@ from surefoot.calibration.in_situ.data import (
 from surefoot.calibration.in_situ.effects import (
     add_gains,
     centre_temperatures,
-    check_gauges,
     fit_hysteresis,
     lag_loads,
     shows_loops,
@@ -60,9 +59,6 @@ from surefoot.calibration.results import CalibrationRefused, FitResult
 
 _DELAYS, _SETTLED = 6, 1e-4
 """Fits at most until the delay of an IMU has settled, and its last step in s."""
-
-_DRIFTS = ("slow turning", "drift by temperature")
-"""Findings that a drift may explain."""
 
 
 def calibrate_in_situ(
@@ -155,7 +151,7 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
     """Return the solutions of a task with all that they are to explain, and findings."""
     sphere = fit_sphere(task.sets)
     sets, reference, said = centre_temperatures(level(task.sets, sphere))
-    findings = sphere.findings(task.moving) + said
+    findings = sphere.findings + said
     delay, std = 0.0, 0.0
     for _ in range(_DELAYS):
         late = tuple(shift(data, delay) for data in sets)
@@ -202,8 +198,6 @@ def _fit(
     if chosen is not plain:
         members, said = _lean(task, replace(chosen.problem, maker=problem.maker), [chosen.outer])
         findings += said
-    if warms and determined:
-        findings += check_gauges(members[0].solution)
     if not determined:
         findings.append(Finding("rank", rank.warning(), refuses=False))
     return members, fits, findings
@@ -249,7 +243,7 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
 
 def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
-    drift = next((one for one in findings if one.name in _DRIFTS), None)
+    drift = next((one for one in findings if one.name == "slow turning"), None)
     refused = any(one.refuses for one in findings)
     worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
     if worst is None:

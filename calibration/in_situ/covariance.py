@@ -8,7 +8,6 @@ the answer: (C row by row, the last set's offset at its end, m, m c).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -220,8 +219,7 @@ _REACH = 0.1
 """Lever in m by which first moments are judged at least."""
 
 
-@dataclass(frozen=True, eq=False)
-class DataShare:
+class DataShare(NamedTuple):
     """Share of a fit that the data determine.
 
     Attributes:
@@ -233,20 +231,6 @@ class DataShare:
     share: Vector
     seen: int
     unseen: int
-
-    def findings(self, columns: FitColumns) -> list[Finding]:
-        """Warn if much leans on the prior."""
-        known = {
-            "the matrix": float(np.mean(self.share[columns.matrix])),
-            "the limb's mass": float(self.share[columns.limb][MASS]),
-            "its centre of mass": float(np.mean(self.share[columns.limb][MOMENT])),
-        }
-        least = min(known.values())
-        if least > limits.KNOWN:
-            return []
-        listed = ", ".join(f"{share:.0%} of what is known of {name}" for name, share in known.items())
-        reason = f"The readings alone give {listed}; the rest is what was known beforehand."
-        return [Finding("share of the data", reason, value=least, limit=limits.KNOWN, refuses=False)]
 
 
 def data_share(solution: Solution) -> DataShare:
@@ -292,8 +276,8 @@ def _sizes(solution: Solution) -> Vector:
     return np.concatenate([np.tile(columns, len(white)), limb])
 
 
-def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Finding | None:
-    """Return along which direction gravity turned no faster than offsets drift, and the cure; or None.
+def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> list[Finding]:
+    """Return along which direction gravity turned no faster than offsets drift, and the cure.
 
     The spread that the weights against drift leave is held against the spread that there was.
     """
@@ -309,18 +293,15 @@ def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Find
     root = vectors[:, wide] / np.sqrt(values[wide])
     shares, turned = np.linalg.eigh(root.T @ left @ root)
     if not len(shares) or shares[0] > limits.SLOW**2:
-        return None
+        return []
     direction = root @ turned[:, 0]
     direction /= np.linalg.norm(direction)
     spread = float(np.sqrt(direction @ seen @ direction / size))
     x, y, z = direction
     rest = spread * float(np.sqrt(max(shares[0], 0.0)))
-    return Finding(
-        "slow turning",
+    reason = (
         f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
-        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}.",
-        "Go through these postures several times in a set, or come back to the first ones at its end.",
-        rest,
-        limits.SLOW * spread,
-        refuses=False,
+        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}."
     )
+    cure = "Go through these postures several times in a set, or come back to the first ones at its end."
+    return [Finding("slow turning", reason, cure, rest, limits.SLOW * spread, refuses=False)]
