@@ -250,7 +250,7 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
         return findings
     cure, symptom = "", worst
     if drift is not None:
-        cure, symptom = worst.cure, worst.with_cause(drift.reason, drift.cure)
+        cure, symptom = drift.cure, worst.with_cause(drift.reason, drift.cure)
     # A delay that is longer than those of sound logs is one of the causes.
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets

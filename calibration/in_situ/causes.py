@@ -550,22 +550,24 @@ def _try_masses(evidence: Evidence) -> Iterator[Cause]:
     count, added = len(evidence.sets), evidence.problem.added
     for j, data in enumerate(evidence.sets):
         given, at, name = data.added_mass, data.added_com, data.name
-        of_body = np.zeros((4, *added.shape))
         if given > 0.0:
-            of_body[MASS, j] = added[j]
-            fit = evidence.change(of_body[:1])
+            of_mass = np.zeros((1, *added.shape))
+            of_mass[0, j] = added[j]
+            fit = evidence.change(of_mass)
             mass = given * (1.0 + float(fit.changes[0]))
             words = f"the added mass of '{name}' is {mass:.3f} kg, and {given:.3f} kg was given"
             if 0.0 < mass < limits.HEAVIEST:
                 yield Cause(words, _WEIGH, fit, 1, count)
-            of_body[range(4), j] = given * np.eye(4, added.shape[1])
-            fit = evidence.change(of_body[MOMENT])
+            of_place = np.zeros((3, *added.shape))
+            of_place[range(3), j, range(MOMENT.start, MOMENT.stop)] = given
+            fit = evidence.change(of_place)
             place = at + fit.changes
             words = f"the added mass of '{name}' hangs at {_place(place)} m, and {_place(at)} was given"
             if float(np.linalg.norm(place)) < limits.LONGEST_ARM:
                 yield Cause(words, _WEIGH, fit, 3, count)
         if j:
-            of_body[range(4), j:, range(4)] = 1.0
+            of_body = np.zeros((STATIC, *added.shape))
+            of_body[range(STATIC), j:, range(STATIC)] = 1.0
             fit = evidence.change(of_body)
             mass, place = float(fit.changes[0]), fit.changes[1:] / (float(fit.changes[0]) or 1.0)
             side = "more" if mass > 0.0 else "less"
