@@ -33,6 +33,7 @@ from surefoot.calibration.in_situ import (
     calibrate_in_situ,
     estimate_offset,
 )
+from surefoot.experiments.force_torque.validation import semi_axes
 
 Floats = NDArray[np.float64]
 
@@ -162,20 +163,13 @@ def gamma_on_arm(folder: Path) -> pd.DataFrame:
                 "gravity from": name,
                 "III-B N": float(np.linalg.norm((found.offset - reference)[:3])),
                 "in situ N": float(np.linalg.norm((fit.offset - reference)[:3])),
-                "semi-axes N": semi_axes(wrench, gravity, size).round(2).tolist(),
+                "semi-axes N": semi_axes(wrench[:, :3], gravity).round(2).tolist(),
                 "limb kg": fit.limb.mass,
                 "unseen direction N": _predict(wrench, gravity, direction),
                 "refused": refusal_of(fit),
             }
         )
     return pd.DataFrame(rows).set_index("gravity from")
-
-
-def semi_axes(wrench: Floats, gravity: Floats, size: float) -> Floats:
-    """Semi-axes in N of the ellipsoid that forces of shape (n, 6) lie on, for gravity of a size in m/s^2."""
-    centred = gravity - gravity.mean(axis=0)
-    slope = np.linalg.lstsq(centred, wrench[:, :3] - wrench[:, :3].mean(axis=0), rcond=None)[0]
-    return np.asarray(size * np.linalg.svd(slope, compute_uv=False), dtype=np.float64)
 
 
 def _predict(wrench: Floats, gravity: Floats, direction: NDArray[np.intp]) -> float:
