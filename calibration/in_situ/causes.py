@@ -200,6 +200,8 @@ def penalise(free: int, rows: int, choices: int) -> float:
 def rank(tried: Sequence[tuple[str, str, float]]) -> list[Ranked]:
     """Return causes, (words, cure, log odds), likelier than the first, which is none; the likeliest first."""
     odds = np.array([one[2] for one in tried])
+    if not np.isfinite(np.max(odds)):
+        return []
     shares = np.exp(odds - np.max(odds))
     shares /= np.sum(shares)
     order = [i for i in np.argsort(-odds) if odds[i] > odds[0]]

@@ -141,7 +141,8 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
     at least the share of the others. The offset is that without load: how the load came from there to about
     its mean in the last set takes the slope of a swing as large, where the set shows that of its own. Beside
-    that loops wider than a set's own swing stay anywhere, by loads that were borne in the others.
+    that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and one
+    stroke reads all of a loop on one side, where many there and back cancel.
     """
     A, sets = solution.A, solution.problem.sets
     shares = np.full(AXES, hidden)
@@ -160,7 +161,11 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     changes = (shares * doublings)[:, None, None] * changes
     swing, reach = _swing_and_reach(loads[-1:])
     came = shares * mean * np.log2(reach / swing)
-    stored = UNIFORM * shares * np.ptp([np.ptp(one, axis=0) for one in loads], axis=0)
+    widths = np.array([np.ptp(one, axis=0) for one in loads])
+    strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0) / np.maximum(
+        widths[-1], np.finfo(float).tiny
+    )
+    stored = UNIFORM * shares * np.hypot(widths[-1] / np.maximum(strokes, 1.0), np.ptp(widths, axis=0))
     return (C @ changes @ C).reshape(len(changes), -1).T, lagging * np.hypot(came, stored)
 
 
