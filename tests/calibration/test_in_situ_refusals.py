@@ -183,6 +183,14 @@ def test_a_scale_that_is_not_known_is_refused():
         calibrate_in_situ(sets)
 
 
+def test_a_driver_that_takes_the_limbs_weight_off_is_named():
+    """The bare limb's set then reads nothing but noise, which is no large share of what the others read."""
+    weight = np.concatenate([MASS * np.eye(3), np.cross(MASS * COM, np.eye(3))], axis=1)
+    less = [replace(one, raw=one.raw - one.gravity @ weight @ RESPONSE.T) for one in leg_sets()]
+    with pytest.raises(CalibrationRefused, match="Likeliest: the driver takes the limb's weight off already"):
+        calibrate_in_situ(less)
+
+
 def noise_channel(sets):
     rng = np.random.default_rng(3)
     return [replace(one, raw=np.column_stack([one.raw[:, :5], rng.standard_normal(600)])) for one in sets]
