@@ -6,11 +6,9 @@
   factory matrix, gravity from the joints, and the foot's weight by a model.
 * An ATI Gamma under 0.93 kg on a KUKA arm: 24 readings at rest in six directions, gravity from the arm's
   joints and from an accelerometer that is off by 0.08 g.
-
-* A printed optical sensor of eight channels, a case that is lost: four loads, bare and with 0.719 kg at three
-  places, in 12 postures each. A third of the loaded postures is saturated and left out. Of the rest, a
-  linear response to the true wrenches leaves 30 counts RMS where the readings spread by 94. It is refused;
-  accepted all the same, fits are compared on the load that they have not seen.
+* A printed optical sensor of eight channels: four loads, bare and with 0.719 kg at three places, in 12
+  postures each. A third of the loaded postures is saturated and left out. Of the rest, a linear response to
+  the true wrenches leaves 30 counts RMS where the readings spread by 94: it is to be refused.
 
 The recordings are not part of this package: ``$SUREFOOT_DATA/ft`` has to hold ``icub_right_foot_swing.npz``,
 ``kuka_ati_gamma_static.npz`` and ``printed_ft_8ch.npz``.
@@ -18,29 +16,24 @@ The recordings are not part of this package: ``$SUREFOOT_DATA/ft`` has to hold `
 
 import os
 import sys
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from rich.console import Console
 
-from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.imu import calibrate_accelerometer, savitzky_golay
 from surefoot.calibration.in_situ import (
     InSituFit,
     InSituOptions,
     InSituSet,
     KnownLimb,
-    Limb,
-    PaperMatrixFit,
     calibrate_in_situ,
-    estimate_matrix,
     estimate_offset,
 )
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.force_torque.validation import semi_axes
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +43,8 @@ STANDARD_GRAVITY = 9.80665
 _TRUSTED = (0.001,) * 6
 """How far the Gamma's axes may be off, as shares: one load does not tell its scale, so the maker does."""
 
+AXES = ("Fx N", "Fy N", "Fz N", "Tx N m", "Ty N m", "Tz N m")
+
 WINDOW = 101
 """Of the filter of order 3 in samples, 1 s: the foot swings in about two."""
 
@@ -58,48 +53,6 @@ def sensor_recordings_folder() -> Path | None:
     """Find the recordings: the folder that ``SUREFOOT_DATA`` names, or ``None`` where it is unset or gone."""
     name = os.environ.get("SUREFOOT_DATA")
     return Path(name) if name and (Path(name) / "ft").is_dir() else None
-
-
-class FootRow(NamedTuple):
-    """Errors of one calibration of the iCub's foot on the half that it has not seen.
-
-    Attributes:
-        method: Its name in tables.
-        fitted: Which half was fitted, ``"first"`` or ``"second"``.
-        rmse: Of the wrench in N and N m against the model's weight, shape (6,); NaN if refused.
-        mass: Of the limb by the fit in kg; NaN where there is none.
-        refusal: Why it was refused; empty if it was not.
-    """
-
-    method: str
-    fitted: str
-    rmse: Floats
-    mass: float
-    refusal: str = ""
-
-
-class GammaRow(NamedTuple):
-    """Errors of the ATI Gamma by one kind of gravity.
-
-    Attributes:
-        gravity: Where gravity came from.
-        offset: Of III-B in N and N m, shape (6,).
-        error: Distance of its force from that of III-B with the arm's own gravity in N.
-        error_in_situ: The same of ``calibrate_in_situ`` in N; NaN if refused.
-        axes: Semi-axes of the forces' ellipsoid in N, shape (3,).
-        mass: Of the limb by ``calibrate_in_situ`` in kg; NaN if refused.
-        held_out: RMSE of a force in N that III-B predicts in a direction that it has not seen.
-        refusal: Why ``calibrate_in_situ`` refused; empty if it did not.
-    """
-
-    gravity: str
-    offset: Floats
-    error: float
-    error_in_situ: float
-    axes: Floats
-    mass: float
-    held_out: float
-    refusal: str = ""
 
 
 _SWUNG = "the foot is on a robot that balances: its limb is not quite rigid, nor its counts white"
@@ -114,7 +67,7 @@ _FOOT: dict[str, tuple[float | None, float, bool]] = {
 """Deviations of the limb's mass (as a share) and of its place in m, and whether counts are filtered."""
 
 
-def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[FootRow]:
+def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> pd.DataFrame:
     """Calibrate the iCub's foot on one half of its recording and score it on all samples of the other.
 
     Counts are filtered in each half by itself, and filtered counts are scored. The true wrench is
@@ -123,6 +76,10 @@ def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[Foo
     Args:
         folder: The folder that holds ``ft/``.
         methods: Keys of ``_FOOT``, which are compared with the factory matrix.
+
+    Returns:
+        By method and by the half that was fitted, ``"first"`` or ``"second"``: the RMSE of the wrench in N
+        and N m against the model's weight, the limb's mass in kg, and why the fit was refused.
     """
     with np.load(folder / "ft" / "icub_right_foot_swing.npz") as file:
         time, raw, gravity = file["t"], file["raw"], file["gravity"]
@@ -135,15 +92,19 @@ def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[Foo
     for fitted, half in halves.items():
         (other,) = (part for name, part in halves.items() if name != fitted)
 
-        def score(matrix: Floats, offset: Floats, other: slice = other) -> Floats:
+        def score(
+            method: str, matrix: Floats, offset: Floats, mass: float = np.nan, refusal: str = "",
+            other: slice = other, fitted: str = fitted,
+        ) -> dict[str, Any]:  # fmt: skip
             error = (smooth[other] - offset) @ matrix.T - weight[other]
-            return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
+            rmse = dict(zip(AXES, np.sqrt(np.mean(error**2, axis=0)), strict=True))
+            return {"method": method, "fitted": fitted, **rmse, "limb kg": mass, "refused": refusal}
 
         by_model = np.mean(smooth[half] - weight[half] @ np.linalg.pinv(factory).T, axis=0)
-        rows.append(FootRow("factory matrix, offset by the model", fitted, score(factory, by_model), np.nan))
+        rows.append(score("factory matrix, offset by the model", factory, by_model))
         # The foot swings so nearly in a plane that III-B refuses it at its default of 1 %.
         found = estimate_offset(smooth[half], gravity[half], minimum_spread=0.003).offset
-        rows.append(FootRow("factory matrix, offset by III-B", fitted, score(factory, found), np.nan))
+        rows.append(score("factory matrix, offset by III-B", factory, found))
         for name in methods:
             mass_std, com_std, filtered = _FOOT[name]
             known = None
@@ -158,12 +119,11 @@ def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[Foo
                 refuse=False,
                 accept=_SWUNG,
             )
-            reached = score(fit.matrix, fit.offset)
-            rows.append(FootRow(name, fitted, reached, fit.limb.mass, refusal_of(fit)))
-    return rows
+            rows.append(score(name, fit.matrix, fit.offset, fit.limb.mass, refusal_of(fit)))
+    return pd.DataFrame(rows).set_index(["method", "fitted"])
 
 
-def gamma_on_arm(folder: Path) -> list[GammaRow]:
+def gamma_on_arm(folder: Path) -> pd.DataFrame:
     """Find the offset and the load of the ATI Gamma with gravity from three sources.
 
     ``calibrate_in_situ`` gets the identity as factory matrix: the recording holds wrenches, not counts. The
@@ -171,6 +131,12 @@ def gamma_on_arm(folder: Path) -> list[GammaRow]:
 
     Args:
         folder: The folder that holds ``ft/``.
+
+    Returns:
+        By the source of gravity: the distance of the offset's force from that of III-B with the arm's own
+        gravity in N, by III-B and by ``calibrate_in_situ``; semi-axes of the forces' ellipsoid in N; the
+        limb's mass in kg; and the RMSE of a force in N that III-B predicts in a direction that it has not
+        seen.
     """
     with np.load(folder / "ft" / "kuka_ati_gamma_static.npz") as file:
         wrench, specific_force, kinematic = file["wrench"], file["accel_g"], file["gravity"]
@@ -193,25 +159,17 @@ def gamma_on_arm(folder: Path) -> list[GammaRow]:
             refuse=False,
         )
         rows.append(
-            GammaRow(
-                gravity=name,
-                offset=found.offset,
-                error=float(np.linalg.norm((found.offset - reference)[:3])),
-                error_in_situ=float(np.linalg.norm((fit.offset - reference)[:3])),
-                axes=semi_axes(wrench, gravity, size),
-                mass=fit.limb.mass,
-                held_out=_predict(wrench, gravity, direction),
-                refusal=refusal_of(fit),
-            )
+            {
+                "gravity from": name,
+                "III-B N": float(np.linalg.norm((found.offset - reference)[:3])),
+                "in situ N": float(np.linalg.norm((fit.offset - reference)[:3])),
+                "semi-axes N": semi_axes(wrench[:, :3], gravity).round(2).tolist(),
+                "limb kg": fit.limb.mass,
+                "unseen direction N": _predict(wrench, gravity, direction),
+                "refused": refusal_of(fit),
+            }
         )
-    return rows
-
-
-def semi_axes(wrench: Floats, gravity: Floats, size: float) -> Floats:
-    """Semi-axes in N of the ellipsoid that forces of shape (n, 6) lie on, for gravity of a size in m/s^2."""
-    centred = gravity - gravity.mean(axis=0)
-    slope = np.linalg.lstsq(centred, wrench[:, :3] - wrench[:, :3].mean(axis=0), rcond=None)[0]
-    return np.asarray(size * np.linalg.svd(slope, compute_uv=False), dtype=np.float64)
+    return pd.DataFrame(rows).set_index("gravity from")
 
 
 def _predict(wrench: Floats, gravity: Floats, direction: NDArray[np.intp]) -> float:
@@ -230,77 +188,12 @@ def refusal_of(fit: InSituFit) -> str:
     return fit.refusals[0].reason if fit.refusals and not fit.accepted else ""
 
 
-def foot_table(folder: Path) -> Table:
-    """Make the table of each calibration's errors on the iCub's foot."""
-    rows = icub_foot(folder)
-    return Table(
-        name="in_situ_icub_foot",
-        title="iCub, right foot: RMSE on the half that was not fitted",
-        columns=("method", "fitted", "Fx N", "Fy N", "Fz N", "Tx N m", "Ty N m", "Tz N m", "limb kg"),
-        rows=tuple(
-            (row.method, row.fitted, *(number(value) for value in row.rmse), number(row.mass)) for row in rows
-        ),
-        note=refusals_note({f"{row.method}, {row.fitted} half": row.refusal for row in rows}),
-    )
-
-
-def gamma_table(folder: Path) -> Table:
-    """Make the table of the ATI Gamma's offset by each kind of gravity."""
-    rows = gamma_on_arm(folder)
-    return Table(
-        name="in_situ_gamma",
-        title="KUKA arm with an ATI Gamma: offset of the force against that with gravity from the joints",
-        columns=("gravity from", "III-B N", "in situ N", "semi-axes N", "limb kg", "unseen direction N"),
-        rows=tuple(
-            (
-                row.gravity,
-                number(row.error),
-                number(row.error_in_situ),
-                ", ".join(number(axis) for axis in row.axes),
-                number(row.mass),
-                number(row.held_out),
-            )
-            for row in rows
-        ),
-        note=refusals_note({row.gravity: row.refusal for row in rows}),
-    )
-
-
-def refusals_note(reasons: dict[str, str]) -> str:
-    return " ".join(f"Refused ({name}): {reason}" for name, reason in reasons.items() if reason)
-
-
-_LOST = "to see what comes out of a sensor that is not linear"
-"""Why refusals are passed; unknowns that stay open are refused all the same."""
-
 _LOADS = ("bare", "mass at (+, +)", "mass at (-, +)", "mass at (-, -)")
 
 
-class OpticalRow(NamedTuple):
-    """One method on the printed sensor.
-
-    Attributes:
-        method: Its name in tables.
-        mass: Of the bare base by all four loads in kg, 0.309 by a scale; NaN if it has none.
-        com_error: How far its centre of mass is off in m.
-        force: RMSE of a force in N in each load that was left out, with its offset by III-B, shape (4,); NaN
-            where the other loads were refused: without the bare one all masses are alike.
-    """
-
-    method: str
-    mass: float
-    com_error: float
-    force: Floats
-
-    @property
-    def loaded(self) -> float:
-        """RMSE of a force in N over the loads with a mass."""
-        return float(np.sqrt(np.mean(self.force[1:] ** 2)))
-
-
-def load_optical(folder: Path) -> tuple[list[InSituSet], list[Floats], Limb]:
-    """Load one set a load, NaN where it is saturated, the true wrenches, (12, 6) each, and the base."""
-    sets, wrenches = [], []
+def load_optical(folder: Path) -> list[InSituSet]:
+    """Load one set a load, NaN where it is saturated."""
+    sets = []
     with np.load(folder / "ft" / "printed_ft_8ch.npz") as file:
         bare, place = float(file["total_mass_0"]), file["total_com_0"].astype(np.float64)
         for load, name in enumerate(_LOADS):
@@ -309,53 +202,7 @@ def load_optical(folder: Path) -> tuple[list[InSituSet], list[Floats], Limb]:
             raw[file[f"saturated_{load}"]] = np.nan
             added = (mass * com - bare * place) / (mass - bare) if load else np.zeros(3)
             sets.append(InSituSet(raw, gravity, mass - bare, added, name=name))
-            wrenches.append(np.hstack([mass * gravity, np.cross(mass * com, gravity)]))
-    return sets, wrenches, Limb(bare, bare * place)
-
-
-def optical_sensor(folder: Path) -> list[OpticalRow]:
-    """Calibrate on all loads, and on three of four to predict the one left out."""
-    sets, wrenches, base = load_optical(folder)
-    known = KnownLimb(base.mass, 0.01 * base.mass, base.com, 0.001)
-    methods: dict[str, Callable[[Sequence[InSituSet]], InSituFit | PaperMatrixFit]] = {
-        "paper (III-B, III-C)": _by_paper,
-        "in situ": lambda chosen: calibrate_in_situ(chosen, accept=_LOST),
-        "in situ, base known to 1 %": lambda chosen: calibrate_in_situ(chosen, limb=known, accept=_LOST),
-    }
-    rows = []
-    for name, method in methods.items():
-        limb, force = method(sets).limb, np.full(len(sets), np.nan)
-        for load, unseen in enumerate(sets):
-            with suppress(CalibrationRefused):
-                matrix = method([one for one in sets if one is not unseen]).matrix
-                offset = estimate_offset(unseen.raw, unseen.gravity).offset
-                off = (unseen.raw - offset) @ matrix.T - wrenches[load]
-                force[load] = np.sqrt(np.nanmean(off[:, :3] ** 2))
-        rows.append(OpticalRow(name, limb.mass, float(np.linalg.norm(limb.com - base.com)), force))
-    whole = [np.isfinite(one.raw).all(axis=1) for one in sets]
-    zero = [np.sqrt(np.mean(w[seen, :3] ** 2)) for w, seen in zip(wrenches, whole, strict=True)]
-    return [*rows, OpticalRow("zero", np.nan, np.nan, np.array(zero))]
-
-
-def _by_paper(sets: Sequence[InSituSet]) -> PaperMatrixFit:
-    offsets = np.array([estimate_offset(one.raw, one.gravity).offset for one in sets])
-    # By the noise that is seen, its own check finds no unknown determined.
-    return estimate_matrix(sets, offsets, tolerance=1e-9, noise_margin=0.0)
-
-
-def optical_table(folder: Path) -> Table:
-    """Make the table of each method's predictions of the printed sensor's loads."""
-    refusals = calibrate_in_situ(load_optical(folder)[0], accept=_LOST).refusals
-    return Table(
-        name="in_situ_optical",
-        title="Printed sensor: RMSE of forces of the load that was not fitted",
-        columns=("method", "base kg", "place cm", "loaded N", "bare N"),
-        rows=tuple(
-            (row.method, *map(number, (row.mass, 100.0 * row.com_error, row.loaded, row.force[0])))
-            for row in optical_sensor(folder)
-        ),
-        note="Refused: " + " Then: ".join(refusal.reason for refusal in refusals),
-    )
+    return sets
 
 
 def main() -> None:
@@ -365,8 +212,8 @@ def main() -> None:
             "SUREFOOT_DATA names no folder that holds 'ft' with the recordings of real sensors; they are not "
             "part of this package. Set it as the head of this file says."
         )
-    for table in (foot_table, gamma_table, optical_table):
-        Console().print(table(folder).to_rich())
+    print(icub_foot(folder).to_string(), "\n\n", gamma_on_arm(folder).to_string(), "\n", sep="")
+    print("The printed sensor:", *calibrate_in_situ(load_optical(folder), refuse=False).refusals)
 
 
 if __name__ == "__main__":

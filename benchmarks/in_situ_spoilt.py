@@ -20,9 +20,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -519,41 +518,32 @@ SPOILTS: dict[str, Spoilt] = {
 }
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a log."""
-
-    answer: str
-    off: float
-    sigmas: float
-    first: str
-    seconds: float
-
-    @property
-    def wrong(self) -> bool:
-        """Whether a number is wrong beyond its warnings and deviations."""
-        return self.answer != "refused" and self.off > OFF and self.sigmas > SIGMAS
-
-    def cells(self, gyroscope: bool, with_factory: bool) -> tuple[str, ...]:
-        """Cells of the input and the result."""
-        given = ("yes" if one else "" for one in (gyroscope, with_factory))
-        off = (f"{100 * self.off:.1f} %", f"{self.sigmas:.1f}") if np.isfinite(self.off) else ("", "")
-        wrong = self.wrong and self.answer == "answered"
-        return (*given, f"WRONG {self.answer}" if wrong else self.answer, *off)
-
-
-def outcome(log: Log) -> Outcome:
-    """Calibrate, and compare with the truth."""
-    start = time.process_time()
+def outcome(log: Log, cause: str = "") -> dict[str, Any]:
+    """Calibrate, compare with the truth, and see whether the message names the cause."""
+    start, off, sigmas = time.process_time(), np.nan, np.nan
     try:
         fit = calibrate_in_situ(log.sets, factory_matrix=log.factory, limb=log.limb, options=log.options)
     except CalibrationRefused as refusal:
-        return Outcome("refused", np.nan, np.nan, str(refusal), time.process_time() - start)
+        answer, message = "refused", str(refusal)
     except (ValueError, np.linalg.LinAlgError) as error:
-        return Outcome("crashed", np.nan, np.nan, f"{type(error).__name__}: {error}", 0.0)
-    seconds = time.process_time() - start
-    off, sigmas = errors(fit, log)
-    return Outcome("warned" if fit.warnings else "answered", off, sigmas, " ".join(fit.warnings), seconds)
+        answer, message = "crashed", f"{type(error).__name__}: {error}"
+    else:
+        answer, message = "warned" if fit.warnings else "answered", " ".join(fit.warnings)
+        off, sigmas = errors(fit, log)
+    seconds, wrong = time.process_time() - start, off > OFF and sigmas > SIGMAS
+    named = answer != "crashed" and bool(cause) and re.search(cause, _first_cause(message)) is not None
+    right = answer == "answered" and not wrong
+    return {
+        "came out": answer,
+        "off %": round(100.0 * off, 1),
+        "sigmas": round(sigmas, 1),
+        "wrong": answer == "answered" and wrong,
+        "wrong, warned": answer == "warned" and wrong,
+        "right": named or right,
+        "verdict": "yes" if named else "right" if right else "NO",
+        "seconds": seconds,
+        "message": message,
+    }
 
 
 def errors(fit: InSituFit, log: Log) -> tuple[float, float]:
@@ -578,41 +568,50 @@ def errors(fit: InSituFit, log: Log) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print the table and its totals."""
+    """Print the tables and their totals."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="kinds whose name contains this")
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), help="the logs I, I + N, I + 2 N, ...")
     parser.add_argument("--sound", default="", help="sound logs alone, of kinds whose name contains this")
     parser.add_argument("--verbose", action="store_true", help="messages whole")
     parser.add_argument("--seed", type=int, default=SEED)
     arguments = parser.parse_args()
-    console = Console(width=250 if arguments.verbose else 150)
-    shown = Table("kind", "size", "gyro", "factory", "came out", "off", "sigmas", "named", "first message")
-    totals = Table("kind", "logs", "wrong without a warning", "true cause first, or rightly answered")
-    sums, seconds = np.zeros((2, 3), dtype=int), 0.0
-    for kind, spoilt in SPOILTS.items():
-        counts = np.zeros(3, dtype=int)
+    first, step = arguments.part
+    rows: list[dict[str, Any]] = []
+    for kind, spoilt in SPOILTS.items() if not arguments.sound else ():
         cases = product(spoilt.sizes.items(), spoilt.gyroscope, spoilt.factory)
-        for (size, change), gyroscope, with_factory in cases if arguments.only in kind else ():
-            log = change(record(arguments.seed, gyroscope, **(spoilt.rig or {}).get(size, {})))
-            came = outcome(log if with_factory else replace(log, factory=None))
-            seconds += came.seconds
-            named = came.answer != "crashed" and re.search(spoilt.cause, _first_cause(came.first)) is not None
-            right, wrong = (
-                came.answer == "answered" and came.wrong == is_wrong for is_wrong in (False, True)
-            )
-            counts += 1, wrong, named or right
-            told = came.first if arguments.verbose else came.first[:110]
-            verdict = "yes" if named else ("right" if right else "NO")
-            shown.add_row(kind, size, *came.cells(gyroscope, with_factory), verdict, told)
-        if counts.any():
-            sums[int(spoilt.unknowable)] += counts
-            totals.add_row(kind, *map(str, counts))
-    for name, counts in zip(("ALL", "nothing can show it"), sums, strict=True):
-        totals.add_row(name, *map(str, counts))
-    console.print(shown, totals)
+        rows += [
+            {
+                "kind": kind,
+                "unknowable": spoilt.unknowable,
+                "cause": spoilt.cause,
+                "size": size,
+                "change": change,
+            }
+            | {"gyro": gyroscope, "factory": with_factory, "rig": (spoilt.rig or {}).get(size, {})}
+            for (size, change), gyroscope, with_factory in cases
+            if arguments.only in kind
+        ]
+    for row in (rows := rows[first::step]):
+        log = row.pop("change")(record(arguments.seed, row["gyro"], **row.pop("rig")))
+        row |= outcome(log if row["factory"] else replace(log, factory=None), row.pop("cause"))
+    if rows:
+        tell(pd.DataFrame(rows), arguments.verbose)
     if arguments.sound or not arguments.only:
-        console.print(sound(arguments.sound))
-    console.print(f"{seconds:.1f} s of CPU in all fits that ended")
+        tell_sound(arguments.sound, first, step)
+
+
+def tell(data: pd.DataFrame, verbose: bool) -> None:
+    """Print spoilt logs, and how many of each kind were answered wrongly and named rightly."""
+    shown = data.drop(columns=["unknowable", "wrong", "wrong, warned", "right", "seconds"])
+    print(shown.to_string(index=False, max_colwidth=None if verbose else 110))
+    for unknowable, of in data.groupby("unknowable"):
+        print("\nNothing can show it:" if unknowable else "\nAll others:")
+        kinds = of.groupby("kind", sort=False).agg(
+            logs=("right", "size"), silent=("wrong", "sum"), right=("right", "sum")
+        )
+        print(kinds.to_string(), "\n", kinds.sum().to_string())
+    print(f"{data['seconds'].sum():.1f} s of CPU")
 
 
 def _first_cause(message: str) -> str:
@@ -679,25 +678,22 @@ SOUND: dict[str, Callable[[Log, int], Log]] = {
 """Logs that have nothing wrong."""
 
 
-def sound(kinds: str) -> Table:
-    """Calibrate sound logs of other seeds; a row for each that is not answered rightly."""
-    table = Table("sound log", "sensor", "seed", "gyro", "factory", "came out", "off", "sigmas", "message")
-    cases = list(
-        product([kind for kind in SOUND if kinds in kind], SOUND_SEEDS, (False, True), (False, True))
-    )
-    refused = silent = warned = 0
-    for kind, seed, gyroscope, with_factory in cases:
+def tell_sound(kinds: str, first: int, step: int) -> None:
+    """Calibrate sound logs of other seeds; print those that are not answered rightly."""
+    chosen = [kind for kind in SOUND if kinds in kind]
+    rows = []
+    for kind, seed, gyroscope, factory in list(product(chosen, SOUND_SEEDS, (False, True), (False, True)))[
+        first::step
+    ]:
         sensor = ("leg", "foot")[seed % 2]
         log = SOUND[kind](record(seed, gyroscope, sensor), seed)
-        came = outcome(log if with_factory else replace(log, factory=None))
-        refused += came.answer in ("refused", "crashed")
-        silent += came.answer == "answered" and came.wrong
-        warned += came.answer == "warned" and came.wrong
-        if came.answer != "answered" or came.wrong:
-            cells = came.cells(gyroscope, with_factory)
-            table.add_row(kind, sensor, str(seed), *cells, came.first[:150])
-    table.add_row(f"of {len(cases)}: {refused} refused, {silent} wrong, {warned} wrong with a warning")
-    return table
+        row = {"kind": kind, "sensor": sensor, "seed": seed, "gyro": gyroscope, "factory": factory}
+        rows.append(row | outcome(log if factory else replace(log, factory=None)))
+    data = pd.DataFrame(rows)
+    print(data[~data["right"]].drop(columns=["seconds", "verdict"]).to_string(index=False, max_colwidth=150))
+    refused = (data["came out"].isin(["refused", "crashed"])).sum()
+    silent, warned = data["wrong"].sum(), data["wrong, warned"].sum()
+    print(f"of {len(data)} sound logs: {refused} refused, {silent} wrong, {warned} wrong with a warning")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. Th
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Evidence, name_cause
+from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
 from surefoot.calibration.in_situ.check import check_sets, check_within
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import (
@@ -40,31 +41,24 @@ from surefoot.calibration.in_situ.data import (
 from surefoot.calibration.in_situ.effects import (
     add_gains,
     centre_temperatures,
-    check_gauges,
     fit_hysteresis,
     lag_loads,
     shows_loops,
     turns_slowly,
 )
+from surefoot.calibration.in_situ.factory import check_factory
 from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
-from surefoot.calibration.in_situ.maker import KEPT, Leaning, check_factory, lean, prior_of
+from surefoot.calibration.in_situ.maker import AGED, KEPT, Leaning, lean, prior_of
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
-_AGED = 0.1
-"""Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
-off by 5 to 20 %."""
-
 _DELAYS, _SETTLED = 6, 1e-4
 """Fits at most until the delay of an IMU has settled, and its last step in s."""
-
-_DRIFTS = ("slow turning", "drift by temperature")
-"""Findings that a drift may explain."""
 
 
 def calibrate_in_situ(
@@ -157,7 +151,7 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
     """Return the solutions of a task with all that they are to explain, and findings."""
     sphere = fit_sphere(task.sets)
     sets, reference, said = centre_temperatures(level(task.sets, sphere))
-    findings = sphere.findings(task.moving) + said
+    findings = sphere.findings + said
     delay, std = 0.0, 0.0
     for _ in range(_DELAYS):
         late = tuple(shift(data, delay) for data in sets)
@@ -204,8 +198,6 @@ def _fit(
     if chosen is not plain:
         members, said = _lean(task, replace(chosen.problem, maker=problem.maker), [chosen.outer])
         findings += said
-    if warms and determined:
-        findings += check_gauges(members[0].solution)
     if not determined:
         findings.append(Finding("rank", rank.warning(), refuses=False))
     return members, fits, findings
@@ -251,19 +243,21 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
 
 def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
-    drift = next((one for one in findings if one.name in _DRIFTS), None)
+    drift = next((one for one in findings if one.name == "slow turning"), None)
     refused = any(one.refuses for one in findings)
     worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
     if worst is None:
         return findings
+    cure, symptom = "", worst
+    if drift is not None:
+        cure, symptom = drift.cure, worst.with_cause(drift.reason, drift.cure)
     # A delay that is longer than those of sound logs is one of the causes.
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
-    try:
-        named = name_cause(worst, _gather_evidence(solved.task, sets), drift)
-    except np.linalg.LinAlgError:
-        named = worst
-    return [named if one is worst else one for one in findings]
+    with suppress(np.linalg.LinAlgError):
+        found = find_causes(_gather_evidence(solved.task, sets))
+        symptom = tell_causes(symptom, found, cure)
+    return [symptom if one is worst else one for one in findings]
 
 
 def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
@@ -274,7 +268,7 @@ def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     if max(float(np.mean(part.source.rejected)) for part in problem.sets) > limits.FEW_REJECTED:
         problem, first = _pose(task, sets, replace(task.options, robust=False), warms)
     if data_rank(problem, first[0]).missing:
-        problem = replace(problem, maker=prior_of(task, problem.noise, _AGED))
+        problem = replace(problem, maker=prior_of(task, problem.noise, AGED))
     plain = minima(problem, first)[0]
     if task.options.hysteresis and task.timed and shows_loops(problem):
         plain = lag_loads(sets, plain)

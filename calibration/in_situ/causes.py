@@ -61,9 +61,6 @@ _FINER = 4
 _SHORTEST = 3
 """Rows that a touch must last."""
 
-_SCALED = 10
-"""Fits by which the gain of a set is found: it acts on the limb, which is fitted with it."""
-
 _LIKELY = 2
 """Changes of axes that are fitted to the end."""
 
@@ -158,50 +155,75 @@ class Cause(NamedTuple):
     choices: int
 
 
-def name_cause(symptom: Finding, evidence: Evidence, drift: Finding | None) -> Finding:
-    """Add the likeliest cause to a symptom; return the symptom itself if no cause explains it.
+class Ranked(NamedTuple):
+    """A cause that explains something.
 
-    Args:
-        symptom: Sets that contradict each other or themselves.
-        evidence: Data and fit that causes are judged by.
-        drift: A finding that a drift may explain, or None.
+    Attributes:
+        words: The cause, for a message.
+        cure: Advice for the user.
+        share: Its probability beside the others and none of them.
+        gain: Logarithm of its odds against none of them in nats.
     """
-    if drift is not None:
-        symptom = symptom.with_cause(drift.reason, drift.cure)
-    found = _rank_causes(evidence)
-    if not found:
-        return symptom
-    shares: dict[str, float] = {}
-    for cause, share in found:
-        shares[cause.words] = shares.get(cause.words, 0.0) + share
-    likeliest = sorted(shares, key=lambda words: -shares[words])
-    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
-    cure = next(cause.cure for cause, _ in found if cause.words == likeliest[0])
-    if drift is not None:
-        cure += f" If that is not it: {symptom.cure}"
-    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
+
+    words: str
+    cure: str
+    share: float
+    gain: float
 
 
-def _format_percent(share: float) -> str:
-    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
-
-
-def _rank_causes(evidence: Evidence) -> list[tuple[Cause, float]]:
-    """Return causes that explain something, the likeliest first, and how likely each is beside the others."""
+def find_causes(evidence: Evidence) -> list[Ranked]:
+    """Try each known cause; return those that explain something, the likeliest first."""
     tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in _KINDS:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
-    # The best of n alternatives gains 2 log n by chance.
-    penalties = [cause.free * np.log(rows) + 2.0 * np.log(cause.choices) for cause in tried]
     channels = _separate_channels([part.source for part in evidence.problem.sets])
-    scores = np.array([_deviance(cause.solution, channels) for cause in tried]) + penalties
-    weights = np.exp(-0.5 * (scores - scores.min()))
-    weights /= weights.sum()
-    order = np.argsort(scores)
-    return [(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
+    return rank(
+        [
+            (
+                one.words,
+                one.cure,
+                -0.5 * _deviance(one.solution, channels) - penalise(one.free, rows, one.choices),
+            )
+            for one in tried
+        ]
+    )
+
+
+def penalise(free: int, rows: int, choices: int) -> float:
+    """Return the nats that the best of some alternatives, with free unknowns, gains by chance."""
+    return float(0.5 * free * np.log(rows) + np.log(choices))
+
+
+def rank(tried: Sequence[tuple[str, str, float]]) -> list[Ranked]:
+    """Return causes, (words, cure, log odds), likelier than the first, which is none; the likeliest first."""
+    odds = np.array([one[2] for one in tried])
+    if not np.isfinite(np.max(odds)):
+        return []
+    shares = np.exp(odds - np.max(odds))
+    shares /= np.sum(shares)
+    order = [i for i in np.argsort(-odds) if odds[i] > odds[0]]
+    return [Ranked(tried[i][0], tried[i][1], float(shares[i]), float(odds[i] - odds[0])) for i in order]
+
+
+def tell_causes(symptom: Finding, found: Sequence[Ranked], instead: str = "") -> Finding:
+    """Add the likeliest causes, if any, to a symptom; the cure ``instead`` if that is not it."""
+    if not found:
+        return symptom
+    shares: dict[str, float] = {}
+    for one in found:
+        shares[one.words] = shares.get(one.words, 0.0) + one.share
+    likeliest = sorted(shares, key=lambda words: -shares[words])
+    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
+    cure = next(one.cure for one in found if one.words == likeliest[0])
+    cure += f" If that is not it: {instead}" if instead else ""
+    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
+
+
+def _format_percent(share: float) -> str:
+    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
 
 
 def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
@@ -523,64 +545,40 @@ def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _try_masses(evidence: Evidence) -> Iterator[Cause]:
-    """Yield, for each set, another mass at the place that was given, and the mass at another place.
+    """Yield another mass or place of what was added in a set, and another limb from a set on.
 
     Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach.
     """
     count, added = len(evidence.sets), evidence.problem.added
     for j, data in enumerate(evidence.sets):
-        given, place, name = data.added_mass, data.added_com, data.name
-        of_body = np.zeros((4, *added.shape))
-        of_body[range(4), j, range(4)] = 1.0
-        if given == 0.0:
-            fit = evidence.change(of_body)
-            mass, moment = float(fit.changes[0]), fit.changes[1:]
-            if mass > 0.0:
-                words = f"{mass:.3f} kg hung in '{name}' at {_place(moment / mass)} m, and nothing was given"
-                yield Cause(words, _WEIGH, fit, 4, count)
-            continue
-        of_mass = np.zeros((1, *added.shape))
-        of_mass[0, j] = added[j]
-        fit = evidence.change(of_mass)
-        mass = given * (1.0 + float(fit.changes[0]))
-        words = f"the added mass of '{name}' is {mass:.3f} kg, and {given:.3f} kg was given"
-        if 0.0 < mass < limits.HEAVIEST:
-            yield Cause(words, _WEIGH, fit, 1, count)
-        fit = evidence.change(given * of_body[1:])
-        there = f"{_place(place + fit.changes)} m, and {_place(place)} was given"
-        words = f"the added mass of '{name}' hangs at {there}"
-        if float(np.linalg.norm(place + fit.changes)) < limits.LONGEST_ARM:
-            yield Cause(words, _WEIGH, fit, 3, count)
-
-
-def _try_limb(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a limb that is another from a set on, and a set whose readings have another gain."""
-    count, added = len(evidence.sets), evidence.problem.added
-    for j in range(count):
-        name = evidence.sets[j].name
-        of_body = np.zeros((4, *added.shape))
-        of_body[range(4), j:, range(4)] = 1.0
+        given, at, name = data.added_mass, data.added_com, data.name
+        if given > 0.0:
+            of_mass = np.zeros((1, *added.shape))
+            of_mass[0, j] = added[j]
+            fit = evidence.change(of_mass)
+            mass = given * (1.0 + float(fit.changes[0]))
+            words = f"the added mass of '{name}' is {mass:.3f} kg, and {given:.3f} kg was given"
+            if 0.0 < mass < limits.HEAVIEST:
+                yield Cause(words, _WEIGH, fit, 1, count)
+            of_place = np.zeros((3, *added.shape))
+            of_place[range(3), j, range(MOMENT.start, MOMENT.stop)] = given
+            fit = evidence.change(of_place)
+            place = at + fit.changes
+            words = f"the added mass of '{name}' hangs at {_place(place)} m, and {_place(at)} was given"
+            if float(np.linalg.norm(place)) < limits.LONGEST_ARM:
+                yield Cause(words, _WEIGH, fit, 3, count)
         if j:
+            of_body = np.zeros((STATIC, *added.shape))
+            of_body[range(STATIC), j:, range(STATIC)] = 1.0
             fit = evidence.change(of_body)
-            mass = float(fit.changes[0])
-            place = fit.changes[1:] / (mass or 1.0)
+            mass, place = float(fit.changes[0]), fit.changes[1:] / (float(fit.changes[0]) or 1.0)
             side = "more" if mass > 0.0 else "less"
             more = f"{abs(mass):.3f} kg {side} than was given hangs at {_place(place)} m"
             words = f"from '{name}' on {more}: the limb is another, or a driver takes a payload off"
             bears = min(fit.limb[MASS], fit.limb[MASS] + mass) > 0.0 and mass < limits.HEAVIEST
             if bears and float(np.linalg.norm(place)) < limits.LONGEST_ARM:
-                yield Cause(
-                    words, "Leave the limb and the driver's payload as they are in all sets.", fit, 4, count
-                )
-        of_all = np.zeros((1, *added.shape))
-        gain, outer = 1.0, evidence.solution.limb
-        for _ in range(_SCALED):
-            of_all[0, j, : len(outer)] = added[j, : len(outer)] + outer
-            fit = evidence.change(of_all)
-            gain, outer = 1.0 + float(fit.changes[0]), fit.limb
-        words = f"the readings of '{name}' are {gain:.3f} times as large as in the others: another gain"
-        if 0.0 < gain < limits.HEAVIEST:
-            yield Cause(words, "Set the amplifier as in the other sets, or leave the set out.", fit, 1, count)
+                cure = "Leave the limb and the driver's payload as they are in all sets."
+                yield Cause(words, cure, fit, 4, count)
 
 
 def _place(place: Vector) -> str:
@@ -660,18 +658,10 @@ def _try_axes(evidence: Evidence) -> Iterator[Cause]:
 
 def _axes_in_words(axes: Matrix) -> str:
     """Return a change of axes, or the opposite of it, in words."""
-    if np.all(np.diag(axes)):
-        signs = np.diag(axes)
-        a = "xyz"[int(np.flatnonzero(signs == (1.0 if np.sum(signs) < 0.0 else -1.0))[0])]
-        turn = f"the IMU is turned by 180 degrees about {a}"
-        return f"{a} of all places or of the IMU has the other sign, or {turn}"
-    if np.all(axes >= 0.0) or np.all(axes <= 0.0):
-        order = ", ".join("xyz"[i] for i in np.argmax(np.abs(axes), axis=1))
-        return f"axes of all places or of the IMU are swapped: x, y, z as given are {order}"
-    turn = Rotation.from_matrix(axes * np.linalg.det(axes))
-    about = turn.as_rotvec() / turn.magnitude()
-    degrees = np.degrees(turn.magnitude())
-    return f"the IMU is turned by {degrees:.0f} degrees about {_place(about)} against the sensor's frame"
+    axes = axes if np.linalg.det(axes) > 0.0 or np.sum(axes) > 0.0 else -axes
+    names = [("-" if np.sum(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in axes]
+    given = ", ".join(names)
+    return f"axes of all places or of the IMU are others, or the IMU is turned: x, y, z as given are {given}"
 
 
 _KINDS = (
@@ -681,6 +671,5 @@ _KINDS = (
     _try_frame,
     _try_exchange,
     _try_masses,
-    _try_limb,
     _try_sensor,
 )

@@ -289,6 +289,9 @@ def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:
 _WORST = 2.0
 """Rows that leave more than this multiple of the median are named."""
 
+_LEAP = 10.0
+"""Multiple of gravity's median step from which on it leaps: sweeps turn evenly, within a factor of two."""
+
 _SINGLY = "They stand alone: single readings leap, by a loose cable, electric noise or lost bits."
 
 _TOUCHED = "something may have touched the limb"
@@ -312,6 +315,7 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
     found = []
     for data, part in zip(sets, parts, strict=True):
         rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
+        rejected = rejected & ~_settles(data, rejected)
         share = float(np.mean(rejected))
         beside = np.concatenate([[False], rejected, [False]])
         singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
@@ -342,6 +346,15 @@ def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> l
             bends = share > limits.BENDS_MOSTLY * left
             found.append(_find_bending(data, share) if bends else _find_residual(data, part, left))
     return found
+
+
+def _settles(data: InSituSet, rejected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which samples a filter had not settled in: runs that begin as gravity leaps to a posture."""
+    step = np.append(0.0, np.linalg.norm(np.diff(data.gravity, axis=0), axis=1))
+    leaps = step > max(limits.TILT * GRAVITY, _LEAP * float(np.nanmedian(step)))
+    begins = np.flatnonzero(rejected & ~np.append(False, rejected[:-1]) | rejected & leaps)
+    run = np.searchsorted(begins, np.arange(len(rejected)), side="right") - 1
+    return rejected & leaps[begins[run]] if len(begins) else rejected
 
 
 def measure_residual(parts: Sequence[CompressedSet]) -> float:

@@ -17,7 +17,7 @@ lost.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -218,7 +218,8 @@ class CompressedSet:
         middle: The offset at the middle of the set's time.
         end: The offset at its end.
         mean: Of the signals, shape (s,).
-        spread: Sum of the squares of the readings about their mean in counts^2.
+        spread: Sum of the squares of the readings about their mean in counts^2, for as many samples, of the
+            set in which they spread most.
         gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
         score: Signals less their mean, orthonormal, of the m rows, shape (m, s).
         residual: Part of the rows' readings that no linear map of the signals explains, (m, k).
@@ -352,7 +353,9 @@ def change_signals(parts: Sequence[CompressedSet], signals: Sequence[Matrix]) ->
 
 def _compress_rows(rows: Sequence[SetRows]) -> tuple[CompressedSet, ...]:
     colour = _colour(rows)
-    return tuple(_triangularise(one, colour) for one in rows)
+    parts = [_triangularise(one, colour) for one in rows]
+    widest = max(part.spread / max(part.samples, 1) for part in parts)
+    return tuple(replace(part, spread=widest * part.samples) for part in parts)
 
 
 def _colour(rows: Sequence[SetRows]) -> Colour:

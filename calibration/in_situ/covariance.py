@@ -8,7 +8,6 @@ the answer: (C row by row, the last set's offset at its end, m, m c).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ guide, and few rows suffice either way."""
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
 
-_UNIFORM = 12.0**-0.5
+UNIFORM = 12.0**-0.5
 """Deviation of what lies anywhere in a span, as a share of it."""
 
 _KINDS = (slice(0, 3), slice(3, 6))
@@ -136,48 +135,57 @@ def hidden_loops(solution: Solution, share: float) -> OpenErrors:
 
 
 def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
-    """Return columns of C, (6 k, a), and of o, (k, 2 a), for want of one slope of a sensor with hysteresis.
+    """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
 
     An axis, or a channel, gives by its share of loops, fitted or hidden, more for twice the swing, by that of
-    creep in twice the time. Without load it still reads anywhere within its loop, by what it bore before. All
-    of its axes are of one metal and one glue: one whose load hardly changed has at least the share of the
-    others.
+    creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
+    at least the share of the others. The offset is that without load: how the load came from there to about
+    its mean in the last set takes the slope of a swing as large, where the set shows that of its own. Beside
+    that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and one
+    stroke reads all of a loop on one side, where many there and back cancel.
     """
     A, sets = solution.A, solution.problem.sets
     shares = np.full(AXES, hidden)
     if solution.problem.lags:
         shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
-    load = solution.loads[-1] @ sets[-1].end.signals
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
+    mean = solution.loads[-1] @ sets[-1].end.signals
     if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
-        lagging = A
-        changes = np.einsum("ca,ab->acb", A, np.eye(AXES))
+        lagging, changes = A, np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
-        lagging, loads = np.eye(len(A)), [one @ A.T for one in loads]
+        loads, mean = [one @ A.T for one in loads], A @ mean
         doublings = _doublings(loads)
-        changes = np.einsum("ac,cb->acb", lagging, A)
-    widths = shares * np.max([np.ptp(one, axis=0) for one in loads], axis=0)
+        lagging, changes = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A)
     changes = (shares * doublings)[:, None, None] * changes
-    stored = lagging * (_UNIFORM * widths)
-    return (C @ changes @ C).reshape(len(changes), -1).T, np.concatenate([(changes @ load).T, stored], axis=1)
+    swing, reach = _swing_and_reach(loads[-1:])
+    came = shares * mean * np.log2(reach / swing)
+    widths = np.array([np.ptp(one, axis=0) for one in loads])
+    strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0) / np.maximum(
+        widths[-1], np.finfo(float).tiny
+    )
+    stored = UNIFORM * shares * np.hypot(widths[-1] / np.maximum(strokes, 1.0), np.ptp(widths, axis=0))
+    return (C @ changes @ C).reshape(len(changes), -1).T, lagging * np.hypot(came, stored)
+
+
+def _swing_and_reach(loads: Sequence[Matrix]) -> tuple[Vector, Vector]:
+    """Return half of the widest swing of loads, (n_j, a) a set, and their largest size, shape (a,) each."""
+    swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
+    reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
+    swing = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach) + np.finfo(float).tiny)
+    return swing, np.maximum(reach, swing)
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:
     """Return for how many doublings of the swing a slope is open, of loads of one kind, (n_j, a) a set.
 
     It is shown for the swing of the data. One slope is asked for at one size of forces, and one of torques,
-    whichever way they point: the mean of the axes' swings, give or take a doubling. How the load came there
-    from zero, where the offset is, and further loads of that size, take the slope of a swing as large.
+    whichever way they point: the mean of the axes' swings, give or take a doubling. Further loads of the size
+    of the largest take the slope of a swing as large.
     """
-    swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
-    reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
-    smallest = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach))
-    if not np.any(smallest > 0.0):
-        return np.ones_like(swing)
-    of_swing, of_reach = np.log2(smallest), np.log2(np.maximum(reach, smallest))
-    return np.asarray(np.maximum(np.hypot(of_swing - np.mean(of_swing), 1.0), of_reach - of_swing))
+    swing, reach = map(np.log2, _swing_and_reach(loads))
+    return np.asarray(np.maximum(np.hypot(swing - np.mean(swing), 1.0), reach - swing))
 
 
 def output_derivatives(solution: Solution) -> Matrix:
@@ -216,8 +224,7 @@ _REACH = 0.1
 """Lever in m by which first moments are judged at least."""
 
 
-@dataclass(frozen=True, eq=False)
-class DataShare:
+class DataShare(NamedTuple):
     """Share of a fit that the data determine.
 
     Attributes:
@@ -229,20 +236,6 @@ class DataShare:
     share: Vector
     seen: int
     unseen: int
-
-    def findings(self, columns: FitColumns) -> list[Finding]:
-        """Warn if much leans on the prior."""
-        known = {
-            "the matrix": float(np.mean(self.share[columns.matrix])),
-            "the limb's mass": float(self.share[columns.limb][MASS]),
-            "its centre of mass": float(np.mean(self.share[columns.limb][MOMENT])),
-        }
-        least = min(known.values())
-        if least > limits.KNOWN:
-            return []
-        listed = ", ".join(f"{share:.0%} of what is known of {name}" for name, share in known.items())
-        reason = f"The readings alone give {listed}; the rest is what was known beforehand."
-        return [Finding("share of the data", reason, value=least, limit=limits.KNOWN, refuses=False)]
 
 
 def data_share(solution: Solution) -> DataShare:
@@ -288,8 +281,8 @@ def _sizes(solution: Solution) -> Vector:
     return np.concatenate([np.tile(columns, len(white)), limb])
 
 
-def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Finding | None:
-    """Return along which direction gravity turned no faster than offsets drift, and the cure; or None.
+def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> list[Finding]:
+    """Return along which direction gravity turned no faster than offsets drift, and the cure.
 
     The spread that the weights against drift leave is held against the spread that there was.
     """
@@ -305,18 +298,15 @@ def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Find
     root = vectors[:, wide] / np.sqrt(values[wide])
     shares, turned = np.linalg.eigh(root.T @ left @ root)
     if not len(shares) or shares[0] > limits.SLOW**2:
-        return None
+        return []
     direction = root @ turned[:, 0]
     direction /= np.linalg.norm(direction)
     spread = float(np.sqrt(direction @ seen @ direction / size))
     x, y, z = direction
     rest = spread * float(np.sqrt(max(shares[0], 0.0)))
-    return Finding(
-        "slow turning",
+    reason = (
         f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
-        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}.",
-        "Go through these postures several times in a set, or come back to the first ones at its end.",
-        rest,
-        limits.SLOW * spread,
-        refuses=False,
+        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}."
     )
+    cure = "Go through these postures several times in a set, or come back to the first ones at its end."
+    return [Finding("slow turning", reason, cure, rest, limits.SLOW * spread, refuses=False)]

@@ -40,19 +40,17 @@ from scipy.signal import lfilter
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
-from surefoot.calibration.in_situ.compress import UNUSED, CompressedSet
 from surefoot.calibration.in_situ.covariance import share_deviations
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
-from surefoot.calibration.in_situ.problem import Problem, whitening_of
+from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import (
     Solution,
     beside_channels,
     beside_loads,
     criterion,
     follow,
-    solve,
 )
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
@@ -396,35 +394,6 @@ def _measure_rest(
     return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
 
 
-def find_drift(parts: Sequence[CompressedSet]) -> Finding | None:
-    """Return that an offset drifted as the temperature changed, and the cure; None if nothing shows it.
-
-    A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
-    but the coefficients of sets disagree. The temperature is the last signal of the sets.
-    """
-    root = whitening_of(parts)
-    own = np.array([part.response[:, -1] for part in parts])
-    gram = np.array([part.gram[-1, -1] for part in parts])
-    square = np.array([part.uu[-1, -1] ** 2 for part in parts])
-    worth = np.where(gram > UNUSED, square / np.maximum(gram, UNUSED), 0.0)
-    freedom = (np.count_nonzero(worth) - 1) * len(root)
-    if freedom <= 0:
-        return None
-    off = (own - worth @ own / np.sum(worth)) @ root.T
-    if worth @ np.sum(off**2, axis=1) < limits.COEFFICIENTS**2 * freedom:
-        return None
-    channel = int(np.argmax(np.ptp(own, axis=0)))
-    reason = (
-        "The offset drifted as the temperature changed: single sets show coefficients of channel "
-        f"{channel} from {np.min(own[:, channel]):.3g} to {np.max(own[:, channel]):.3g} counts/K."
-    )
-    cure = (
-        "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
-        "without it."
-    )
-    return Finding("drift by temperature", reason, cure, refuses=False)
-
-
 def add_gains(plain: Solution) -> Solution:
     """Return a fit with gains of the axes by temperature, or the plain one where they are not worth it.
 
@@ -438,17 +407,6 @@ def add_gains(plain: Solution) -> Solution:
     if criterion(fitted) >= criterion(plain):
         return plain
     return replace(fitted, problem=replace(fitted.problem, gains=AXES))
-
-
-def check_gauges(fit: Solution) -> list[Finding]:
-    """Return a warning where gains go with the temperature otherwise than axis by axis."""
-    freer = beside_channels(fit.problem, [load @ fit.A.T for load in _warm_loads(fit.problem, fit)])
-    if criterion(solve(freer, [fit.outer])) >= criterion(fit):
-        return []
-    return _warn(
-        "The gains of single channels follow the temperature, each its own way, where the fit has one an "
-        "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated."
-    )
 
 
 def _warm_loads(problem: Problem, fit: Solution) -> list[Matrix]:

@@ -28,7 +28,6 @@ from scipy.fft import dct, idct
 from surefoot.calibration.arrays import MAD_TO_STD
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import TOO_FAST
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
@@ -99,7 +98,6 @@ class Sphere:
         arm: p in m, shape (3,).
         length: rho in m/s^2.
         scale: By which readings are multiplied: one unless the length cannot be gravity's.
-        spread: All that the length leaves, rms in m/s^2.
     """
 
     bias: Vector
@@ -107,29 +105,21 @@ class Sphere:
     arm: Vector
     length: float
     scale: float
-    spread: float
 
-    def findings(self, moving: bool) -> list[Finding]:
-        """Report corrections that are more than chance, and a limb that was not at rest."""
-        words, found = [], []
+    @property
+    def findings(self) -> list[Finding]:
+        """Report corrections that are more than chance."""
+        words = []
         if self.scale != 1.0:
             words.append(f"its scale is off by {100.0 * (1.0 / self.scale - 1.0):+.1f} %")
         std = np.sqrt(np.diag(self.covariance))
         if np.any(np.abs(self.bias) > np.maximum(limits.ACCELEROMETER * std, _LENGTH)):
             shown = ", ".join(f"{value:.2f}" for value in self.bias)
             words.append(f"it has a bias of about ({shown}) m/s^2")
-        if words:
-            reason = f"The accelerometer was corrected by the length of gravity: {' and '.join(words)}."
-            found.append(Finding("accelerometer", reason, refuses=False))
-        limit = limits.SPEEDING * GRAVITY
-        if not moving and self.spread > limit:
-            reason = (
-                f"Gravity is {self.length:.2f} m/s^2 long and spreads by {self.spread:.2f}: {TOO_FAST}, or "
-                "the accelerometer is very noisy."
-            )
-            cure = "Give the gyroscope's readings as well, or move slowly."
-            found.append(Finding("speed", reason, cure, self.spread, limit))
-        return found
+        if not words:
+            return []
+        reason = f"The accelerometer was corrected by the length of gravity: {' and '.join(words)}."
+        return [Finding("accelerometer", reason, refuses=False)]
 
 
 def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
@@ -170,7 +160,6 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         arm=x[4:],
         length=length,
         scale=1.0 if earthly else GRAVITY / length,
-        spread=float(np.std(off)),
     )
 
 

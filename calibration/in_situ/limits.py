@@ -67,7 +67,6 @@ HYSTERESIS = Limit(0.01, "share of the swing", "chosen, as a deviation: cheap ga
 HIDDEN = Limit(0.003, "share of the swing", "chosen: a third of that")
 WARMING = Limit(0.3, "K", "three times the 0.1 K to which thermistors read")
 NOT_GRAVITY = Limit(0.1, "share of a temperature's spread", "its coefficient is ten times less sure there")
-COEFFICIENTS = Limit(3.0, "deviations", "0.3 % of sensors whose coefficient is one")
 
 # Between sets.
 STRAINED = Limit(
@@ -92,7 +91,6 @@ LIMB_SIGMAS = Limit(4.0, "deviations", "1 in 16,000 by chance")
 FACTORY_APART = Limit(
     0.3, "logarithm of masses", "scales of two sensors that had aged were off by 0.11 and 0.19"
 )
-KNOWN = Limit(0.9, "share of the information", "the prior makes deviations smaller by 5 %")
 
 # A factory matrix against the readings.
 FACTORY_MISSES = Limit(0.1, "share of the load", "sensors that had aged were off by as much")
@@ -101,6 +99,3 @@ READ_BETTER = Limit(
     0.7, "share of what is missed", "chosen: another way to read a matrix that is worth a look"
 )
 CLEARER = Limit(10.0, "nats", "1 in 22,000")
-FACTORY_SCALE = Limit(0.6931471805599453, "logarithm", "a factor of two: sensors age by less")
-OTHER_UNIT = Limit(0.5, "share of that logarithm", "twice as near to another unit")
-AXES_APART = Limit(3.0, "factor between axes", "axes age by less, units change all alike")

@@ -10,7 +10,6 @@ import numpy as np
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import check_bending, measure_residual
-from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
     OpenErrors,
@@ -22,8 +21,8 @@ from surefoot.calibration.in_situ.covariance import (
     slow_turn,
     unknowns_root,
 )
-from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Task, Vector
-from surefoot.calibration.in_situ.effects import find_drift, shows_loops
+from surefoot.calibration.in_situ.data import InSituSet, Matrix, Task, Vector
+from surefoot.calibration.in_situ.effects import shows_loops
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
@@ -91,13 +90,11 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     problem = solution.problem
     columns = FitColumns.of(len(problem.noise))
     bends, findings = check_bending(solved.sets, problem.sets, solved.hidden)
-    findings += _find_drift(solved, problem)
+    findings += slow_turn(solved.sets, problem.sets)
     doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved, solution))
     # A limb that is not as it was given draws all masses with it.
     findings += doubted or check_masses(solution)
     known = data_share(solution)
-    if problem.maker is not None or len(problem.limb_root):
-        findings += known.findings(columns)
     answer, doubts = answer_of(solution), slope_doubts(solution, solved.hidden)
     places = (columns.matrix, columns.offset)
     roots = [_columns_of(answer, *pair) for pair in zip(places, doubts, strict=True)]
@@ -247,14 +244,6 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
         set_stats=(nothing,) * count,
         set_names=tuple(data.name for data in sets),
     )
-
-
-def _find_drift(solved: Solved, problem: Problem) -> list[Finding]:
-    """Find a cause that may hide behind a drift."""
-    slow = slow_turn(solved.sets, problem.sets)
-    if slow is None and solved.reference is not None:
-        slow = find_drift(compress(solved.sets, InSituOptions(), problem.moving, True))
-    return [] if slow is None else [slow]
 
 
 def _members_root(solved: Solved, solution: Solution) -> Matrix:

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
+from surefoot.calibration.in_situ.covariance import UNIFORM
 from surefoot.calibration.in_situ.data import InSituTrackerConfig
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
@@ -343,18 +344,18 @@ def _errors_of_turning(
 ) -> NDArray[np.float64]:
     """Return the covariance of h, shape (6, 6), over all directions of gravity.
 
-    Half of the loop's width, and the weight's error by the fit's covariance of matrix and limb.
+    Anywhere in the loop, and the weight's error by the fit's covariance of matrix and limb.
     """
     to = ErrorColumns.of(len(fit.offset))
     errors = error_covariance(fit)[to.response.start :, to.response.start :]
     rows = np.linalg.pinv(sensor.whitening @ fit.response) @ sensor.rows(GRAVITY * np.eye(3))
     covariance = np.mean(rows @ errors @ rows.mT, axis=0)
     if lag is None and fit.channel_hysteresis is not None:
-        half = 0.5 * fit.channel_hysteresis * np.linalg.norm(fit.response @ weight, axis=1)
-        return np.asarray(covariance + (fit.matrix * half**2) @ fit.matrix.T)
+        width = fit.channel_hysteresis * np.linalg.norm(fit.response @ weight, axis=1)
+        return np.asarray(covariance + (fit.matrix * (UNIFORM * width) ** 2) @ fit.matrix.T)
     share = fit.hysteresis if lag is None else lag
-    half = 0.5 * np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
-    return np.asarray(covariance + np.diag(half**2))
+    width = np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
+    return np.asarray(covariance + np.diag((UNIFORM * width) ** 2))
 
 
 def _signals_of(

@@ -167,7 +167,6 @@ def test_two_moving_sets_say_that_the_factory_matrix_knows_the_scale():
     assert fit.data_share[fit.columns.limb][0] < 0.5
     assert abs(fit.limb.mass - mass) < 2.0 * fit.limb_mass_std
     assert any("leans on the factory matrix" in warning for warning in fit.warnings)
-    assert any("of what is known of the limb's mass" in warning for warning in fit.warnings)
 
 
 @pytest.mark.slow

@@ -92,23 +92,14 @@ def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
 
 def test_a_scale_that_is_the_makers_is_as_unsure_as_makers_are():
     fit = calibrate_in_situ(leg_sets()[:1], factory_matrix=1.1 * MATRIX)
-    assert any(one.startswith("The readings alone give 0% of what is known of") for one in fit.warnings)
+    assert fit.data_share[fit.columns.limb][0] < 0.01
     assert abs(fit.limb.mass - MASS) < 2.5 * fit.limb_mass_std
 
 
-@pytest.mark.parametrize(
-    ("aged", "shown"),
-    [
-        (0.64, 0.64),
-        pytest.param(1.3, None, marks=pytest.mark.slow),
-        ([1.7, 1.6, 1.5, 1, 1, 1], None),
-    ],
-)
-def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(aged, shown):
-    # Masses in lb read 0.45 times a matrix that has aged, each of its axes by itself.
+@pytest.mark.parametrize("aged", [0.64, pytest.param([1.7, 1.6, 1.5, 1, 1, 1], marks=pytest.mark.slow)])
+def test_a_factory_matrix_that_has_aged_is_no_other_unit(aged):
     fit = calibrate_in_situ(leg_sets(), factory_matrix=np.multiply(np.reshape(aged, (-1, 1)), MATRIX))
-    found = re.search(r"By the factory matrix the readings show ([\d.]+) times", " ".join(fit.warnings))
-    assert (found and float(found[1])) == (shown and pytest.approx(shown, rel=0.02))
+    assert fit.maker_share > 0.1
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_COM_LEG, ADDED_MASS, make_set, moving_sets, noisy_sets, swept_gravity
+from _in_situ import (
+    ADDED_COM_LEG,
+    ADDED_MASS,
+    NOISE,
+    make_set,
+    moving_sets,
+    noisy_sets,
+    random_gravity,
+    swept_gravity,
+)
 from _in_situ_leg import COM, MASS, MATRIX, RESPONSE, leg_sets, sound_fit, with_raw
 from scipy.signal import lfilter
 
@@ -140,6 +149,19 @@ def test_samples_that_are_off_by_a_little_stay(share, out):
     assert fit.limb.mass == pytest.approx(MASS, rel=0.002)
 
 
+def test_postures_that_a_filter_settles_in_are_answered():
+    rng, share = np.random.default_rng(1), np.exp(-1.0)
+    sets = []
+    for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True):
+        held = np.repeat(random_gravity(rng, 24), 25, axis=0)
+        one = make_set(MATRIX, 500.0, (MASS, COM), (added, place), held)
+        raw = lfilter([1.0 - share], [1.0, -share], one.raw, axis=0, zi=share * one.raw[:1])[0]
+        raw = raw + (NOISE * rng.standard_normal((600, 6))) @ RESPONSE.T
+        sets.append(replace(one, raw=raw, time=np.arange(600) / 10.0))
+    fit = calibrate_in_situ(sets)
+    assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std < 0.1 * MASS
+
+
 def test_takes_the_same_sets_unhurt():
     fit = sound_fit()
     # What was not refused needs no reason, and keeps none.
@@ -159,6 +181,15 @@ def test_a_scale_that_is_not_known_is_refused():
         CalibrationRefused, match=r"The limb's mass comes out as .* kg with a standard deviation of"
     ):
         calibrate_in_situ(sets)
+
+
+def test_a_driver_that_takes_the_limbs_weight_off_is_named():
+    """The bare limb's set then reads nothing but noise and a little wave, no large share of what the others read."""
+    weight = np.concatenate([MASS * np.eye(3), np.cross(MASS * COM, np.eye(3))], axis=1)
+    wave = 0.1 * np.sin(2.0 * leg_sets()[0].time)[:, None] * RESPONSE[:, 0]
+    less = [replace(one, raw=one.raw + wave - one.gravity @ weight @ RESPONSE.T) for one in leg_sets()]
+    with pytest.raises(CalibrationRefused, match="Likeliest: the driver takes the limb's weight off already"):
+        calibrate_in_situ(less)
 
 
 def noise_channel(sets):

@@ -7,7 +7,6 @@ import pytest
 from _in_situ import SENSORS, noisy_sets
 
 from surefoot.calibration.in_situ import InSituOptions, KnownLimb, calibrate_in_situ
-from surefoot.calibration.results import CalibrationRefused
 
 
 def test_finds_the_temperature_coefficient():
@@ -62,18 +61,6 @@ def test_a_gain_that_goes_with_the_temperature_is_found():
     assert np.linalg.norm(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]) - np.eye(6)) < 0.05
 
 
-def test_gains_of_single_channels_that_go_with_the_temperature_are_warned_of():
-    rng = np.random.default_rng(32)
-    warmed, offset = warmed_sets(rng, GAIN)
-    each = 2e-4 * rng.standard_normal(6)
-    warmed = [
-        replace(one, raw=one.raw + (one.raw - offset) * each * (one.temperature - 25.0)[:, None])
-        for one in warmed
-    ]
-    told = "The gains of single channels follow the temperature, each its own way"
-    assert any(warning.startswith(told) for warning in calibrate_in_situ(warmed).warnings)
-
-
 def test_a_gain_that_stays_is_none():
     warmed, _ = warmed_sets(np.random.default_rng(30), np.zeros(6))
     fit = calibrate_in_situ(warmed)
@@ -116,18 +103,6 @@ def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
     taken = fit.temperature_coefficient - per_kelvin
     np.testing.assert_allclose(taken, 0.0 if cooling else drift, atol=0.3)
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
-
-
-@pytest.mark.slow
-def test_a_drift_that_hides_in_the_coefficients_of_single_sets_is_named_and_cured():
-    sets, _, _ = warmed(both_ways, drift=10.0)
-    with pytest.raises(CalibrationRefused, match="The offset drifted as the temperature changed") as refused:
-        calibrate_in_situ(sets)
-    assert "Let the sensor warm and cool within each set" in refused.value.cure
-    swinging, _, _ = warmed(lambda path: [7.5 * np.sin(path + j) for j in range(4)], drift=10.0)
-    for cured in (swinging, [replace(one, temperature=None) for one in sets]):
-        fit = calibrate_in_situ(cured)
-        assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
 
 
 def test_the_temperature_of_a_leaning_fit_is_its_own():

@@ -179,15 +179,15 @@ def test_time_that_does_not_pass_is_flagged(dt):
 def test_standing_still_informs_no_more_than_hysteresis_lets_it():
     raw = RESPONSE @ WEIGHT + OFFSET
     stds = []
-    for lag in (0.0, 0.02):
+    for lag in (0.0, 0.04):
         tracker = InSituTracker(make_fit(), lag=lag, drift_force=0.0, drift_torque=0.0)
         for _ in range(200):
             estimate = tracker.update(raw, DOWN, 0.01)
         force = np.linalg.solve(RESPONSE, np.linalg.solve(RESPONSE, estimate.covariance[:6, :6]).T)
         stds.append(np.sqrt(force[0, 0]))
-    # Half of 2 % of 48 N beside half a newton since the fit.
-    prior = 0.5**2 + 0.2**2
-    expected = np.sqrt(prior * 0.48**2 / (prior + 0.48**2))
+    # Anywhere in 4 % of 48 N, beside half a newton since the fit.
+    prior, loop = 0.5**2 + 0.2**2, (0.04 * 48.0) ** 2 / 12.0
+    expected = np.sqrt(prior * loop / (prior + loop))
     assert stds[1] > 0.95 * expected
     assert stds[0] < 0.7 * stds[1]
 

@@ -1,0 +1,203 @@
+"""Ways to read a factory matrix that the readings contradict, ranked like all causes."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.calibration.arrays import skew
+from surefoot.calibration.in_situ import limits
+from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
+from surefoot.calibration.in_situ.data import Matrix, Vector
+from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.in_situ.maker import log_evidence, log_prior
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
+from surefoot.calibration.in_situ.solve import Solution, solve
+from surefoot.calibration.reference import GRAVITY
+
+_REACH = 0.1
+"""Lever in m by which moments of masses that all hang at one place are judged."""
+
+_NO_LOAD = 1e-300
+"""Stands for a load of zero in a quotient."""
+
+_TRIED = 4
+"""Ways of each kind, those that miss least, that are fitted."""
+
+_COARSE = (0.2, 0.05, 0.01)
+"""Sizes of a maker's errors by which matrices are compared, as shares of full scale."""
+
+_POUND = 0.45359237
+"""In kg."""
+
+_CURE = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
+
+
+def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
+    """Return whether a factory matrix contradicts the readings, and how it is to be read.
+
+    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
+    with the loads: by a solution without the matrix if the limb is determined or known, else by
+    the limb that it shows itself. Where it misses much, other ways to read it are causes like all others.
+
+    Args:
+        factory: As it was given, shape (6, k).
+        problem: With the prior by it.
+        solution: Without it, if the readings determine one.
+        determined: Whether they do.
+    """
+    limb_known = determined or len(problem.limb_root) == STATIC
+    expected = _loads(solution) if limb_known else _hangs(factory, solution)
+    measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
+    masses = problem.added[:, MASS]
+    levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
+    lever = max(float(np.max(levers, initial=0.0)), _REACH)
+    weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
+
+    def miss(matrix: Matrix) -> float:
+        hangs = expected if limb_known else _hangs(matrix, solution)
+        if hangs is None:
+            return np.inf
+        return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
+
+    now = miss(factory)
+    if now < limits.FACTORY_MISSES:
+        return []
+    start = solution.outer.copy()
+    if not limb_known:
+        start[: problem.parameters] = problem.limb
+    rows = sum(part.rows for part in problem.sets)
+    tried = [("", "", _evidence_of(factory, problem, solution.rotation, start))]
+    ways = [(0, list(_other_readings(factory)))]
+    if expected is not None:
+        ways.append((1, list(_other_entries(factory, measured, expected))))
+        ways.append((3, list(_other_point(factory, measured, expected))))
+    for free, others in ways:
+        scored = sorted(((miss(matrix), words, matrix) for words, matrix in others), key=lambda way: way[0])
+        for left, words, matrix in scored[:_TRIED]:
+            if left < min(limits.READ_BETTER * now, 1.0):
+                odds = _evidence_of(matrix, problem, solution.rotation, start)
+                tried.append((words, _CURE, odds - penalise(free, rows, len(others))))
+    ranked = rank(tried)
+    if not ranked or ranked[0].gain < limits.CLEARER:
+        return []
+    at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
+    reason = f"The factory matrix {at_odds}."
+    return [tell_causes(Finding("factory matrix", reason, "", ranked[0].gain, limits.CLEARER), ranked)]
+
+
+def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vector) -> float:
+    """Return the evidence of another maker's matrix, shape (6, k), over sizes of its errors, as a logarithm.
+
+    The search starts from outer unknowns, shape (p,), with the limb that the matrix shows.
+    """
+    assert problem.maker is not None
+    outer = start.copy()
+    outer[:STATIC] = _limb_by(matrix, problem, rotation)
+    ratio = problem.maker.std / problem.maker.std[0, 0]
+    response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
+    scores = []
+    for share in _COARSE:
+        one = replace(problem, maker=problem.maker._replace(response=response, std=share * ratio))
+        fitted = solve(one, [outer])
+        sound = fitted.limb[MASS] > 0.0
+        outer = fitted.outer if sound else outer
+        scores.append(log_evidence(fitted) + log_prior(share) if sound else -np.inf)
+    return float(np.logaddexp.reduce(scores))
+
+
+def _limb_by(matrix: Matrix, problem: Problem, rotation: Matrix) -> Vector:
+    """Return (m, m c) of the limb that a matrix shows, shape (4,)."""
+    seen = np.array([weigh_hanging(matrix, part, rotation) for part in problem.sets])
+    return np.asarray(np.mean(seen - problem.added[:, :STATIC], axis=0))
+
+
+def _hangs(matrix: Matrix, solution: Solution) -> Matrix | None:
+    """Return the loads of all sets with the limb that a matrix shows; None if its mass is negative."""
+    outer = solution.outer.copy()
+    outer[:STATIC] = _limb_by(matrix, solution.problem, solution.rotation)
+    return None if outer[MASS] <= 0.0 else _loads(replace(solution, outer=outer))
+
+
+def _loads(solution: Solution) -> Matrix:
+    """Return the loads of all sets side by side, by as much as gravity turned in each, shape (6, 3 J)."""
+    turned = (part.turned.T for part in solution.problem.sets)
+    return np.concatenate([T[:, DIRECT] @ g for T, g in zip(solution.loads, turned, strict=True)], axis=1)
+
+
+_OF_ROWS = {
+    "the sign of gravity or of the factory matrix is turned": (-1.0, -1.0),
+    "all places of the masses, or the factory's torques, are negated": (1.0, -1.0),
+    "the factory's forces are negated": (-1.0, 1.0),
+    "masses are in grams": (1e3, 1e3),
+    "masses are in lb, and kg are expected": (1.0 / _POUND, 1.0 / _POUND),
+    "masses in kg were taken for lb and converted": (_POUND, _POUND),
+    "places are in mm, and m are expected": (1.0, 1e3),
+    "places are in cm, and m are expected": (1.0, 1e2),
+    "units of the factory's torques are N mm": (1.0, 1e-3),
+    "units of the factory's torques are N cm": (1.0, 1e-2),
+    "units of the factory matrix are kgf": (GRAVITY, GRAVITY),
+}
+"""Possible errors of a matrix or of units, by the factors of its forces and of its torques."""
+
+
+def _other_point(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield the point that torques of a matrix are about, if it is not the sensor's origin."""
+    shown = factory @ measured
+    arms = -skew(shown[:3].T).reshape(-1, 3)
+    point = np.linalg.lstsq(arms, (expected[3:] - shown[3:]).T.ravel(), rcond=None)[0]
+    moved = np.eye(AXES)
+    moved[3:, :3] = skew(np.asarray(point, dtype=np.float64))
+    where = ", ".join(f"{value:.3f}" for value in -point)
+    yield f"the factory's torques are about the point ({where}) m, not the sensor's origin", moved @ factory
+
+
+def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield possible errors of a whole matrix or of units, and the matrix as it then is."""
+    for words, factors in _OF_ROWS.items():
+        yield words, np.repeat(factors, 3)[:, None] * factory
+    for axis, name in enumerate("xyz"):
+        mirror = np.where(np.isin(np.arange(AXES), (axis, axis + 3)), -1.0, 1.0)[:, None]
+        yield (
+            f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame",
+            mirror * factory,
+        )
+    for turn in Rotation.create_group("O"):
+        if turn.magnitude() > 0.0:
+            about = np.round(turn.as_rotvec() / turn.magnitude(), 2).tolist()
+            degrees = np.degrees(turn.magnitude())
+            words = (
+                f"the factory's frame is turned by {degrees:.0f} degrees about {about} against the sensor's"
+            )
+            yield words, np.kron(np.eye(2), turn.as_matrix()) @ factory
+    yield "rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)
+    rows, channels = factory.shape
+    if rows == channels:
+        inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
+        yield "the factory matrix is transposed", factory.T
+        yield "the factory matrix is inverted: counts per N", inverse
+        yield "the factory matrix is inverted and transposed", inverse.T
+    for a in range(channels):
+        sign = np.where(np.arange(channels) == a, -1.0, 1.0)
+        yield f"channel {a} has the other sign than in the factory matrix", factory * sign
+        for b in range(a):
+            order = np.arange(channels)
+            order[[a, b]] = b, a
+            yield f"channels {b} and {a} are exchanged against the factory matrix", factory[:, order]
+
+
+def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Yield the matrix with another value in each entry that could be misprinted, and that, in words."""
+    wrong = expected - factory @ measured
+    steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
+    largest = np.max(np.abs(factory), axis=1, keepdims=True)
+    for row, column in np.argwhere(np.abs(steps) >= limits.MISPRINT * largest):
+        matrix = factory.copy()
+        matrix[row, column] += steps[row, column]
+        words = (
+            f"entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, is "
+            f"{matrix[row, column]:.4g}"
+        )
+        yield words, matrix
