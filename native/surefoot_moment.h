@@ -1209,8 +1209,9 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m,
     for (int k = 0; k < count; k++) {
         sf_real unit = m->unit[channels[k]];
         reading[k] /= (sf_real)found;
-        total += reading[k] / unit;
-        if (sf_fabs(reading[k]) > m->largest_load * unit) return 0;
+        sf_real change = (reading[k] - tare->reading[channels[k]]) / unit;
+        total += change;
+        if (sf_fabs(change) > m->largest_load) return 0;
     }
     return sf_fabs(total) <= m->largest_sum ? seconds : 0;
 }

@@ -40,9 +40,9 @@ LEAP = 5.0
 """Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
 
 LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
-"""Mean reading of a channel, and sum of a foot's, in body weights by the starting map, from which on a foot
-is not in the air after all: three offsets of sensors three times as bad as stated, and less than half of what
-a foot bears that stands."""
+"""Change of a channel's mean reading since the last tare, or since the start, and of a foot's sum, in body
+weights by the starting map, from which on a foot is not in the air after all: three offsets of sensors three
+times as bad as stated, and less than half of what a foot bears that stands."""
 
 
 TOUCH = 0.1
@@ -88,7 +88,7 @@ class Tare:
         """
         in_swing = (state.time >= 0.0) & (time - state.time <= LEAST_APART)
         before = np.where(in_swing[self._foot_of_channel], state.reading, np.inf)
-        for foot, channels, reading, seconds in self._hanging(block, lost, before):
+        for foot, channels, reading, seconds in self._hanging(block, lost, before, state.reading):
             belief, published, state = self._tare(
                 foot, channels, reading, seconds, time, belief, published, state
             )
@@ -107,21 +107,22 @@ class Tare:
         columns = self._columns
         a, b = known[columns.scale], known[columns.offset]
         found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
-        for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf)):
+        for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf), -b / a):
             found.append(self._write(at, -b[at] / a[at], a[at]))
             variance.append(a[at] ** 2 * self.variance[at] / seconds)
         return np.vstack(found), np.diag(np.concatenate(variance))
 
     def _hanging(
-        self, block: Block, lost: Array, before: Array
+        self, block: Block, lost: Array, before: Array, last: Array
     ) -> Iterator[tuple[int, NDArray[np.int64], Array, float]]:
         """Find feet that hang: each with its channels that are not lost, their mean reading, and seconds.
 
-        ``before`` are the readings of swings a moment ago, infinite where there is none, shape (K,).
+        ``before`` are the readings of swings a moment ago, infinite where there is none, and ``last`` those
+        of the last tare, 0 where there is none, shape (K,).
         """
         for foot, of_foot in enumerate(self._feet):
             channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
-            reading, seconds = self._reading(block, foot, channels, before[channels])
+            reading, seconds = self._reading(block, foot, channels, before[channels], last[channels])
             if seconds >= LEAST_SHARE * block.duration:
                 yield foot, channels, reading, seconds
 
@@ -135,7 +136,7 @@ class Tare:
         return H
 
     def _reading(
-        self, block: Block, foot: int, channels: NDArray[np.int64], before: Array
+        self, block: Block, foot: int, channels: NDArray[np.int64], before: Array, last: Array
     ) -> tuple[Array, float]:
         """Return a foot's mean reading in the air, and how long it hung in s."""
         swing = block.swing[:, foot] > 0.5
@@ -150,9 +151,8 @@ class Tare:
         if not sure.any():
             return np.zeros(len(channels)), 0.0
         reading = block.force[np.ix_(sure, channels)].mean(axis=0)
-        large = np.abs(reading) > LARGEST_LOAD * self._unit[channels]
-        total = abs(float((reading / self._unit[channels]).sum()))
-        in_air = not large.any() and total <= LARGEST_SUM
+        change = (reading - last) / self._unit[channels]
+        in_air = np.abs(change).max() <= LARGEST_LOAD and abs(change.sum()) <= LARGEST_SUM
         return reading, float(block.dt[sure].sum()) * in_air
 
     def _tare(

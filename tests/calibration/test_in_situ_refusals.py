@@ -184,7 +184,7 @@ def test_a_scale_that_is_not_known_is_refused():
 
 
 def test_a_driver_that_takes_the_limbs_weight_off_is_named():
-    """The bare limb's set then reads nothing but noise and a little wave, no large share of what the others read."""
+    """The bare limb's set then reads noise and a little wave, no large share of what the others read."""
     weight = np.concatenate([MASS * np.eye(3), np.cross(MASS * COM, np.eye(3))], axis=1)
     wave = 0.1 * np.sin(2.0 * leg_sets()[0].time)[:, None] * RESPONSE[:, 0]
     less = [replace(one, raw=one.raw + wave - one.gravity @ weight @ RESPONSE.T) for one in leg_sets()]

@@ -142,6 +142,16 @@ def test_zeros_that_leap_are_tared_at_the_next_swing():
     assert not (estimate.flags & (Flag.LOST | Flag.SWAPPED)).any()
 
 
+def test_zeros_that_drift_by_more_than_a_load_are_tared_at_every_swing():
+    log = move(4, 24.0, Errors(noise=1e-3))
+    drift = (
+        0.02 * WEIGHT * DT * np.arange(len(log.raw))[:, None]
+    )  # half of the weight on each cell in the end
+    estimate = calibrated(log._replace(raw=log.raw + drift / NOMINAL.scale))
+    assert rmse(estimate, log, 20.0) < 0.06
+    assert not (estimate.flags & ACCUSED).any()
+
+
 def spoilt(log, kind, at):
     """Readings with a fault of all or of two cells from a sample on."""
     raw, empty = log.raw.copy(), -NOMINAL.offset / NOMINAL.scale
