@@ -434,6 +434,8 @@ def test_severity_and_faults_may_be_set_for_some_robots():
     again = make(seed=3)
     again.load_state_dict(feet.state_dict())
     assert torch.equal(again(force), feet(force))
+    with pytest.raises(ValueError, match=r"^The saved state has no config, .*: its robots had one condition"):
+        again.load_state_dict(alike.state_dict())
     alike(force)
     for module in (feet, alike):
         module.reset([0, 1, 3], fresh=True)
