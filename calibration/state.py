@@ -107,7 +107,8 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise ValueError(
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
-                f"{expected.shape} and {expected.dtype}: layout, lag and window must be as they were saved."
+                f"{expected.shape} and {expected.dtype}: layout, lag, window and surefoot must be "
+                "as they were when it was saved."
             )
     check_leaves(leaves, limits, f"'{path}' is no state to go on with")
     return _rebuild(like, leaves, "")

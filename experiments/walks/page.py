@@ -139,7 +139,7 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
     folder = results.options.out / "figures"
     weighing, coefficient = weigh_after_walk(), paper_table_2()[1]
     slowest = results.timing.set_index("method")["slowest_us"]
-    claims = findings.weight_claims(coefficient, weighing.calibrated.cop, weighing.calibrated.vgrf)
+    claims = findings.weight_claims(coefficient, *weighing.errors("weights"))
     claims += findings.walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
     claims += findings.loop_claims(results.loop) if len(results.loop) else []
     sections = [

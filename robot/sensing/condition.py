@@ -108,6 +108,8 @@ def severity_of_each(severity: Any, robots: int) -> list[Any]:
     Raises:
         ValueError: If there are more or fewer values than robots.
     """
+    if isinstance(severity, np.ndarray) and not severity.ndim:
+        severity = severity.item()
     if not isinstance(severity, list | np.ndarray):
         return [severity] * robots
     if len(severity) != robots:

@@ -212,6 +212,7 @@ class NativeSensing:
         assert maps is not None
         for part, now in zip(self.places.map, maps, strict=True):
             part[...] = now
+        self._expect(truth.rows.shape)
         if self._telemetry is not None:
             position, inertial = self._telemetry.inputs
             position[0], inertial[0] = truth.joint_position[-1], at_rest
@@ -222,7 +223,9 @@ class NativeSensing:
         return self._read(truth, time, 0, observation)
 
     def _expect(self, shape: tuple[int, ...]) -> None:
-        """Take control steps of other substeps from here on."""
+        """Take control steps of so many substeps from here on."""
+        if shape == self.places.shape:
+            return
         self.places, self._records["rows"] = self.places._replace(shape=shape), shape[0]
         if "load" in self._arrays:
             self._arrays["load"] = load = np.zeros((shape[0], self._arrays["load"].shape[1]))
@@ -232,8 +235,7 @@ class NativeSensing:
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
         rows = np.ascontiguousarray(truth.rows, dtype=np.float64)
-        if rows.shape != self.places.shape:
-            self._expect(rows.shape)
+        self._expect(rows.shape)
         if self._observed is not None:
             self._observed[...] = observation["state"]
         self._sense(self.address, rows.ctypes.data, time, begins)
@@ -276,21 +278,21 @@ class ManySensing:
         self._at, self.raw, self.rows = np.array(places, dtype=np.uintp).T.copy()
         self.packets = np.zeros(len(robots), dtype=np.int32)
         self.count_packets(range(len(robots)))
-        self._shapes = {robot.places.shape for robot in robots}
 
     def __reduce__(self) -> Any:
         # Addresses are of no use elsewhere: a copy of the sensors makes its own.
         return type(None), ()
 
     def count_packets(self, which: Iterable[int]) -> None:
-        """Note the packets of robots that were read one by one."""
+        """Note the packets of robots that were read one by one, and how many substeps all take now."""
         for i in which:
             _, self.packets[i] = self.robots[i].packet_rows() or (0, 0)
+        self._shapes = {robot.places.shape for robot in self.robots}
 
     def step(
         self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
     ) -> bool:
-        """Read a control step, if it has as many substeps as the first; return whether that was done.
+        """Read a control step, if it has as many substeps as the last; return whether that was done.
 
         Args:
             which: Numbers of the robots that are read.

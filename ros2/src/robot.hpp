@@ -46,7 +46,7 @@ template <class Lists> Robot read_robot(const Lists &lists) {
     read_record(lists, "moment_config", "moment", &robot.moment);
     read_record(lists, "model", "model", &robot.model);
     read_record(lists, "timing", "timing", &robot.timing);
-    if (!sf_moment_fits(&robot.config, &robot.moment) || !sf_momentum_fits(&robot.model, &robot.timing) ||
+    if (!sf_moment_fits(&robot.config, &robot.moment) || !sf_beliefs_fit(&robot.model, &robot.timing) ||
         robot.timing.feet != robot.config.feet)
         throw std::runtime_error("The parameters are of a robot that this node has no room for.");
     for (const char *name : {"scale_N_per_count", "offset_N"})

@@ -1,5 +1,6 @@
 """Libraries in C: what is said of one that is missing or wrong."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -9,9 +10,11 @@ import pytest
 
 from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
 from surefoot.calibration.native import c_source
-from surefoot.native import CALIBRATION, ENVS, SENSORS, Sources, build, compiler
+from surefoot.native import CALIBRATION, ENVS, FOLDER, SENSORS, Sources, build, compiler
 from surefoot.native.__main__ import main
 from surefoot.native.library import say_once
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -124,3 +127,15 @@ def test_cmake_finds_the_headers(tmp_path, capsys):
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
     assert subprocess.run([f"{build_folder}/mine"], capture_output=True, text=True).stdout == "8"
+
+
+def test_controllers_use_what_the_headers_have():
+    """The package of ROS 2 and the library of Arduino, which few machines compile."""
+    has = "".join(path.read_text() for path in FOLDER.glob("*.[ch]"))
+    known = set(re.findall(r"\w+", has))
+    for path in (
+        *ROOT.glob("ros2/src/*"),
+        *ROOT.glob("arduino/src/Sure*"),
+        *ROOT.glob("examples/robot/*.c*"),
+    ):
+        assert set(re.findall(r"\bsf_\w+", path.read_text())) <= known, path

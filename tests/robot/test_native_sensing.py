@@ -123,10 +123,12 @@ def test_steps_may_have_other_substeps(config: str) -> None:
             robot.step(other)
         np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(library.newest, python.newest, rtol=CLOSE, atol=CLOSE)
-    with patch.object(SENSORS, "_found", (None,)):
-        python.reset(other, dt)
-    library.reset(other, dt)
-    np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)
+    for first in (other, truth):
+        with patch.object(SENSORS, "_found", (None,)):
+            python.reset(first, dt)
+        library.reset(first, dt)
+        np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(library.newest, python.newest, rtol=CLOSE, atol=CLOSE)
     assert isinstance(library.backend, NativeSensing)
     assert isinstance(python.backend, PythonSensing)
 

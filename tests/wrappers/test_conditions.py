@@ -81,6 +81,7 @@ def test_a_channel_reads_as_the_fault_that_was_drawn():
 def test_a_curriculum_sets_robots_by_their_numbers():
     env = robots()
     assert "severity" not in env.reset(seed=0)[1]["surefoot"]["truth"]
+    env.set_severity(np.array(1.0))
     env.set_severity(np.array([0.0, 3.0]), robots=[1, 2])
     env.set_faults({"sticks": 1.0}, robots=[3])
     severity, fault = reset(env)
@@ -133,6 +134,8 @@ def test_what_cannot_be_set_changes_nothing():
     env.reset(seed=0)
     with pytest.raises(IndexError, match=r"^There are robots 0 to 1, got \[2\]\.$"):
         env.set_severity(0.5, robots=[0, 2])
+    with pytest.raises(TypeError, match=r"^'robots' must be their numbers, got .*flatnonzero"):
+        env.set_faults({"dies": 0.5}, robots=np.array([False, True]))
     with pytest.raises(ValueError, match=r"one a robot: got 3 for 2 robots\.$"):
         env.set_severity([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match="not negative"):

@@ -173,6 +173,12 @@ class BatchModule(nn.Module, ABC):
                     f"The saved state is of another {type(self).__name__}: its {name} is {theirs!r}, this "
                     f"one's {ours!r}; make the module as it was when the state was saved."
                 )
+        lacking = sorted(self._records.keys() - saved.keys())
+        if lacking:
+            raise ValueError(
+                f"The saved state has no {', '.join(lacking)}: its robots had one condition for all, "
+                "and these have their own; make the module as it was when the state was saved."
+            )
         for name, record in self._records.items():
             record.copy_(saved[name])
         self._last, self._asked = saved["last"], True

@@ -203,7 +203,12 @@ class BatchSensors:
     def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
         """Return robots by their numbers."""
         count = len(self.robots)
-        numbers = range(count) if robots is None else np.asarray(robots, dtype=np.intp).ravel().tolist()
+        given = np.arange(count) if robots is None else np.asarray(robots).ravel()
+        if given.size and not np.issubdtype(given.dtype, np.integer):
+            raise TypeError(
+                f"'robots' must be their numbers, got {robots!r}; np.flatnonzero makes them of a mask."
+            )
+        numbers = given.tolist()
         odd = [number for number in numbers if not 0 <= number < count]
         if odd:
             raise IndexError(f"There are robots 0 to {count - 1}, got {odd}.")
