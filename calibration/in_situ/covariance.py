@@ -151,18 +151,17 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
         shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
-    mean = solution.loads[-1] @ sets[-1].end.signals
     if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
         lagging, changes = A, np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
-        loads, mean = [one @ A.T for one in loads], A @ mean
+        loads = [one @ A.T for one in loads]
         doublings = _doublings(loads)
         lagging, changes = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A)
     changes = (shares * doublings)[:, None, None] * changes
     swing, reach = _swing_and_reach(loads[-1:])
     at_rest = solution.problem.at_rest
-    came = shares * mean * (np.log2(reach / swing) if at_rest is None else at_rest)
+    came = shares * loads[-1].mean(axis=0) * (np.log2(reach / swing) if at_rest is None else at_rest)
     widths = np.array([np.ptp(one, axis=0) for one in loads])
     strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0) / np.maximum(
         widths[-1], np.finfo(float).tiny

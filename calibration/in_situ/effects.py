@@ -204,7 +204,7 @@ class _Motion(NamedTuple):
         loads = self.loads(fit)
         lags, std = _creeps(loads, self.steps), _SHARE_STD / len(_CREEPING)
         problem = beside_loads(self.plain, self.rows(_out_of_phase(lags, loads)), std)
-        return replace(problem, at_rest=len(_CREEPING) - _in_phase(lags, loads))
+        return replace(problem, at_rest=np.full(AXES, float(len(_CREEPING))))
 
     def lag_channels(self, fit: Solution) -> Problem:
         """Let the loads of the channels lag."""
@@ -324,17 +324,12 @@ def _out_of_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> list[Ma
 
     It has no mean over a set: the mean is the offset's.
     """
-    kappa = _in_phase(lags, wrenches)
+    loads = [wrench - wrench.mean(axis=0) for wrench in wrenches]
+    common = sum(np.sum(lag * load, axis=0) for lag, load in zip(lags, loads, strict=True))
+    square = sum(np.sum(load**2, axis=0) for load in loads)
+    kappa = common / np.where(square > 0.0, square, 1.0)
     signals = [lag - kappa * wrench for lag, wrench in zip(lags, wrenches, strict=True)]
     return [signal - signal.mean(axis=0) for signal in signals]
-
-
-def _in_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> Vector:
-    """Return how much of the loads is in lags, (n_j, a) each, as a share of each axis, (a,)."""
-    loads = [wrench - wrench.mean(axis=0) for wrench in wrenches]
-    common = np.sum([np.sum(lag * load, axis=0) for lag, load in zip(lags, loads, strict=True)], axis=0)
-    square = np.sum([np.sum(load**2, axis=0) for load in loads], axis=0)
-    return np.asarray(common / np.where(square > 0.0, square, 1.0))
 
 
 _GAIN_STD = 0.005
