@@ -285,16 +285,11 @@ def _plays(loads: Sequence[Matrix]) -> list[Matrix]:
 def _play_sums(
     loads: Sequence[Matrix], half_widths: NDArray[np.float64], weights: NDArray[np.float64] | float
 ) -> list[Matrix]:
-    """Return weighted sums of the plays of each axis or channel, (n_j, a) each.
-
-    The load before a set is not known: plays come from none, as on the curve of first loading. If they began
-    about the first load, a path that swings wider and narrower again only once would have the difference as
-    a torque across: 0.015 N m of a leg's 7 with loops of 1 %, at four deviations.
-    """
+    """Return weighted sums of the plays of each axis or channel, (n_j, a) each."""
     slack = np.max([np.ptp(load, axis=0) / 2.0 for load in loads], axis=0)[:, None] * half_widths
     longest = max(len(load) for load in loads)
     every = np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), mode="edge") for one in loads], axis=1)
-    play, sums = np.zeros((*every[0].shape, slack.shape[1])), np.empty_like(every)
+    play, sums = every[0][..., None] * np.ones(slack.shape[1]), np.empty_like(every)
     for first in range(0, longest, _BLOCK):
         block = every[first : first + _BLOCK, ..., None]
         low, high = block - slack, block + slack
