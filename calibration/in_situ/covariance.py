@@ -140,7 +140,8 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     An axis, or a channel, gives by its share of loops, fitted or hidden, more for twice the swing, by that of
     creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
     at least the share of the others. The offset is that without load: how the load came from there to about
-    its mean in the last set takes the slope of a swing as large, where the set shows that of its own. Beside
+    its mean in the last set takes the slope of a swing as large, where the set shows that of its own; creep
+    goes on in all octaves of time, and backlash is as wide at any load. Beside
     that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and one
     stroke reads all of a loop on one side, where many there and back cancel.
     """
@@ -150,17 +151,17 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
         shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
-    mean = solution.loads[-1] @ sets[-1].end.signals
     if not solution.problem.channel_lags:
         doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
         lagging, changes = A, np.einsum("ca,ab->acb", A, np.eye(AXES))
     else:
-        loads, mean = [one @ A.T for one in loads], A @ mean
+        loads = [one @ A.T for one in loads]
         doublings = _doublings(loads)
         lagging, changes = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A)
     changes = (shares * doublings)[:, None, None] * changes
     swing, reach = _swing_and_reach(loads[-1:])
-    came = shares * mean * np.log2(reach / swing)
+    at_rest = solution.problem.at_rest
+    came = shares * loads[-1].mean(axis=0) * (np.log2(reach / swing) if at_rest is None else at_rest)
     widths = np.array([np.ptp(one, axis=0) for one in loads])
     strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0) / np.maximum(
         widths[-1], np.finfo(float).tiny

@@ -30,7 +30,6 @@ does: then p is that of each channel's own load A_c w, and acts on the readings 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -96,9 +95,6 @@ many nats."""
 _STEP = 1e-6
 """Angle in rad by which a first moment is turned to see its effect on backlash."""
 
-_Law = Callable[[Sequence[Matrix]], list[Matrix]]
-"""Signals that lag behind the loads of each set, (n_j, a) each."""
-
 
 def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:
     """Fit hysteresis by each law; none where few rows show it.
@@ -110,20 +106,19 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     if not shows_loops(plain.problem):
         return plain, [plain]
     at = _Motion.of(sets, plain.problem)
-    laws = {at.lag_loads(_plays): 1, at.lag_with_backlash: 2, at.lag_channels: 1}
+    laws = {at.lag_loads: 1, at.lag_with_backlash: 2, at.lag_channels: 1}
     loops = {make: fit for make, rounds in laws.items() if (fit := _try(make, plain, rounds))}
     # A signal that leads the load is no hysteresis but two clocks that disagree.
     lagging = {make: fit for make, fit in loops.items() if _lags(fit)}
     make = min(lagging, key=lambda one: criterion(lagging[one]), default=None)
     best = plain if make is None or criterion(lagging[make]) >= criterion(plain) else lagging[make]
     if all(data.time is not None for data in sets):
-        law = at.lag_loads(partial(_creeps, steps=at.steps), _SHARE_STD / len(_CREEPING))
-        creep = _try(law, plain, 1)
+        creep = _try(at.lag_by_creep, plain, 1)
         # Creep follows loops of another make as well: it must explain clearly more than they do.
         if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
             before = criterion(plain)
             if before - criterion(best) < _NEARLY * (before - criterion(creep)):
-                make, best = law, creep
+                make, best = at.lag_by_creep, creep
     if make is not None and best is not plain:
         best = _refine(best, make)
     return best, list(loops.values()) or [plain]
@@ -131,7 +126,7 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
 
 def lag_loads(sets: Sequence[InSituSet], plain: Solution) -> Solution:
     """Return the fit with loops in proportion to the loads; the plain one where that leads nowhere."""
-    return _try(_Motion.of(sets, plain.problem).lag_loads(_plays), plain, 1) or plain
+    return _try(_Motion.of(sets, plain.problem).lag_loads, plain, 1) or plain
 
 
 def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int) -> Solution | None:
@@ -199,14 +194,17 @@ class _Motion(NamedTuple):
             found.append(np.stack([np.interp(part.source.places, places, one) for one in lag.T], axis=1))
         return found
 
-    def lag_loads(self, law: _Law, std: float = _SHARE_STD) -> Callable[[Solution], Problem]:
-        """Let the loads of the axes lag by a law, with shares of an expected size."""
+    def lag_loads(self, fit: Solution) -> Problem:
+        """Let the loads of the axes lag by loops in proportion to the swing."""
+        loads = self.loads(fit)
+        return beside_loads(self.plain, self.rows(_out_of_phase(_plays(loads), loads)), _SHARE_STD)
 
-        def make(fit: Solution) -> Problem:
-            loads = self.loads(fit)
-            return beside_loads(self.plain, self.rows(_out_of_phase(law(loads), loads)), std)
-
-        return make
+    def lag_by_creep(self, fit: Solution) -> Problem:
+        """Let the loads of the axes creep; one that hangs for long has crept in all octaves of time."""
+        loads = self.loads(fit)
+        lags, std = _creeps(loads, self.steps), _SHARE_STD / len(_CREEPING)
+        problem = beside_loads(self.plain, self.rows(_out_of_phase(lags, loads)), std)
+        return replace(problem, at_rest=np.full(AXES, float(len(_CREEPING))))
 
     def lag_channels(self, fit: Solution) -> Problem:
         """Let the loads of the channels lag."""
@@ -233,7 +231,8 @@ class _Motion(NamedTuple):
         ]
         slopes = np.zeros((len(_TORQUES), AXES, self.plain.parameters))
         slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
-        return beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
+        problem = beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
+        return replace(problem, at_rest=np.zeros(AXES))
 
 
 def _path(data: InSituSet, moving: bool, stride: int) -> Matrix:

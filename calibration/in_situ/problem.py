@@ -75,6 +75,8 @@ class Problem:
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
+        at_rest: How much more an axis gives under a load at rest than in swings, in shares of its lag, shape
+            (6,); None for loops, where that follows from the sizes of both.
         changes: Directions in which the added parameters may change, each with an unknown, shape (q, J, p).
     """
 
@@ -89,6 +91,7 @@ class Problem:
     limb: Vector
     limb_root: Matrix
     gains: int = 0
+    at_rest: Vector | None = None
     changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 1, 1)))
 
     @cached_property
