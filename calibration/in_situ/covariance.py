@@ -141,9 +141,9 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
     at least the share of the others. The offset is that without load: how the load came from there to about
     its mean in the last set takes the slope of a swing as large, where the set shows that of its own; creep
-    goes on in all octaves of time, and backlash is as wide at any load. Beside
-    that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and one
-    stroke reads all of a loop on one side, where many there and back cancel.
+    goes on in all octaves of time. Beside that loops wider than a set's own swing stay anywhere, by loads
+    that were borne in the others, and one stroke reads all of a loop on one side, where many
+    there and back cancel.
     """
     A, sets = solution.A, solution.problem.sets
     shares = np.full(AXES, hidden)

@@ -231,8 +231,7 @@ class _Motion(NamedTuple):
         ]
         slopes = np.zeros((len(_TORQUES), AXES, self.plain.parameters))
         slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
-        problem = beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
-        return replace(problem, at_rest=np.zeros(AXES))
+        return beside_loads(self.plain, self.rows(columns), _SHARE_STD, slopes)
 
 
 def _path(data: InSituSet, moving: bool, stride: int) -> Matrix:

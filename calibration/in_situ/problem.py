@@ -76,7 +76,7 @@ class Problem:
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
         at_rest: How much more an axis gives under a load at rest than in swings, in shares of its lag, shape
-            (6,); None for loops, where that follows from the sizes of both.
+            (6,); None for loops and backlash, where it follows from the sizes of both.
         changes: Directions in which the added parameters may change, each with an unknown, shape (q, J, p).
     """
 

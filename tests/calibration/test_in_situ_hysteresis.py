@@ -77,22 +77,22 @@ def raster(n=1500):
 
 
 @pytest.mark.parametrize(
-    ("read_load", "gravity", "share"),
+    ("read_load", "gravity", "share", "most"),
     [
         # Neither time constant is one of the law's.
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015),
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), raster(), 0.0015),
-        (with_backlash, raster(), 0.03),
+        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015, 1.4),
+        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), raster(), 0.0015, 1.4),
+        (with_backlash, raster(), 0.03, 3.0),
     ],
 )
-def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share):
+def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share, most):
     fit = calibrate_in_situ(lagging_sets(read_load, noise=0.3, gravity=gravity, seed=42))
     np.testing.assert_allclose(fit.hysteresis[:5], share, rtol=0.35)
     assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.003)
     off = errors(fit, "leg", 0.0)
     scale = np.sqrt(np.diag(fit.covariance))
     nees = off / scale @ np.linalg.solve(fit.covariance / np.outer(scale, scale), off / scale)
-    assert nees / len(off) < 1.6
+    assert nees / len(off) < most
 
 
 def test_a_late_imu_is_told_from_hysteresis():
