@@ -288,8 +288,8 @@ def test_a_robot_that_is_dropped_learns_when_it_stands(stilts: str) -> None:
 
 @pytest.mark.parametrize("vector", [False, True])
 @pytest.mark.slow
-def test_robots_that_only_fall_keep_their_starting_map(vector: bool) -> None:
-    """Nothing is learnt of the feet of a robot that falls within a second, again and again."""
+def test_robots_that_only_fall_hardly_move_their_map(vector: bool) -> None:
+    """Until it falls, within a second, a robot stands for some blocks, which show the sum of its forces."""
     env: Any
     if vector:
         copies = [lambda: TruthRow(InstrumentedEnv(gym.make("Humanoid-v5"), soles=True))] * 2
@@ -300,7 +300,7 @@ def test_robots_that_only_fall_keep_their_starting_map(vector: bool) -> None:
     start, ended = np.array(info["surefoot"]["parameters"]["scale"]), 0
     for _ in range(240):
         _, _, terminated, _, info = env.step(0.0 * env.action_space.sample())
-        np.testing.assert_array_equal(info["surefoot"]["parameters"]["scale"], start)
+        np.testing.assert_allclose(info["surefoot"]["parameters"]["scale"], start, rtol=0.1)
         ended += int(np.sum(terminated))
         if terminated is True:
             env.reset()
