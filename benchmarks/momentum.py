@@ -270,7 +270,8 @@ def record(name: str, seed: int, start: str = "", seconds: float = DURATION) -> 
         _, _, fell, over, _ = env.step(act(k * dt))
         truth = source.truth
         both: Any = robot.beliefs
-        believed = both.beliefs.believed, both.believed
+        contacts = {"stance": both.believed.stance, "swing": both.believed.swing}
+        believed = both.beliefs.believed._replace(**contacts), both.believed
         places = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
         rows.append((core.raw.copy(), *believed, core.true_parameters(), *places))
         if fell or over:
