@@ -1527,16 +1527,16 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
             }
             mean /= count, size /= count;
             for (int tared = 0; tared < 2; tared++) {
-                sf_real unlike = 0, variance, seen;
+                sf_real unlike = 0, largest = 0, variance, seen;
                 for (int i = 0; i < K; i++) {
                     sf_real leaps = of < 0 || c->foot_of_channel[i] == of;
-                    by[i] = leaps * (tared ? -old[i] : mean);
+                    by[i] = leaps * (tared ? -old[i] : mean), largest = sf_max(largest, sf_fabs(by[i]));
                     unlike += leaps * sf_power2(now[i] - old[i] - by[i]) / count;
                 }
                 variance = sf_max(sf_max(unlike, m->alike * m->alike * size), smallest);
                 /* Loads that step do so each by its own, and by any size. */
                 seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
-                if (!(seen > m->contrast)) continue;
+                if (!(seen > m->contrast && largest <= m->largest_load)) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
                     std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_fabs(s->known[i]) * sf_sqrt(variance);

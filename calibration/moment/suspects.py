@@ -27,6 +27,7 @@ from surefoot.calibration.moment.columns import Columns, first_mean
 from surefoot.calibration.moment.model import Rows, force_and_wrench
 from surefoot.calibration.moment.modes import FREE, HELD, MODES, RATES, wrench_variance
 from surefoot.calibration.moment.state import SuspectState
+from surefoot.calibration.moment.tare import LARGEST_LOAD
 
 SURE = 21.0
 """Logarithmic evidence from which on a suspect is guilty: one of eighty in a thousand hours of blocks."""
@@ -206,7 +207,7 @@ class Suspects:
                     variance = max(unlike, ALIKE**2 * size, SMALLEST_STEP**2)
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
-                    if seen > CONTRAST:
+                    if seen > CONTRAST and np.abs(together * leap).max() <= LARGEST_LOAD:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
                         if seen > most:
