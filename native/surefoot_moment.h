@@ -1513,7 +1513,7 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const
 /* Suspects._find_leap: the step of readings that explains an error best; returns whether there is one that does so better
    than `least`. */
 SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_suspects *s, const sf_real *S,
-                        const sf_real *reach, const sf_real *e, sf_real least, sf_leap *leap) {
+                        const sf_real *reach, const sf_real *e, sf_real least, sf_real rare, sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, left[SF_COMPONENTS], by[SF_CHANNELS], std[SF_CHANNELS];
     sf_real smallest = m->smallest_step * m->smallest_step;
@@ -1536,6 +1536,8 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 variance = sf_max(sf_max(unlike, m->alike * m->alike * size), smallest);
                 /* Loads that step do so each by its own, and by any size. */
                 seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
+                /* A push on a robot that stands evenly comes on all of its cells alike. */
+                if (of < 0) seen += rare;
                 if (!(seen > m->contrast && largest <= m->largest_load)) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
@@ -1562,6 +1564,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
                              const sf_real *map, const sf_real *P, sf_leap *leap) {
     int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c, m);
     int count = sf_suspects_of(c), best = 0, leaps, both[SF_SUSPECTS][2];
+    sf_real rare = sf_log(m->rates[m->held] * rows->duration); /* how rarely a hand pushes in a block */
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
@@ -1597,7 +1600,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         far[r] = e[r] - decay * s->error[r] * span;
         other[r * C + r] += span * span * (1 - decay * decay) * sf_wrench_variance(m, rows, m->held, r);
     }
-    changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + sf_log(m->rates[m->held] * rows->duration);
+    changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + rare;
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
         weight[r] = rows->mean_rest[r];
@@ -1632,7 +1635,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         s->score[suspect] = score > 0 ? score : 0;
         most = sf_max(most, s->score[suspect]);
     }
-    leaps = innocent > nothing && sf_find_leap(c, m, s, S, reach, before, least, leap);
+    leaps = innocent > nothing && sf_find_leap(c, m, s, S, reach, before, least, rare, leap);
     if (most < m->contrast) {
         sf_copy(s->known, known, at);
         for (int r = 0; r < C; r++) {

@@ -153,7 +153,8 @@ class Suspects:
         decay = np.exp(-duration / HELD.time)
         hand = np.diag(span**2 * wrench_variance(HELD, rows) * (1.0 - decay**2))
         changing = _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
-        changing += np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration)
+        rare = float(np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration))
+        changing += rare
         unknown = _evidence(S + weight @ weight.T + np.diag(arm**2), e[:, None])[0]
         innocent = max(nothing, lasting, changing, unknown)
         gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
@@ -164,7 +165,7 @@ class Suspects:
             surprise = np.minimum(e**2 / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
         least = max(innocent + SURE, each.max())
-        leap = self._find_leap(state, S, reach, e_before, least) if innocent > nothing else None
+        leap = self._find_leap(state, S, reach, e_before, least, rare) if innocent > nothing else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
 
@@ -194,8 +195,13 @@ class Suspects:
         rival = float(np.where(self._related[best], 0.0, score).max())
         return best if score[best] > max(SURE, rival + CONTRAST) else None
 
-    def _find_leap(self, state: SuspectState, S: Array, reach: Array, e: Array, least: float) -> Leap | None:
-        """Find the step of readings that explains an error best, and better than ``least``."""
+    def _find_leap(
+        self, state: SuspectState, S: Array, reach: Array, e: Array, least: float, rare: float
+    ) -> Leap | None:
+        """Find the step of readings that explains an error best, and better than ``least``.
+
+        ``rare`` is the logarithm of how rarely a hand pushes in a block.
+        """
         a, found, most = state.known[self._columns.scale], None, least
         # Readings are brought to one moment, between two of each channel's.
         for before, step in zip(state.force, state.force[2:] - state.force[:-2], strict=False):
@@ -207,6 +213,8 @@ class Suspects:
                     variance = max(unlike, ALIKE**2 * size, SMALLEST_STEP**2)
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
+                    # A push on a robot that stands evenly comes on all of its cells alike.
+                    seen += rare * (count == len(step))
                     if seen > CONTRAST and np.abs(together * leap).max() <= LARGEST_LOAD:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
