@@ -27,7 +27,7 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario
-from surefoot.experiments.weights.paper import MethodErrors
+from surefoot.experiments.weights.weighing import MethodErrors
 
 
 class Metric(NamedTuple):
