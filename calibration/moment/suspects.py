@@ -204,7 +204,8 @@ class Suspects:
         """
         a, found, most = state.known[self._columns.scale], None, least
         # Readings are brought to one moment, between two of each channel's.
-        for before, step in zip(state.force, state.force[2:] - state.force[:-2], strict=False):
+        steps = state.force[2:] - state.force[:-2]
+        for before, step in zip(state.force[:-2], steps, strict=True):
             for together in self._together:
                 count, force = together.sum(), together * a
                 size = together @ step**2 / count

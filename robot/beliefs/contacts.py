@@ -1,7 +1,8 @@
 """Which feet surely stood, or surely swung, at the moment of a reference.
 
-A robot that plans its steps knows; one whose policy plans nothing finds out by its own kinematics: the lower
-sole is on the ground, unless the robot is falling freely, and a sole that is clearly above it is in the air.
+A robot that plans its steps knows; one whose policy plans nothing finds out by its own kinematics: the foot
+with the lowest part is on the ground, unless the robot is falling freely, and a foot of which every part is
+clearly above that is in the air.
 """
 
 from collections import deque
