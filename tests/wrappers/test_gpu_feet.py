@@ -439,8 +439,8 @@ def test_severity_and_faults_may_be_set_for_some_robots():
     for module in (feet, alike):
         module.reset([0, 1, 3], fresh=True)
     assert (feet(force) != alike(force)).any(dim=1).tolist() == [False, True, False, True, True]
-    nominal = torch.as_tensor(feet.nominal.scale, dtype=torch.float32)
-    assert torch.allclose(feet.true_parameters().scale[1].cpu(), nominal)
+    nominal = torch.as_tensor(feet.nominal.scale, dtype=torch.float32, device=DEVICE)
+    assert torch.allclose(feet.true_parameters().scale[1], nominal)
     with pytest.raises(ValueError, match="one a robot: got 1 for 2 robots"):
         feet.set_severity([1.0], [0, 1])
     with pytest.raises(ValueError, match="must be finite and not negative"):

@@ -114,6 +114,7 @@ def module(tmp_path_factory):
     )
     # A product and a sum are rounded one after the other, as everywhere.
     chosen = {"extra_build_options": options, "enable_backward": False, "fuse_fp": False}
+    chosen["optimization_level"] = 1  # no compiler warns of it, whatever other tests have set
     wp.set_module_options(chosen, module=__name__)
     return steps.module
 
