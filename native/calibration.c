@@ -24,7 +24,10 @@
         PART(record, faults_lost, faults.lost, "real"), PART(record, faults_kind, faults.kind, "whole"),     \
         PART(record, faults_wiring, faults.wiring, "real"), PART(record, faults_spare, faults.spare, "real"), \
         PART(record, faults_spare_std, faults.spare_std, "real"),                                            \
-        PART(record, faults_agreed, faults.agreed, "real"), PART(record, faults_altered, faults.altered, "whole")
+        PART(record, faults_agreed, faults.agreed, "real"), PART(record, faults_level, faults.level, "real"),   \
+        PART(record, faults_shown, faults.shown, "real"),                                                    \
+        PART(record, faults_expected, faults.expected, "real"), PART(record, faults_alive, faults.alive, "real"),\
+        PART(record, faults_altered, faults.altered, "whole")
 #define W_INT(field) PLACE(window_config, field, "int")
 #define W_REAL(field) PLACE(window_config, field, "real")
 #define W_DOUBLE(field) PLACE(window_config, field, "double")
@@ -95,7 +98,7 @@ static const place places[] = {
     C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(gravity), C_REAL(length), C_REAL(reach), C_REAL(force_threshold),
     C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest), C_REAL(highest), C_REAL(wrench_map), C_REAL(leap),
     C_REAL(leap_alone), C_REAL(landing_kept),
-    C_REAL(renewal), C_REAL(prior),
+    C_REAL(renewal), C_REAL(prior), C_REAL(by_others),
 
     WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),
     PLACE(filter, method, "whole"), WHOLE_OF(window_config), WHOLE_OF(window_state), WHOLE_OF(window_work),

@@ -1350,22 +1350,17 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     s->age = 0;
 }
 
-/* MomentFilter.init: the state before any sample. */
-SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
+/* MomentFilter._begin_again: know nothing but what the readings' faults are. */
+SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
-    sf_front_init(c, &s->front);
-    sf_channel_faults_init(c, &s->faults, s->front.raw);
     sf_break(c, m, s);
-    memset(s->before, 0, sizeof s->before);
-    memset(s->point, 0, sizeof s->point);
     memset(&s->tare, 0, sizeof s->tare);
     memset(&s->suspects, 0, sizeof s->suspects);
-    memset(s->shift, 0, sizeof s->shift);
     for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
-    s->time = s->age = s->drifted = 0;
+    s->age = s->drifted = 0;
     s->status = 0;
     s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
@@ -1382,6 +1377,17 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     sf_map_covariance(c, m, &s->published, 1, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+}
+
+/* MomentFilter.init: the state before any sample. */
+SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
+    sf_front_init(c, &s->front);
+    sf_channel_faults_init(c, &s->faults, s->front.raw);
+    memset(s->before, 0, sizeof s->before);
+    memset(s->point, 0, sizeof s->point);
+    memset(s->shift, 0, sizeof s->shift);
+    s->time = 0;
+    sf_moment_begin(c, m, s, w);
 }
 
 /* MomentFilter._rest: keep what is known now and then, and learn how cells share loads. */
@@ -1773,7 +1779,11 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
     for (int t = 0; t < n; t++) duration += s->pending[t * wide + sf_at_dt(c)];
     sf_age(c, m, s, duration);
     sf_copy(lost, s->faults.lost, K);
-    sf_silent(c, &s->faults, s->pending, s->pending + K, wide, n, c->weight);
+    if (sf_silent(c, &s->faults, s->pending, s->pending + K, wide, n, c->weight)) {
+        /* All that was learnt made up for a cell that bore nothing. */
+        sf_moment_begin(c, m, s, w);
+        return;
+    }
     for (int i = 0; i < K; i++) {
         if (s->faults.lost[i] > lost[i]) {
             /* What was learnt of late was learnt from wrong readings. */
@@ -1796,8 +1806,15 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
         if (out) {
             /* What stands in for a channel is too far off to teach scales; zeros are seen without it. */
-            sf_copy(s->published.mean, published, M);
             s->linked = 0;
+            if (good) {
+                sf_priors(c, m, s->drifted, w);
+                sf_weigh(c, m, &w->belief, w);
+                sf_moment_publish(c, m, &w->belief, w, &s->published);
+                sf_copy_modes(c, m, &s->belief, &w->belief);
+                sf_map_covariance(c, m, &s->published, tare.rate, s->covariance);
+                s->tare = tare;
+            }
         } else {
             sf_open_product(c, m, s, &tare, product);
             sf_moment_rows_of(c, m, s->pending, n, published, product, w);

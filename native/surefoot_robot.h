@@ -95,6 +95,8 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_MOVING ((sf_real)0.02)
 #define SF_MOSTLY_MISSING ((sf_real)0.5)
 #define SF_ALL_READ ((sf_real)0.99)
+#define SF_IDLE ((sf_real)0.1)
+#define SF_PLATE_MOVED ((sf_real)0.2)
 #define SF_NO_LOAD ((sf_real)0.1)
 #define SF_HEAVIEST ((sf_real)2.0)
 #define SF_RETURN_BLOCKS ((sf_real)15.0)
@@ -114,7 +116,7 @@ typedef struct {
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
     sf_real leap, leap_alone[SF_CHANNELS], landing_kept, renewal;
-    sf_real prior[SF_CHANNELS * SF_CHANNELS];
+    sf_real prior[SF_CHANNELS * SF_CHANNELS], by_others[SF_CHANNELS * SF_CHANNELS];
 } sf_config;
 
 /* What the robot believes of itself `lag` samples ago; see surefoot.calibration.reference.Reference. Of one that holds
@@ -148,6 +150,7 @@ typedef struct {
     sf_whole kind[SF_CHANNELS];
     sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
     sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
+    sf_real level[SF_CHANNELS], shown[SF_CHANNELS], expected[SF_CHANNELS], alive[SF_CHANNELS];
     sf_whole altered;
 } sf_channel_faults;
 
@@ -597,6 +600,7 @@ SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, con
         s->last[i] = c->scale[i] * raw[i] + c->offset[i];
         s->leaps[i] = SF_LONGEST_LEAP + 1;
         s->wiring[i * K + i] = s->spare[i * K + i] = 1;
+        s->shown[i] = -1;
     }
     sf_copy(s->moments, c->prior, K * K);
 }
@@ -678,28 +682,76 @@ SF_API void sf_smooth(const sf_config *c, const sf_real *before, sf_real *row, c
     }
 }
 
-/* ChannelFaults.silent: find channels that are silent, or always read the same. Of n samples, `width` numbers apart:
-   forces by the starting map in `unit` N, and whether they were read. */
-SF_API void sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *force, const sf_real *read, int width, int n,
+/* ChannelFaults._compare_with_plate: find cells that do not change while all others of their plate say so; return
+   whether one was dead from the start. level: mean of a block in body weights. */
+SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const sf_real *level, int *idle) {
+    int K = c->channels, any = 0, enough[SF_CHANNELS], still[SF_CHANNELS], alone[SF_CHANNELS];
+    sf_real step[SF_CHANNELS], change[SF_CHANNELS];
+    for (int i = 0; i < K; i++) {
+        step[i] = s->shown[i] < 0 ? 0 : level[i] - s->level[i];
+        s->level[i] = level[i];
+    }
+    for (int i = 0; i < K; i++) {
+        sf_real others = 0;
+        for (int j = 0; j < K; j++)
+            if (j != i && c->together[i * K + j]) others = sf_max(others, sf_fabs(step[j]));
+        alone[i] = sf_fabs(step[i]) > SF_ALONE * others; /* no plate's load */
+    }
+    for (int i = 0; i < K; i++) {
+        change[i] = step[i];
+        for (int j = 0; j < K; j++)
+            if (alone[j] && c->together[i * K + j]) change[i] = 0;
+    }
+    for (int i = 0; i < K; i++) {
+        sf_real told = sf_dot(c->by_others + i * K, change, K), lost = 0;
+        for (int j = 0; j < K; j++) lost += (sf_real)c->together[i * K + j] * s->lost[j];
+        int whole = lost < (sf_real)0.5;
+        s->shown[i] = whole ? sf_max(s->shown[i], 0) + change[i] * change[i] : 0;
+        s->expected[i] = whole ? s->expected[i] + told * told : 0;
+        enough[i] = s->expected[i] > SF_PLATE_MOVED;
+        still[i] = enough[i] && s->shown[i] < SF_IDLE * SF_IDLE * s->expected[i];
+    }
+    for (int i = 0; i < K; i++) {
+        int count = 0;
+        for (int j = 0; j < K; j++) count += still[j] && c->together[i * K + j];
+        /* By two of a plate nobody knows: a third one that shows too much looks like it as well. */
+        idle[i] = still[i] && count < 2;
+        if (!enough[i]) continue;
+        s->shown[i] = s->expected[i] = 0;
+        if (!idle[i]) s->alive[i] = 1;
+        any = any || (idle[i] && s->alive[i] < (sf_real)0.5);
+    }
+    /* Shares were learnt with it. */
+    if (any) sf_copy(s->moments, c->prior, K * K);
+    return any;
+}
+
+/* ChannelFaults.silent: find channels that are silent, always read the same, or bear nothing of their plate's load; return
+   whether one was dead from the start. Of n samples, `width` numbers apart: forces by the starting map in `unit` N, and whether they
+   were read. */
+SF_API int sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *force, const sf_real *read, int width, int n,
                       sf_real unit) {
     int K = c->channels, flat[SF_CHANNELS], moves[SF_CHANNELS], again[SF_CHANNELS];
-    int fresh[SF_CHANNELS], kind[SF_CHANNELS], stuck[SF_CHANNELS];
-    sf_real high[SF_CHANNELS], share[SF_CHANNELS], most = 0;
+    int fresh[SF_CHANNELS], kind[SF_CHANNELS], stuck[SF_CHANNELS], idle[SF_CHANNELS];
+    sf_real high[SF_CHANNELS], share[SF_CHANNELS], level[SF_CHANNELS], most = 0;
     for (int i = 0; i < K; i++) {
         sf_real low = high[i] = unit * force[i];
-        share[i] = 0;
+        share[i] = level[i] = 0;
         for (int t = 0; t < n; t++) {
+            level[i] += unit * force[t * width + i];
             high[i] = sf_max(high[i], unit * force[t * width + i]);
             low = sf_min(low, unit * force[t * width + i]);
             share[i] += read[t * width + i];
         }
         share[i] /= (sf_real)n;
+        level[i] /= (sf_real)n * c->weight;
         most = sf_max(most, share[i]);
         flat[i] = high[i] - low == 0;
         moves[i] = high[i] - low > SF_MOVING * c->weight;
         again[i] = share[i] > SF_ALL_READ && !flat[i] && (s->kind[i] & SF_MISSING) && s->lost[i] > (sf_real)0.5;
     }
     sf_return(c, s, again);
+    int any = sf_compare_with_plate(c, s, level, idle);
     for (int i = 0; i < K; i++) {
         int moving = 0, missing = share[i] < SF_MOSTLY_MISSING && most >= SF_MOSTLY_MISSING && s->leapt[i] < SF_ONCE;
         for (int j = 0; j < K; j++)
@@ -709,9 +761,11 @@ SF_API void sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *f
         int rail = stuck[i] && !dead && sf_fabs(high[i]) > SF_HEAVIEST * c->weight;
         kind[i] = (dead ? SF_DEAD : 0) | (rail ? SF_SATURATED : 0) |
                   (stuck[i] && !dead && !rail ? SF_STUCK : 0) | (missing ? SF_MISSING : 0);
-        fresh[i] = (stuck[i] || missing) && s->lost[i] < (sf_real)0.5 && c->cells[i];
+        if (idle[i] && !kind[i]) kind[i] = SF_DEAD;
+        fresh[i] = (stuck[i] || missing || idle[i]) && s->lost[i] < (sf_real)0.5 && c->cells[i];
     }
     sf_lose(c, s, fresh, kind);
+    return any;
 }
 
 /* ChannelFaults.learn: how cells share loads while nothing is wrong; let channels come back. force: calibrated, by the

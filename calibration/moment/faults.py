@@ -5,6 +5,8 @@ Three things give a channel away:
 * **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
+* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears. A
+  cell that is dead from the start is found by this: scales of the others would make up for it.
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
@@ -55,6 +57,14 @@ _MOVING = 0.02
 _MOSTLY_MISSING, _ALL_READ = 0.5, 0.99
 """Share of a block's readings below which a channel is silent, and above which it is fully there."""
 
+_IDLE = 0.1
+"""Share of its plate's changes that a cell that bears load shows at least: one that shows less would need a
+scale beyond ten. Sound cells with three times the errors of cheap ones show 0.12 and more, others 0.34."""
+
+_PLATE_MOVED = 0.2
+"""Changes of a cell's load from block to block, by the others of its plate, by which it must have shown them: their
+squares in body weights, summed up. It is that of some six steps: after three a sound cell of a G1 showed 0.05."""
+
 _NO_LOAD = 0.1
 """Load of a cell in body weights up to which a reading that does not change is one of no load at all."""
 
@@ -85,6 +95,11 @@ class ChannelState(NamedTuple):
         spare: How forces are made of the channels that are not out, shape (K, K).
         spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (K,).
         agreed: Blocks that a lost channel has agreed for, shape (K,).
+        level: Mean of F0 of the last block in body weights, shape (K,).
+        shown: Squared changes of that mean since it was last held against its plate, summed up, shape (K,); -1
+            before the first block.
+        expected: Those by the other cells of its plate, shape (K,).
+        alive: Whether it has ever moved with its plate (0 or 1), shape (K,).
         altered: Whether any channel is or was out, turned or exchanged, 0 or 1.
     """
 
@@ -99,6 +114,10 @@ class ChannelState(NamedTuple):
     spare: Array
     spare_std: Array
     agreed: Array
+    level: Array
+    shown: Array
+    expected: Array
+    alive: Array
     altered: int
 
 
@@ -113,6 +132,7 @@ class ChannelFaults:
 
     Attributes:
         stand_in: How cells share loads.
+        by_others: How each channel follows from the others where nothing is known but the plate, shape (K, K).
         leap: Change of a force in one sample in N that no foot makes.
         leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
             shape (K,).
@@ -126,6 +146,7 @@ class ChannelFaults:
         self._weight = setup.weight
         self._foot_of_channel = foot = setup.layout.foot_of_channel
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
+        self.by_others = self.stand_in.others(self.stand_in.init(), np.zeros(setup.layout.channels))[0]
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
         # A foot of one cell has none that could tell its landing from an error.
         self.leap_alone = np.where(self._same_foot.any(axis=1), leap_alone, leap) * setup.weight
@@ -146,6 +167,10 @@ class ChannelFaults:
             spare=np.eye(K),
             spare_std=zero,
             agreed=zero,
+            level=zero,
+            shown=zero - 1.0,
+            expected=zero,
+            alive=zero,
             altered=0,
         )
 
@@ -210,13 +235,16 @@ class ChannelFaults:
             return row
         return np.concatenate([np.where(spike, 0.5 * (past + coming), now), row[K:]])
 
-    def silent(self, state: ChannelState, force: Array, read: Array) -> ChannelState:
-        """Find channels that are silent, or always read the same.
+    def silent(self, state: ChannelState, force: Array, read: Array) -> tuple[ChannelState, bool]:
+        """Find channels that are silent, always read the same, or bear nothing of their plate's load.
 
         Args:
             state: Faults so far.
             force: Forces by the starting map of the samples that wait in N, shape (n, K).
             read: Whether they were read (0 or 1), shape (n, K).
+
+        Returns:
+            The state, and whether one is found that was dead from the start.
         """
         high, spread = force.max(axis=0), np.ptp(force, axis=0)
         flat = spread == 0.0
@@ -231,7 +259,29 @@ class ChannelFaults:
         kind = np.where(np.abs(high) > _HEAVIEST * self._weight, int(Flag.SATURATED), int(Flag.STUCK))
         kind = np.where(np.abs(high) <= _NO_LOAD * self._weight, int(Flag.DEAD), kind)
         kind = np.where(stuck, kind, 0) | int(Flag.MISSING) * missing
-        return self._lose(state, (stuck | missing) & (state.lost < 0.5) & self.stand_in.cells, kind)
+        state, idle = self._compare_with_plate(state, force.mean(axis=0) / self._weight)
+        kind = np.where(idle & (kind == 0), int(Flag.DEAD), kind)
+        fresh = (stuck | missing | idle) & (state.lost < 0.5) & self.stand_in.cells
+        return self._lose(state, fresh, kind), bool((idle & (state.alive < 0.5)).any())
+
+    def _compare_with_plate(self, state: ChannelState, level: Array) -> tuple[ChannelState, Array]:
+        """Find cells that do not change while all others of their plate say so, by the mean of a block."""
+        whole = self.stand_in.together @ state.lost < 0.5
+        change = np.where(state.shown < 0.0, 0.0, level - state.level)
+        size = np.abs(change)
+        alone = size > _ALONE * (self._plates * size).max(axis=1)  # no plate's load
+        change = np.where(self.stand_in.together @ alone > 0.5, 0.0, change)
+        shown = whole * (np.maximum(state.shown, 0.0) + change**2)
+        expected = whole * (state.expected + (self.by_others @ change) ** 2)
+        enough = expected > _PLATE_MOVED
+        idle = enough & (shown < _IDLE**2 * expected)
+        # By two of a plate nobody knows: a third one that shows too much looks like it as well.
+        idle &= self.stand_in.together @ idle < 1.5
+        alive = np.maximum(state.alive, enough & ~idle)
+        if (idle & (alive < 0.5)).any():
+            # Shares were learnt with it.
+            state = state._replace(moments=self.stand_in.init())
+        return state._replace(level=level, shown=~enough * shown, expected=~enough * expected, alive=alive), idle
 
     def lose(self, state: ChannelState, channel: int) -> ChannelState:
         """Take a channel out that is dead."""

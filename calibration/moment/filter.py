@@ -206,6 +206,20 @@ class MomentFilter:
             kinds = kinds | state.faults.kind
         return state, self._estimate(state, sample, kinds, nis, rows)
 
+    def _begin_again(self, state: MomentState) -> MomentState:
+        """Know nothing but what the readings' faults are."""
+        fresh = self.init(state.front.raw)
+        return self.blocks.break_off(state)._replace(
+            belief=fresh.belief,
+            drifted=0.0,
+            tare=fresh.tare,
+            suspects=fresh.suspects,
+            published=fresh.published,
+            covariance=fresh.covariance,
+            kept=fresh.kept,
+            status=0,
+        )
+
     def _lies(self, sample: Sample) -> bool:
         """Return whether no sole is level enough to stand on."""
         _, rotation = self.front_end.motions.columns.soles(sample.motion)
@@ -229,7 +243,10 @@ class MomentFilter:
         """Learn from the block that is full; return its innovation squared, normalised, and its rows too."""
         block = self.blocks.block(state)
         state = self._age(state, block.duration)
-        faults = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
+        faults, idle = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
+        if idle:
+            # All that was learnt made up for a cell that bore nothing.
+            return self._begin_again(state)._replace(faults=faults), np.nan, 0.0
         if (faults.lost > state.faults.lost).any():
             # The last seconds' learning came from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
@@ -241,8 +258,14 @@ class MomentFilter:
         )
         if (faults.lost > 0.5).any():
             # A stand-in for a channel is too far off to teach scales; zeros are seen without it.
-            zeros = state.published._replace(mean=published)
-            state = state._replace(published=zeros, linked=0)
+            publication = self._weigh(belief, state.drifted).publish(belief.chance)
+            state = state._replace(
+                belief=belief,
+                tare=tare,
+                published=publication,
+                covariance=self._map_covariance(publication, tare.rate),
+                linked=0,
+            )
             return self._rest(state, block, good=False), np.nan, 0.0
         rows = self.model.rows(block, published, self._product(state, tare))
         columns, nis, rejected = self.columns, np.nan, False

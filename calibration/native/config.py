@@ -219,6 +219,7 @@ def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
         "landing_kept": faults.landing_kept if faults else 0.0,
         "renewal": shares.renewal if shares else 0.0,
         "prior": shares.prior if shares else none,
+        "by_others": faults.by_others if faults else none,
         "cells": shares.cells if shares else none,
         "together": shares.together if shares else none,
         "channels": layout.channels,
