@@ -27,6 +27,8 @@
         PART(record, faults_agreed, faults.agreed, "real"), PART(record, faults_level, faults.level, "real"),   \
         PART(record, faults_shown, faults.shown, "real"),                                                    \
         PART(record, faults_expected, faults.expected, "real"), PART(record, faults_alive, faults.alive, "real"),\
+        PART(record, faults_missed, faults.missed, "real"),                                                  \
+        PART(record, faults_offered, faults.offered, "real"),                                                \
         PART(record, faults_altered, faults.altered, "whole")
 #define W_INT(field) PLACE(window_config, field, "int")
 #define W_REAL(field) PLACE(window_config, field, "real")

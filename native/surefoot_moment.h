@@ -1350,11 +1350,10 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     s->age = 0;
 }
 
-/* MomentFilter._begin_again: know nothing but what the readings' faults are. */
+/* The part of MomentFilter.init that _begin_again shares: nothing is learnt. */
 SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
     sf_break(c, m, s);
-    memset(&s->tare, 0, sizeof s->tare);
     memset(&s->suspects, 0, sizeof s->suspects);
     for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
@@ -1362,8 +1361,6 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
     s->age = s->drifted = 0;
     s->status = 0;
-    s->tare.rate = m->first_rate;
-    for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *P = s->belief.covariance + j * N * N, load = m->mode_load[j];
         for (int i = 0; i < N; i++) P[i * N + i] = m->first_variance[i];
@@ -1386,8 +1383,24 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(s->before, 0, sizeof s->before);
     memset(s->point, 0, sizeof s->point);
     memset(s->shift, 0, sizeof s->shift);
+    memset(&s->tare, 0, sizeof s->tare);
+    s->tare.rate = m->first_rate;
+    for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
     s->time = 0;
     sf_moment_begin(c, m, s, w);
+}
+
+/* MomentFilter._begin_again: know nothing but the readings' faults and what feet in the air showed. */
+SF_API void sf_moment_begin_again(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
+    int K = c->channels;
+    sf_real *mean = s->published.mean;
+    sf_moment_begin(c, m, s, w);
+    for (int i = 0; i < K; i++) {
+        mean[K + i] = -s->tare.centre[i];
+        mean[2 * K + i] = s->tare.centre[i] - s->tare.reading[i];
+    }
+    sf_copy_published(c, &s->kept.published, &s->published);
+    sf_copy_published(c, &s->next.published, &s->published);
 }
 
 /* MomentFilter._rest: keep what is known now and then, and learn how cells share loads. */
@@ -1499,14 +1512,14 @@ SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const 
 
 /* Suspects._changes of one suspect, which is taken off an error. */
 SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                            const sf_suspects *s, const sf_real *others, int suspect, const int both[2], sf_real *e) {
+                            const sf_real *known, const sf_real *others, int suspect, const int both[2], sf_real *e) {
     int K = c->channels, N = sf_states(c, m), pairs = sf_pairs_of_cells(c), i = both[0], j = both[1];
-    const sf_real *a = s->known;
+    const sf_real *a = known;
     for (int r = 0; r < m->components; r++) {
         const sf_real *X = rows->crossed + r * K * K, *reach = rows->mean + r * N + K;
         sf_real change = 0, sign = suspect < 2 * K + pairs ? 1 : -1;
         for (int l = 0; suspect < K && l < K; l++) {
-            sf_real zero = s->known[K + l] + a[l] * s->known[2 * K + l], by = others[i * K + l] - (l == i);
+            sf_real zero = known[K + l] + a[l] * known[2 * K + l], by = others[i * K + l] - (l == i);
             change += by * (X[i * K + l] * a[l] + reach[i] * zero);
         }
         if (suspect >= K && suspect < 2 * K) change = -2 * a[i] * X[i * K + i];
@@ -1626,7 +1639,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         int shown = 0;
         if (suspect < 2 * K && !c->cells[suspect % K]) continue;
         sf_copy(far, before, C);
-        sf_less_suspect(c, m, rows, s, others, suspect, both[suspect], far);
+        sf_less_suspect(c, m, rows, s->known, others, suspect, both[suspect], far);
         if (suspect < K) {
             std[suspect] = others_std[suspect] / c->weight;
             score = sf_evidence(m, L, sf_factor(m, S, reach, K, std, L), far);
@@ -1663,6 +1676,26 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     return s->score[best] - (best < K) * m->contrast > rival + m->contrast ? best : -1;
 }
 
+/* Suspects.miss and ChannelFaults.miss: note the momentum that the starting map, tared, leaves unexplained. */
+SF_API void sf_miss(const sf_config *c, const sf_moment_config *m, sf_channel_faults *faults, const sf_moment_rows *rows,
+                    const sf_real *before, const sf_tares *tare, const sf_real *about) {
+    int K = c->channels;
+    sf_real known[SF_KNOWN], e[SF_COMPONENTS], left[SF_COMPONENTS];
+    sf_copy(known, about, sf_momenta(c, m));
+    for (int i = 0; i < K; i++) known[i] = 1, known[K + i] = -tare->reading[i], known[2 * K + i] = 0;
+    sf_unexplained(c, m, rows, before, about, known, e);
+    for (int i = 0; i < K; i++) {
+        int both[2] = {i, i};
+        sf_copy(left, e, m->components);
+        sf_less_suspect(c, m, rows, known, c->by_others, i, both, left);
+        for (int r = 0; r < m->components; r++) {
+            sf_real arm = sf_is_force(r) ? 1 : rows->height, by = (e[r] - left[r]) / arm;
+            faults->missed[i] += e[r] / arm * by;
+            faults->offered[i] += by * by;
+        }
+    }
+}
+
 /* Suspects.read: note the readings of a block. */
 SF_API void sf_read_suspects(const sf_config *c, const sf_moment_config *m, sf_suspects *s, const sf_real *samples, int n) {
     int K = c->channels, wide = sf_waiting(c), kept = 2 * m->capacity + 2;
@@ -1680,6 +1713,7 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     sf_copy(known, published, M);
     sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
     sf_read_suspects(c, m, &s->suspects, s->pending, n);
+    sf_miss(c, m, &s->faults, &w->rows, s->suspects.before, &s->tare, known);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);
     sf_copy(s->suspects.before, w->rows.at_end, m->components);
@@ -1781,7 +1815,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
     sf_copy(lost, s->faults.lost, K);
     if (sf_silent(c, &s->faults, s->pending, s->pending + K, wide, n, c->weight)) {
         /* All that was learnt made up for a cell that bore nothing. */
-        sf_moment_begin(c, m, s, w);
+        sf_moment_begin_again(c, m, s, w);
         return;
     }
     for (int i = 0; i < K; i++) {
@@ -1806,15 +1840,8 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
         if (out) {
             /* What stands in for a channel is too far off to teach scales; zeros are seen without it. */
+            sf_copy(s->published.mean, published, M);
             s->linked = 0;
-            if (good) {
-                sf_priors(c, m, s->drifted, w);
-                sf_weigh(c, m, &w->belief, w);
-                sf_moment_publish(c, m, &w->belief, w, &s->published);
-                sf_copy_modes(c, m, &s->belief, &w->belief);
-                sf_map_covariance(c, m, &s->published, tare.rate, s->covariance);
-                s->tare = tare;
-            }
         } else {
             sf_open_product(c, m, s, &tare, product);
             sf_moment_rows_of(c, m, s->pending, n, published, product, w);

@@ -97,6 +97,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_ALL_READ ((sf_real)0.99)
 #define SF_IDLE ((sf_real)0.1)
 #define SF_PLATE_MOVED ((sf_real)0.2)
+#define SF_MISSED ((sf_real)0.5)
 #define SF_NO_LOAD ((sf_real)0.1)
 #define SF_HEAVIEST ((sf_real)2.0)
 #define SF_RETURN_BLOCKS ((sf_real)15.0)
@@ -150,7 +151,8 @@ typedef struct {
     sf_whole kind[SF_CHANNELS];
     sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
     sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
-    sf_real level[SF_CHANNELS], shown[SF_CHANNELS], expected[SF_CHANNELS], alive[SF_CHANNELS];
+    sf_real level[SF_CHANNELS], shown[SF_CHANNELS], expected[SF_CHANNELS];
+    sf_real missed[SF_CHANNELS], offered[SF_CHANNELS], alive[SF_CHANNELS];
     sf_whole altered;
 } sf_channel_faults;
 
@@ -709,15 +711,16 @@ SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const
         s->shown[i] = whole ? sf_max(s->shown[i], 0) + change[i] * change[i] : 0;
         s->expected[i] = whole ? s->expected[i] + told * told : 0;
         enough[i] = s->expected[i] > SF_PLATE_MOVED;
-        still[i] = enough[i] && s->shown[i] < SF_IDLE * SF_IDLE * s->expected[i];
+        /* On an edge of its plate a sound cell bears nothing as well: then nothing is missed. */
+        still[i] = enough[i] && s->shown[i] < SF_IDLE * SF_IDLE * s->expected[i] && s->missed[i] > SF_MISSED * s->offered[i];
     }
     for (int i = 0; i < K; i++) {
         int count = 0;
         for (int j = 0; j < K; j++) count += still[j] && c->together[i * K + j];
-        /* By two of a plate nobody knows: a third one that shows too much looks like it as well. */
+        /* Of two on a plate nobody knows: a third one that shows too much looks like them. */
         idle[i] = still[i] && count < 2;
         if (!enough[i]) continue;
-        s->shown[i] = s->expected[i] = 0;
+        s->shown[i] = s->expected[i] = s->missed[i] = s->offered[i] = 0;
         if (!idle[i]) s->alive[i] = 1;
         any = any || (idle[i] && s->alive[i] < (sf_real)0.5);
     }

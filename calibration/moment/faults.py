@@ -5,8 +5,9 @@ Three things give a channel away:
 * **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
-* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears. A
-  cell that is dead from the start is found by this: scales of the others would make up for it.
+* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears, and
+  the robot's motion misses that load. So is a cell found that is dead from the start: scales of the others
+  would make up for it.
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
@@ -62,8 +63,12 @@ _IDLE = 0.1
 scale beyond ten. Sound cells with three times the errors of cheap ones show 0.12 and more, others 0.34."""
 
 _PLATE_MOVED = 0.2
-"""Changes of a cell's load from block to block, by the others of its plate, by which it must have shown them: their
-squares in body weights, summed up. It is that of some six steps: after three a sound cell of a G1 showed 0.05."""
+"""Changes of a cell's load from block to block, by the others of its plate, from which on it must have shown
+them: their squares in body weights, summed up. Those of some six steps: after three a sound cell of a G1 had
+shown 0.05."""
+
+_MISSED = 0.5
+"""Share of the load that its plate says from which on the robot's motion misses a cell's rather than not."""
 
 _NO_LOAD = 0.1
 """Load of a cell in body weights up to which a reading that does not change is one of no load at all."""
@@ -96,9 +101,12 @@ class ChannelState(NamedTuple):
         spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (K,).
         agreed: Blocks that a lost channel has agreed for, shape (K,).
         level: Mean of F0 of the last block in body weights, shape (K,).
-        shown: Squared changes of that mean since it was last held against its plate, summed up, shape (K,); -1
-            before the first block.
+        shown: Squared changes of that mean since it was last held against its plate, summed up, shape (K,);
+            -1 before the first block.
         expected: Those by the other cells of its plate, shape (K,).
+        missed: Momentum that the starting map leaves unexplained, times that of the load that its plate says,
+            summed up, shape (K,).
+        offered: The square of the latter, summed up, shape (K,).
         alive: Whether it has ever moved with its plate (0 or 1), shape (K,).
         altered: Whether any channel is or was out, turned or exchanged, 0 or 1.
     """
@@ -117,6 +125,8 @@ class ChannelState(NamedTuple):
     level: Array
     shown: Array
     expected: Array
+    missed: Array
+    offered: Array
     alive: Array
     altered: int
 
@@ -132,7 +142,7 @@ class ChannelFaults:
 
     Attributes:
         stand_in: How cells share loads.
-        by_others: How each channel follows from the others where nothing is known but the plate, shape (K, K).
+        by_others: How each channel follows from the others by the plate alone, shape (K, K).
         leap: Change of a force in one sample in N that no foot makes.
         leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
             shape (K,).
@@ -170,6 +180,8 @@ class ChannelFaults:
             level=zero,
             shown=zero - 1.0,
             expected=zero,
+            missed=zero,
+            offered=zero,
             alive=zero,
             altered=0,
         )
@@ -275,13 +287,29 @@ class ChannelFaults:
         expected = whole * (state.expected + (self.by_others @ change) ** 2)
         enough = expected > _PLATE_MOVED
         idle = enough & (shown < _IDLE**2 * expected)
-        # By two of a plate nobody knows: a third one that shows too much looks like it as well.
+        # On an edge of its plate a sound cell bears nothing as well: then nothing is missed.
+        idle &= state.missed > _MISSED * state.offered
+        # Of two on a plate nobody knows: a third one that shows too much looks like them.
         idle &= self.stand_in.together @ idle < 1.5
         alive = np.maximum(state.alive, enough & ~idle)
         if (idle & (alive < 0.5)).any():
             # Shares were learnt with it.
             state = state._replace(moments=self.stand_in.init())
-        return state._replace(level=level, shown=~enough * shown, expected=~enough * expected, alive=alive), idle
+        summed = {"shown": shown, "expected": expected, "missed": state.missed, "offered": state.offered}
+        again = {name: ~enough * one for name, one in summed.items()}
+        return state._replace(level=level, alive=alive, **again), idle
+
+    def miss(self, state: ChannelState, error: Array, by_plate: Array) -> ChannelState:
+        """Note the momentum that the starting map, tared, leaves unexplained in a block.
+
+        Args:
+            state: Faults so far.
+            error: That momentum, shape (C,).
+            by_plate: The momentum by each channel if it bore what its plate says instead, shape (C, K).
+        """
+        return state._replace(
+            missed=state.missed + error @ by_plate, offered=state.offered + (by_plate**2).sum(axis=0)
+        )
 
     def lose(self, state: ChannelState, channel: int) -> ChannelState:
         """Take a channel out that is dead."""

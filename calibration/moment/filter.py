@@ -207,16 +207,18 @@ class MomentFilter:
         return state, self._estimate(state, sample, kinds, nis, rows)
 
     def _begin_again(self, state: MomentState) -> MomentState:
-        """Know nothing but what the readings' faults are."""
-        fresh = self.init(state.front.raw)
+        """Know nothing but the readings' faults and what feet in the air showed."""
+        fresh, columns, tare = self.init(state.front.raw), self.columns, state.tare
+        mean = fresh.published.mean.copy()
+        mean[columns.offset], mean[columns.drift] = -tare.centre, tare.centre - tare.reading
+        published = fresh.published._replace(mean=mean)
         return self.blocks.break_off(state)._replace(
             belief=fresh.belief,
             drifted=0.0,
-            tare=fresh.tare,
             suspects=fresh.suspects,
-            published=fresh.published,
+            published=published,
             covariance=fresh.covariance,
-            kept=fresh.kept,
+            kept=Kept(fresh.belief, published, fresh.belief, published, 0.0),
             status=0,
         )
 
@@ -258,14 +260,8 @@ class MomentFilter:
         )
         if (faults.lost > 0.5).any():
             # A stand-in for a channel is too far off to teach scales; zeros are seen without it.
-            publication = self._weigh(belief, state.drifted).publish(belief.chance)
-            state = state._replace(
-                belief=belief,
-                tare=tare,
-                published=publication,
-                covariance=self._map_covariance(publication, tare.rate),
-                linked=0,
-            )
+            zeros = state.published._replace(mean=published)
+            state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         rows = self.model.rows(block, published, self._product(state, tare))
         columns, nis, rejected = self.columns, np.nan, False

@@ -63,11 +63,17 @@ class Repairs:
         moved, added = moved[momentum, momentum], added[momentum]
         suspects = self.suspects.read(suspects, block.force)
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
+        as_stated = known.copy()
+        as_stated[columns.scale], as_stated[columns.drift] = 1.0, 0.0
+        as_stated[columns.offset] = -state.tare.reading
+        faults = self._faults.miss(
+            state.faults, *self.suspects.miss(suspects, rows, known, as_stated, self._faults.by_others)
+        )
         others, std = stand_in.others(state.faults.moments, state.faults.lost)
         suspects, wrong = self.suspects.weigh(
             suspects, rows, known, covariance, others, std / self._weight, block.duration
         )
-        return state._replace(suspects=suspects._replace(before=rows.at_end)), wrong
+        return state._replace(faults=faults, suspects=suspects._replace(before=rows.at_end)), wrong
 
     def repair(self, state: MomentState, wrong: int | Leap) -> MomentState:
         """Repair a fault, and let suspicions start again.

@@ -169,6 +169,23 @@ class Suspects:
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
 
+    def miss(
+        self, state: SuspectState, rows: Rows, about: Array, known: Array, others: Array
+    ) -> tuple[Array, Array]:
+        """Return the error of a block, and its changes by channels that are out; torques over the height.
+
+        Args:
+            state: Evidence so far.
+            rows: The block.
+            about: The unknowns before the momentum, about which rows are linear, shape (M,).
+            known: The unknowns to judge by, shape (M,).
+            others: How each force follows from the others of its foot, shape (K, K).
+        """
+        reach = rows.mean[:, self._columns.offset]
+        arm = np.where(force_and_wrench(len(reach)) > 0.0, 1.0, rows.height)
+        changes = self._changes(rows.crossed, reach, known, others)[:, self.out]
+        return self._error(state, rows, about, known) / arm, changes / arm[:, None]
+
     def read(self, state: SuspectState, force: Array) -> SuspectState:
         """Note the readings F0 of a block in W, shape (n, K)."""
         return state._replace(force=np.vstack([state.force, force])[len(force) :])

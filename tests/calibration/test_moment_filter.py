@@ -190,6 +190,17 @@ def test_exchanged_and_flipped_cells_are_found_and_put_right(kind, flag, cells):
     assert rmse(estimate, log, 13.0) < 1.2 * rmse(calibrated(log), log, 13.0)
 
 
+@pytest.mark.parametrize(("seed", "cell"), [(3, 3), (4, 0), (6, 6)])
+def test_a_cell_that_is_dead_from_the_start_is_found_and_no_other(seed, cell):
+    log = move(seed, 12.0, STATED)
+    raw, empty = log.raw.copy(), -NOMINAL.offset / NOMINAL.scale
+    noise = np.random.default_rng(seed).normal(0.0, 0.0005 * WEIGHT, len(raw))
+    raw[:, cell] = empty[cell] + noise / NOMINAL.scale[cell]
+    estimate = calibrated(log._replace(raw=raw))
+    assert (((estimate.flags & ACCUSED) > 0).any(axis=0) == (np.arange(8) == cell)).all()
+    assert estimate.flags[-1, cell] & Flag.DEAD
+
+
 def test_the_others_are_tared_while_a_channel_is_lost_and_it_comes_back():
     log = move(5, 16.0, STATED)
     raw, (gone, back) = log.raw.copy(), (round(t / DT) for t in (3.0, 12.0))
