@@ -2,7 +2,7 @@
 
     python benchmarks/step.py
     python benchmarks/step.py --robots NaoBalance G1 --rounds 400
-    python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
+    python benchmarks/step.py --robots NaoWalk --methods none tare window moment
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
     python benchmarks/step.py --robots NaoBalance --launchers
     python benchmarks/step.py --write
@@ -23,12 +23,10 @@ of many is that of a process of its own which has stepped them once.
 """
 
 import argparse
-import cProfile
 import csv
 import json
 import os
 import platform
-import pstats
 import shlex
 import sys
 import time
@@ -36,7 +34,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
-from functools import partial
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -298,22 +295,8 @@ LOAD = os.getloadavg()[0]
 """How many processes wanted to run on the average of the minute before."""
 
 
-def print_shares(run: Callable[[], Any], deepest: int = 18) -> None:
-    """Print where the time of a run goes, as the profiler sees it."""
-    profile = cProfile.Profile()
-    profile.runcall(run)
-    statistics: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
-    total = sum(row[2] for row in statistics.values())
-    rows = sorted(statistics.items(), key=lambda row: -row[1][2])
-    print("Shares of the time, as the profiler sees it:")
-    for (file, line, name), (_, calls, own, cumulative, _) in rows[:deepest]:
-        where = f"{Path(file).parent.name}/{Path(file).name}:{line}" if line else ""
-        share, whole = 100 * own / total, 100 * cumulative / total
-        print(f"  {share:5.1f} % own  {whole:5.1f} % in all  {calls:7d} x  {name} {where}")
-
-
 def main() -> None:
-    """Print the table, and where the time of the last stack goes."""
+    """Print the tables, and write them if asked to."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
@@ -325,7 +308,6 @@ def main() -> None:
     parser.add_argument("--memory", type=int, default=0, help="measure the memory of so many robots")
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--launchers", action="store_true", help="also Gymnasium's, of many robots alone")
-    parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     tables = "folder for tables, of 64, 256, 1024 and 4096 robots; by default docs/data/speed"
     parser.add_argument("--write", type=Path, nargs="?", const=DATA / "speed", help=tables)
     arguments = parser.parse_args()
@@ -344,10 +326,16 @@ def main() -> None:
         found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
         costs = compare(found, arguments.rounds, arguments.steps, RESETS)
         print_costs(costs)
-        ones += [[name, *row_of_one(layer, cost)] for layer, cost in costs.items()]
-        if arguments.shares:
-            last = found[f"+ SelfCalibration({arguments.methods[-1]})"]
-            print_shares(partial(last.run, 1000))
+        ones += [
+            [
+                name,
+                layer,
+                f"{1e6 * c.used:.0f}",
+                f"{c.ratio:.2f} ({c.low:.2f} to {c.high:.2f})",
+                f"{1e6 * c.reset:.0f}",
+            ]
+            for layer, c in costs.items()
+        ]
     of_batches = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
     for name, count, threads in product(of_batches, counts, all_threads):
         print(f"{name}, {count} robots, {threads} threads")
@@ -355,8 +343,11 @@ def main() -> None:
         rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
         costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
         print_costs(costs, count)
+        # Of all layers the last: sensors and the last method.
         first, *_, end = costs.values()
-        more.append([name, f"{count:,}", str(threads), *row_of_many(first, end, count)])
+        added = f"{1e6 * end.added / count:.1f}"
+        times = f"{1e3 * first.passed:.1f}", f"{end.passed_ratio:.2f}", added, f"{end.ratio:.2f}"
+        more.append([name, f"{count:,}", str(threads), *times])
     held = []
     robots_held = arguments.memory or (4096 if arguments.write else 0)
     for name in of_batches if robots_held else ():
@@ -373,18 +364,6 @@ def main() -> None:
 MANY_HEADS = [
     "robot", "robots", "threads", "bare, ms", "wall time of bare", "µs a robot added", "CPU time of bare",
 ]  # fmt: skip
-
-
-def row_of_one(layer: str, cost: Cost) -> list[str]:
-    """Return a row of the table of one robot."""
-    ratio = f"{cost.ratio:.2f} ({cost.low:.2f} to {cost.high:.2f})"
-    return [layer, f"{1e6 * cost.used:.0f}", ratio, f"{1e6 * cost.reset:.0f}"]
-
-
-def row_of_many(bare: Cost, cost: Cost, count: int) -> list[str]:
-    """Return a row of the table of many robots, with sensors and the last method."""
-    added = f"{1e6 * cost.added / count:.1f}"
-    return [f"{1e3 * bare.passed:.1f}", f"{cost.passed_ratio:.2f}", added, f"{cost.ratio:.2f}"]
 
 
 if __name__ == "__main__":
