@@ -73,8 +73,8 @@ def _rank(errors: Frame) -> str:
     return text + "."
 
 
-def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
-    """Return the claims about the moment filter, of a row a run and one a method; none if it was not run."""
+def claims_of(scores: Frame) -> list[Claim]:
+    """Return the claims about the moment filter, of a row a run; none if it was not run."""
     method = "moment"
     own = scores[scores["method"] == method]
     if not len(own):
@@ -111,13 +111,6 @@ def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
     hours = float(own["hours"].sum())
     rate = float(own["alarms"].sum()) / hours
     claims.append(at_most(f"false alarms per hour (in {hours:.2f} h)", rate, 1.0))
-    times = timing.set_index("method")
-    if method in times.index:
-        median = float(times.loc[method, "median_us"])
-        claims.append(at_most("one update of one robot, median (µs)", median, 100.0))
-        if "window" in times.index:
-            ratio = float(times.loc["window", "mean_us"] / times.loc[method, "mean_us"])
-            claims.append(at_least("window's time per sample over its", ratio, 10.0))
     return claims
 
 
@@ -174,8 +167,8 @@ def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:
     ]
 
 
-def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Claim]:
-    """Return the claims about the window, against the paper and quasi-static, and about an update in ms."""
+def walking_claims(scores: Frame, condition: str) -> list[Claim]:
+    """Return the claims about the window, against the paper and quasi-static."""
     claims = []
     for speed, published in WALKING_TABLES.items():
         for metric, factor, title, unit, _ in PAPER_METRICS:
@@ -189,8 +182,7 @@ def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Clai
             gap = mean_interval(table["quasi-static"] - table["window"])
             what = f"{name} less than quasi-static by ({unit})"
             claims.append(Claim(what, "> 0", interval_text(gap, factor), gap.mean > 0 and gap.apart))
-    what = "one update of the window, median (ms)"
-    return [*claims, Claim(what, "< 1", number(update_ms), update_ms < 1)]
+    return claims
 
 
 def loop_claims(loop: Frame) -> list[Claim]:

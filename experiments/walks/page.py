@@ -58,7 +58,7 @@ def write_walks_page(results: WalkStudyResults) -> Report:
         title, sections, claims = "Walking on bad feet, and on calibrated ones", *_paper_sections(results)
     else:
         title, sections = "Calibrators on the same walks", _scenario_sections(results)
-        claims = findings.claims_of(results.scores, results.timing)
+        claims = findings.claims_of(results.scores)
     sections += failure_section(results.failures)
     sections.append(repeat_section(say("repeat"), _commands(results), results.seconds))
     if claims:
@@ -90,7 +90,6 @@ def _figure(path: Path | None, name: str, caption: str = "", **values: Any) -> t
 
 def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
-    timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
     shown = (
         *_figure(
             figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios)), "All scenarios"
@@ -98,7 +97,7 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
         *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
     )
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
-    summary = (*overviews, timing, alarms)
+    summary = (*overviews, tables.alarm_table(scores))
     sections = [
         Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
         *(_scenario_section(results, scenario, drawn) for scenario in scenarios),
@@ -138,9 +137,8 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
     """Return the sections about the CoP paper's study, and its claims."""
     folder = results.options.out / "figures"
     weighing, coefficient = weigh_after_walk(), paper_table_2()[1]
-    slowest = results.timing.set_index("method")["slowest_us"]
     claims = findings.weight_claims(coefficient, *weighing.errors("weights"))
-    claims += findings.walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
+    claims += findings.walking_claims(results.yardsticks, PAPER.name)
     claims += findings.loop_claims(results.loop) if len(results.loop) else []
     sections = [
         _walking_section(results, folder),

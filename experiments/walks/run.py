@@ -3,7 +3,6 @@
 Finished cases are kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +15,10 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import setup_from_options
-from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
 from surefoot.experiments.episodes.run import case_of
-from surefoot.experiments.logs.format import Log, read_log
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import save_facts, save_frames
 from surefoot.experiments.study.runner import Runner, machine, runner
 from surefoot.experiments.study.sources import own_code
@@ -29,7 +27,7 @@ from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
+from surefoot.experiments.walks.replay import beliefs_of, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -52,8 +50,6 @@ LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error"
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
 BOUNDED = 3  # walks of a scenario that have a bound: it varies by 1 % from walk to walk
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
-TIMED = 1600  # samples of one walk on which an update is timed: 20 s
-PHASES = 4  # the window solves at every fourth sample: one of four samples is the slow one
 
 Tables = dict[str, list[dict[str, Any]]]
 
@@ -71,7 +67,6 @@ class WalkStudyResults:
     cycles: Frame = field(default_factory=pd.DataFrame)  # a row a run and foot, see ``walks.gait_cycle``
     sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
-    timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
     filmed: tuple[float, float, int] | str = "not asked for"  # severity, speed in m/s, seed; or why not
     left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
     failures: dict[str, str] = field(default_factory=dict)  # raised, by case
@@ -84,7 +79,7 @@ class WalkStudyResults:
 
 
 def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkStudyResults:
-    """Walk, record, replay, score, time, close the loop, film, and save; bounds on errors if asked for.
+    """Walk, record, replay, score, close the loop, film, and save; bounds on errors if asked for.
 
     Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
     used.
@@ -117,7 +112,6 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
                 for (severity, speed), cases in loops.items()
             ]
             results.loop = pd.concat(rows, ignore_index=True)[list(LOOP_COLUMNS)]
-        results.timing = pd.DataFrame(run.do("time an update", _timings(results)))
         if options.film_duration > 0.0 and len(results.loop):
             _film(run, results)
     results.failures = store.failures([case for cases in stages.values() for case in cases])
@@ -162,7 +156,7 @@ def _loop_cases(
 
 def _save(results: WalkStudyResults) -> None:
     options = results.options
-    names = ("scores", "errors", "timing", "yardsticks", "sensitivity", "loop")
+    names = ("scores", "errors", "yardsticks", "sensitivity", "loop")
     save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
     save_facts(
         options.out / "results.json",
@@ -173,13 +167,6 @@ def _save(results: WalkStudyResults) -> None:
         machine=machine(),
         seconds=results.seconds,
     )
-
-
-def _timings(results: WalkStudyResults) -> list[Any]:
-    """List the methods with the first walk of the first scenario."""
-    options, first = results.options, results.scenarios[0]
-    path = log_paths(first, 0, options.duration, options.logs)[first.condition]
-    return [(time_method, (path, m, first.options_of(m))) for m in options.rows if m != TRUE_MAP]
 
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
@@ -260,28 +247,6 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
         "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
         "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
         "cell": float(np.sqrt(np.mean(bound.force[judged] ** 2))),
-    }
-
-
-def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
-    log = read_log(path)
-    calibrator = make_calibrator(log, method, initial=starting_map(log), **options)
-    taken = []
-    beliefs = beliefs_of(log, method)
-    for k in range(min(TIMED, len(log))):
-        reference = take_rows(beliefs, k)
-        began = time.perf_counter()
-        calibrator.update(log.raw[k], reference)
-        taken.append(time.perf_counter() - began)
-    # The first half warms up, and holds what only a standing start does.
-    steady = 1e6 * np.array(taken[len(taken) // 2 :])
-    phases = steady[: len(steady) // PHASES * PHASES].reshape(-1, PHASES)
-    return {
-        "method": method,
-        "median_us": float(np.median(steady)),
-        "mean_us": float(steady.mean()),
-        "slowest_us": float(np.median(phases, axis=0).max()),
     }
 
 

@@ -131,14 +131,14 @@ def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
 
 
 def _consistency(stream: Stream, played: Played) -> dict[str, float]:
-    seen = played.consistency
-    counted = seen.time >= stream.log.time[stream.judged][0]
-    mean = {name: _mean(getattr(seen, name)[counted]) for name in ("nees", "nees_cop", "nees_force")}
-    return mean | {
-        "nees_end": float(seen.nees[-1]) if len(seen.nees) else float("nan"),
+    looks, (nis, rows) = played.looks, played.nis
+    counted = looks[looks[:, 0] >= stream.log.time[stream.judged][0]]
+    names = ("nees", "nees_cop", "nees_force")
+    return {name: _mean(column) for name, column in zip(names, counted.T[1:], strict=True)} | {
+        "nees_end": float(looks[-1, 1]) if len(looks) else float("nan"),
         "parameters": float(2 * stream.log.layout.channels),
-        "nis": seen.nis / seen.nis_rows if seen.nis_rows else float("nan"),
-        "nis_rows": seen.nis_rows,
+        "nis": nis / rows if rows else float("nan"),
+        "nis_rows": rows,
     }
 
 

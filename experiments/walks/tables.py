@@ -1,4 +1,4 @@
-"""Tables of a study of walks: a scenario each, one over all; faults, alarms, time; the CoP paper's 4 to 6."""
+"""Tables of a study of walks: a scenario each, one over all; faults, alarms; the CoP paper's 4 to 6."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -196,16 +196,6 @@ def alarm_table(scores: Frame) -> Table:
     }
     parts = by_way(scores[scores["method"] != TRUE_MAP]).values()
     return table_of("alarms", "False alarms in all walks", columns, parts)
-
-
-def timing_table(timing: Frame) -> Table:
-    """Return the time of one robot's update."""
-    columns: dict[str, Cell] = {
-        "method": lambda row: look_of(row.method).label,
-        "median (µs)": lambda row: number(row.median_us),
-        "mean (µs)": lambda row: number(row.mean_us),
-    }
-    return table_of("timing", "Time of one update", columns, timing.itertuples())
 
 
 def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:

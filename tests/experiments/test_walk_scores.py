@@ -10,14 +10,12 @@ from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.walks.gait_cycle import cycle_rows
-from surefoot.experiments.walks.play import FALLING, Consistency, Played, Stream, _normalise, cut_fall, play
+from surefoot.experiments.walks.play import FALLING, Played, Stream, _normalise, cut_fall, play
 from surefoot.experiments.walks.run_score import running_rmse, score_run
 from surefoot.experiments.walks.score import cop_world, hold_last, score_forces
 from surefoot.sensors import Fault
 
 RNG = np.random.default_rng(11)
-NOTHING = np.full(0, np.nan)
-SILENT = Consistency(NOTHING, NOTHING, NOTHING, NOTHING, float("nan"), 0.0)
 
 
 def stream_of(log: Log, **changes: object) -> Stream:
@@ -27,7 +25,7 @@ def stream_of(log: Log, **changes: object) -> Stream:
 def played_as(log: Log, force: np.ndarray, flags: np.ndarray | None = None) -> Played:
     shape = log.raw.shape
     silent = np.zeros(shape, dtype=np.int64) if flags is None else flags
-    return Played(force, np.ones(shape), np.zeros(shape), silent, SILENT)
+    return Played(force, np.ones(shape), np.zeros(shape), silent)
 
 
 def longer(log: Log, times: int) -> Log:
