@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import (
-    Look,
     by_way,
     draw_curve,
     draw_mean,
@@ -22,23 +21,16 @@ from surefoot.experiments.study.figures import (
     logarithmic,
     look_of,
     name_axes,
-    show_values,
 )
-from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
-from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, Metric, consistent
+from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric, consistent
 
 Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
 """A label, where a line is drawn, and what draws the runs of one method at a height."""
 
 Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
-
-_SPEED_LOOKS = tuple(
-    Look("", colour, "-", marker)
-    for colour, marker in (("#56B4E9", "o"), ("#0072B2", "s"), ("#012a4a", "^"), ("#7f7f7f", "v"))
-)
 
 
 def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = METRICS) -> Path:
@@ -170,37 +162,6 @@ def _over_time(
         name_axes(panels, "time (s)", *lines)
         yield panels, seen
         legend_below(figure, panels[0, 0])
-
-
-def sensitivity_curves(path: Path, parts: Mapping[str, Frame]) -> Path:
-    """Draw the window's errors (CoP in m, vGRF in N) against its weights, a row a title and metric."""
-    weights = list(dict.fromkeys(next(iter(parts.values()))["weight"]))
-    metrics = [(title, metric) for title in parts for metric in PAPER_METRICS]
-    with figure_at(path, 3.3 * len(weights), 2.1 * len(metrics) + 0.5) as figure:
-        panels = grid_of(figure, len(metrics), len(weights), sharex=True, sharey="row")
-        for row, (title, metric) in zip(panels, metrics, strict=True):
-            for axes, weight in zip(row, weights, strict=True):
-                _draw_factors(axes, parts[title][parts[title]["weight"] == weight], metric)
-            row[0].set_ylabel(metric.label)
-            row[len(row) // 2].set_title(title)
-            row[0].set_ylim(0, 1.05 * row[0].get_ylim()[1])
-        for axes, weight in zip(panels[-1], weights, strict=True):
-            axes.set_xlabel(f"factor on ${weight[0]}_{weight[-1]}$")
-        legend_below(figure, panels[0, 0])
-    return path
-
-
-def _draw_factors(axes: Axes, part: Frame, metric: Metric) -> None:
-    factors = sorted(part["factor"].unique())
-    for speed, look in zip(sorted(part["speed"].unique()), _SPEED_LOOKS, strict=False):
-        here = part[part["speed"] == speed]
-        cells = [mean_interval(here[here["factor"] == factor][metric.column]) for factor in factors]
-        mean = np.array([metric.factor * cell.mean for cell in cells])
-        half = np.nan_to_num(np.array([metric.factor * cell.half for cell in cells]))
-        draw_curve(axes, factors, mean, look._replace(label=f"{speed:g} m/s"), mean - half, mean + half)
-    axes.axvline(1.0, color="#7f7f7f", linewidth=0.8, linestyle=":")
-    axes.set_xscale("log")
-    show_values(axes, factors)
 
 
 def _array(values: Any) -> Floats:

@@ -1,6 +1,5 @@
 """The page of a study of walks: scenarios one by one, or the CoP paper's conditions with the loop closed."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS, Condition
-from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -145,7 +144,6 @@ def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Clai
         *((_cycle_section(results, folder),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
         weights_section(weighing, folder),
-        *((_sensitivity_section(results, folder),) if len(results.sensitivity) else ()),
     ]
     return sections, claims
 
@@ -194,9 +192,10 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         )
     )
     shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
+    parts = dict(iter(shown.groupby(["condition", "against", "speed"])))
     rows = {
-        f"{title}, {speed:g} m/s": part[part["speed"] == speed]
-        for title, part in _by_yardstick(shown, YARDSTICKS).items()
+        f"{title}, {speed:g} m/s": parts.get((condition.name, against, speed), shown[:0])
+        for condition, against, title in YARDSTICKS
         for speed in results.speeds
     }
     drawn = list(
@@ -216,14 +215,6 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
     return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=tuple(drawn))
-
-
-def _by_yardstick(scores: Frame, chosen: Sequence[tuple[Condition, str, str]]) -> dict[str, Frame]:
-    """Return the scores of some of :data:`YARDSTICKS`, by their titles."""
-    return {
-        title: scores[(scores["condition"] == condition.name) & (scores["against"] == against)]
-        for condition, against, title in chosen
-    }
 
 
 def _speed_figures(traces: Frame, speed: float, folder: Path) -> tuple[ReportFigure, ...]:
@@ -260,24 +251,6 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
     said = tuple(findings.loop_findings(results.loop))
     shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": drawn}
     return Section("closed-loop", "Closing the loop", (_say_paper("loop", stand=STAND_TIME),), said, **shown)
-
-
-def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
-    of_stand = results.sensitivity["weight"] == STANDING
-    parts = _by_yardstick(results.sensitivity[~of_stand], (YARDSTICKS[0], YARDSTICKS[2]))
-    standing = _by_yardstick(results.sensitivity[of_stand], YARDSTICKS)
-    fixed = _by_yardstick(results.yardsticks[results.yardsticks["method"] == "window"], YARDSTICKS)
-    curves = figures.sensitivity_curves(folder / "sensitivity.svg", parts)
-    return Section(
-        "sensitivity",
-        "How much hangs on the window's weights",
-        (_say_paper("sensitivity"),),
-        tables=(
-            *(tables.sensitivity_table(part, title) for title, part in parts.items()),
-            tables.standing_table(fixed, standing),
-        ),
-        figures=_figure(curves, "Sensitivity", "weights"),
-    )
 
 
 def _commands(results: WalkStudyResults) -> tuple[str, ...]:

@@ -94,15 +94,14 @@ class Played:
     """The result of a method on one stream of N samples and K channels.
 
     ``looks`` are squared errors by the covariance claimed, over their number: 1 is right, NaN is no claim. A
-    row a look: its time in s, of (a, b), of the centre of pressure, and of single channels, without what
-    these have to do with each other.
+    row a look: its time in s, of (a, b), and of the centre of pressure.
     """
 
     force: Floats  # in N, shape (N, K)
     scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
     offset: Floats  # b in N, shape (N, K)
     flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
-    looks: Floats = field(default_factory=lambda: np.empty((0, 4)))
+    looks: Floats = field(default_factory=lambda: np.empty((0, 3)))
     nis: tuple[float, float] = (0.0, 0.0)  # sum of normalised squared innovations of judged samples; of rows
 
 
@@ -153,26 +152,23 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
             nis, rows = nis + float(estimate.nis), rows + float(estimate.nis_rows)
         if (k + 1) % every == 0:
             looks.append((log.time[k], *_nees(stream, k, true_map[k], estimate, now)))
-    return Played(force, scale, offset, flags, np.array(looks).reshape(-1, 4), (nis, rows))
+    return Played(force, scale, offset, flags, np.array(looks).reshape(-1, 3), (nis, rows))
 
 
 def _nees(
     stream: Stream, k: int, true_map: Floats, estimate: Estimate, reference: Reference | MomentumReference
-) -> tuple[float, float, float]:
-    """Squared errors of map, CoP and forces at sample ``k`` by the covariance claimed, over their number."""
-    nees = cop = force = float("nan")
+) -> tuple[float, float]:
+    """Squared errors of map and CoP at sample ``k`` by the covariance claimed, over their number."""
+    nees = cop = float("nan")
     # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
     if not stream.faults:
         nees = _normalise(np.hstack([estimate.scale, estimate.offset]) - true_map, estimate.covariance)
-    true_force = stream.truth.force[k]
-    if estimate.force_std is not None:
-        force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
     if estimate.cop_covariance is not None and estimate.cop_valid:
         # The true forces are placed under the soles that the estimate is placed under.
-        wrench = sole_wrenches(true_force, stream.log.layout)
+        wrench = sole_wrenches(stream.truth.force[k], stream.log.layout)
         true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
         cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
-    return nees, cop, force
+    return nees, cop
 
 
 def _normalise(error: Floats, covariance: Any) -> float:

@@ -154,7 +154,7 @@ def scores_of(scenario: str, cop: dict[str, list[float]], **changes: object) -> 
         "nees_end": np.nan, "nees_cop": np.nan, "nis": np.nan, "nis_rows": 0.0, "parameters": 16.0,
         "alarms": 0.0, "hours": 0.5, "found": np.nan, "isolated": np.nan, "named": np.nan, "after": np.nan,
         "after_foot": np.nan,
-        "bound_cop": np.nan, "bound_vgrf": np.nan, "bound_cell": np.nan,
+        "bound_cop": np.nan,
     }  # fmt: skip
     return pd.DataFrame(rows).assign(**(common | changes))
 
