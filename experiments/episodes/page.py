@@ -110,9 +110,7 @@ def _name_scores(own: Frame, scores: Table, task: Task) -> Frame:
 
 
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:
-    pair, targets = trainings(frame), tables.target_table(frame)
-    if targets is not None and targets.rows:
-        yield Section("summary", "In short", tables=(targets,))
+    pair = trainings(frame)
     given = frame[frame["cop_input"] == "given"]
     outcomes = figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
     yield Section("scores", "Scores", tables=tuple(scores.values()), figures=outcomes)

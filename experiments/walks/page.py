@@ -17,7 +17,7 @@ from surefoot.experiments.study.page import (
     repeat_section,
 )
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
+from surefoot.experiments.study.tables import Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.options import WalkStudyOptions
@@ -26,7 +26,7 @@ from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.experiments.weights.paper import paper_table_2, weights_section
+from surefoot.experiments.weights.paper import weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
 from surefoot.files import atomic_path
 
@@ -54,13 +54,12 @@ def write_walks_page(results: WalkStudyResults) -> Report:
     options, of_paper = results.options, bool(results.options.loops)
     say = _say_paper if of_paper else Words("walks", "scenarios")
     if of_paper:
-        title, sections, claims = "Walking on bad feet, and on calibrated ones", *_paper_sections(results)
+        title, sections = "Walking on bad feet, and on calibrated ones", _paper_sections(results)
     else:
         title, sections = "Calibrators on the same walks", _scenario_sections(results)
-        claims = findings.claims_of(results.scores)
     sections += failure_section(results.failures)
     sections.append(repeat_section(say("repeat"), _commands(results), results.seconds))
-    if claims:
+    if claims := [] if of_paper else findings.claims_of(results.scores):
         targets = (claim_table(claims, "Set out to reach"),)
         sections.append(Section("targets", "What was set out to reach", tables=targets))
     _save_summary(results)
@@ -132,20 +131,15 @@ def _save_summary(results: WalkStudyResults) -> None:
         pd.concat([runs, groups[list(numbers)].mean()], axis=1).to_csv(part)
 
 
-def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Claim]]:
-    """Return the sections about the CoP paper's study, and its claims."""
+def _paper_sections(results: WalkStudyResults) -> list[Section]:
+    """Return the sections about the CoP paper's study."""
     folder = results.options.out / "figures"
-    weighing, coefficient = weigh_after_walk(), paper_table_2()[1]
-    claims = findings.weight_claims(coefficient, *weighing.errors("weights"))
-    claims += findings.walking_claims(results.yardsticks, PAPER.name)
-    claims += findings.loop_claims(results.loop) if len(results.loop) else []
-    sections = [
+    return [
         _walking_section(results, folder),
         *((_cycle_section(results, folder),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
-        weights_section(weighing, folder),
+        weights_section(weigh_after_walk(), folder),
     ]
-    return sections, claims
 
 
 def _lead(results: WalkStudyResults) -> Section:
