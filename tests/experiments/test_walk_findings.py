@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.study.tables import Verdict, with_interval
+from surefoot.experiments.study.tables import Verdict
 from surefoot.experiments.walks import findings, tables
 from surefoot.experiments.walks.findings import (
     claims_of,
@@ -90,11 +90,6 @@ def test_what_comes_first_is_counted() -> None:
 def test_the_papers_table_2_comes_out() -> None:
     _, difference = paper_table_2()
     assert difference < 1e-8
-
-
-def test_one_seed_has_no_interval() -> None:
-    assert with_interval([2.0]) == "2.00"
-    assert with_interval([float("nan")]) == "–"
 
 
 PLAIN, SOFT = SCENARIOS["speed-0.04"], SCENARIOS["soft-ground"]
