@@ -311,11 +311,18 @@ def main() -> None:
     tables = "folder for tables, of 64, 256, 1024 and 4096 robots; by default docs/data/speed"
     parser.add_argument("--write", type=Path, nargs="?", const=DATA / "speed", help=tables)
     arguments = parser.parse_args()
-    counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
-    all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})
-    ones, more = [], []
-
+    alike = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
     print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s} {'':14s} {'us/reset':>10s}")
+    ones, more, held = times_of_one(arguments), times_of_many(arguments, alike), memory(arguments, alike)
+    if arguments.write:
+        save(arguments.write, "one", ["robot", "layers", "CPU µs a step", "of bare", "µs a reset"], ones)
+        save(arguments.write, "many", MANY_HEADS, more)
+        save(arguments.write, "memory", ["robot", "robots", "GB"], held)
+
+
+def times_of_one(arguments: argparse.Namespace) -> list[list[str]]:
+    """Time the layers around one robot of each kind."""
+    rows = []
     for name in () if arguments.launchers else arguments.robots:
         print(f"{name}, 1 robot")
         try:
@@ -326,39 +333,39 @@ def main() -> None:
         found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
         costs = compare(found, arguments.rounds, arguments.steps, RESETS)
         print_costs(costs)
-        ones += [
-            [
-                name,
-                layer,
-                f"{1e6 * c.used:.0f}",
-                f"{c.ratio:.2f} ({c.low:.2f} to {c.high:.2f})",
-                f"{1e6 * c.reset:.0f}",
-            ]
-            for layer, c in costs.items()
-        ]
-    of_batches = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
-    for name, count, threads in product(of_batches, counts, all_threads):
+        for layer, cost in costs.items():
+            ratio = f"{cost.ratio:.2f} ({cost.low:.2f} to {cost.high:.2f})"
+            rows.append([name, layer, f"{1e6 * cost.used:.0f}", ratio, f"{1e6 * cost.reset:.0f}"])
+    return rows
+
+
+def times_of_many(arguments: argparse.Namespace, robots: list[str]) -> list[list[str]]:
+    """Time the layers around many robots; rows are of the last one: sensors and the last method."""
+    rows = []
+    counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
+    all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})
+    for name, count, threads in product(robots, counts, all_threads):
         print(f"{name}, {count} robots, {threads} threads")
         rest = arguments.methods, arguments.faults, threads, arguments.launchers
         rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
         costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
         print_costs(costs, count)
-        # Of all layers the last: sensors and the last method.
         first, *_, end = costs.values()
         added = f"{1e6 * end.added / count:.1f}"
         times = f"{1e3 * first.passed:.1f}", f"{end.passed_ratio:.2f}", added, f"{end.ratio:.2f}"
-        more.append([name, f"{count:,}", str(threads), *times])
-    held = []
-    robots_held = arguments.memory or (4096 if arguments.write else 0)
-    for name in of_batches if robots_held else ():
+        rows.append([name, f"{count:,}", str(threads), *times])
+    return rows
+
+
+def memory(arguments: argparse.Namespace, robots: list[str]) -> list[list[str]]:
+    """Measure the memory of many robots of each kind, if asked for."""
+    rows, count = [], arguments.memory or (4096 if arguments.write else 0)
+    for name in robots if count else ():
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            size = pool.submit(memory_of, name, robots_held).result()
-        print(f"{name}, {robots_held} robots with sensors and calibration: {size:.2f} GB")
-        held.append([name, f"{robots_held:,}", f"{size:.2f}"])
-    if arguments.write:
-        save(arguments.write, "one", ["robot", "layers", "CPU µs a step", "of bare", "µs a reset"], ones)
-        save(arguments.write, "many", MANY_HEADS, more)
-        save(arguments.write, "memory", ["robot", "robots", "GB"], held)
+            size = pool.submit(memory_of, name, count).result()
+        print(f"{name}, {count} robots with sensors and calibration: {size:.2f} GB")
+        rows.append([name, f"{count:,}", f"{size:.2f}"])
+    return rows
 
 
 MANY_HEADS = [
