@@ -1,7 +1,6 @@
 """Figures of a study of walks: errors at a glance and over time, faults; the CoP paper's 10 to 15."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,14 @@ from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric, c
 Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
 """A label, where a line is drawn, and what draws the runs of one method at a height."""
 
-Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
+OVER_TIME = (
+    "CoP x, forward (mm)",
+    "CoP y, left (mm)",
+    "distance to truth (mm)",
+    "both feet, Fz (N)",
+    "left foot, Fz (N)",
+)
 
 
 def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = METRICS) -> Path:
@@ -103,65 +108,37 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
     return path
 
 
-def cop_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the CoP over time (the paper's Figures 10, 12, 14), and how far off it is, as walks end."""
-    lines: dict[str, Line] = {
-        "CoP x, forward (mm)": lambda cop, truth: 1e3 * cop[:, 0],
-        "CoP y, left (mm)": lambda cop, truth: 1e3 * cop[:, 1],
-        "distance to truth (mm)": lambda cop, truth: (
-            None if cop is truth else np.maximum(1e3 * np.linalg.norm(cop - truth, axis=1), 1e-2)
-        ),
-    }
-    with _over_time(path, traces, "cop", 6.6, lines) as (panels, seen):
-        truth = 1e3 * np.concatenate(seen["truth"])
-        for axes, values in zip(panels[:2, 0], truth.T, strict=True):
-            limit_to(axes, values, least=1.0)
-        for axes in panels[2]:
-            logarithmic(axes)
-        bottom, top = panels[2, 0].get_ylim()
-        panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
-    return path
-
-
-def vgrf_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the vertical force of both feet and of the left foot over time (the paper's 11, 13, 15)."""
-    lines: dict[str, Line] = {
-        "both feet, Fz (N)": lambda vgrf, truth: vgrf.sum(axis=1),
-        "left foot, Fz (N)": lambda vgrf, truth: vgrf[:, 0],
-    }
-    with _over_time(path, traces, "vgrf", 5.2, lines) as (panels, seen):
-        # Single samples at a landing must not flatten all the others into one line.
-        totals = [vgrf.sum(axis=1) for of_way in seen.values() for vgrf in of_way]
-        low, high = np.nanpercentile(np.concatenate(totals), [0.5, 99.5])
-        margin = 0.4 * max(float(high - low), 1.0)
-        panels[0, 0].set_ylim(float(low) - margin, float(high) + margin)
-    return path
-
-
-@contextmanager
-def _over_time(
-    path: Path, traces: Mapping[str, Frame], quantity: str, height: float, lines: Mapping[str, Line]
-) -> Iterator[tuple[Any, dict[str, list[Floats]]]]:
-    """Draw a row a line and a column a trace; lend the panels and the lines, to set limits."""
-    with figure_at(path, 10.0, height) as figure:
-        panels = grid_of(figure, len(lines), len(traces), sharex=True, sharey="row")
-        seen: dict[str, list[Floats]] = {name: [] for name in DRAWN}
+def over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
+    """Draw CoP and vertical forces as walks end (the paper's Figures 10 to 15), a column a trace."""
+    with figure_at(path, 10.0, 10.4) as figure:
+        panels = grid_of(figure, len(OVER_TIME), len(traces), sharex=True, sharey="row")
+        places, totals = [], []
         for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
-            ways = {row["method"]: row for row in trace.to_dict("records")}
+            ways = trace.set_index("method")
+            truth = 1e3 * _array(ways.loc["truth", "cop"])
+            places.append(truth)
             for name in DRAWN:
-                time, values = _array(ways[name]["time"]), _array(ways[name][quantity])
-                seen[name].append(values)
+                time, cop, vgrf = (_array(ways.loc[name, quantity]) for quantity in ("time", "cop", "vgrf"))
+                off = np.maximum(np.linalg.norm(1e3 * cop - truth, axis=1), 1e-2)
+                totals.append(vgrf.sum(axis=1))
                 style = {"linewidth": 1.1, "zorder": 2.0, "alpha": 0.9}
                 if name == "truth":
-                    style = {"linewidth": 1.9, "zorder": 1.5}
-                for axes, line in zip(column, lines.values(), strict=True):
-                    drawn = line(values, seen["truth"][-1])
-                    if drawn is not None:
-                        draw_curve(axes, time, drawn, look_of(name), **style)
+                    off, style = np.full(len(off), np.nan), {"linewidth": 1.9, "zorder": 1.5}
+                for axes, line in zip(column, (*1e3 * cop.T, off, totals[-1], vgrf[:, 0]), strict=True):
+                    draw_curve(axes, time, line, look_of(name), **style)
             column[0].set_title(title)
-        name_axes(panels, "time (s)", *lines)
-        yield panels, seen
+            logarithmic(column[2])
+        for axes, values in zip(panels[:2, 0], np.concatenate(places).T, strict=True):
+            limit_to(axes, values, least=1.0)
+        bottom, top = panels[2, 0].get_ylim()
+        panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
+        # Single samples at a landing must not flatten all the others into one line.
+        low, high = map(float, np.nanpercentile(np.concatenate(totals), [0.5, 99.5]))
+        margin = 0.4 * max(high - low, 1.0)
+        panels[3, 0].set_ylim(low - margin, high + margin)
+        name_axes(panels, "time (s)", *OVER_TIME)
         legend_below(figure, panels[0, 0])
+    return path
 
 
 def _array(values: Any) -> Floats:

@@ -34,7 +34,7 @@ _caption = Words("walks", "captions")
 _say_paper = Words("walks", "paper")
 
 PAPER, BAD = CONDITIONS
-PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
+PAPER_FIGURES = {0.02: "Figures 10 and 11", 0.04: "Figures 12 and 13", 0.1: "Figures 14 and 15"}
 YARDSTICKS = (
     (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
     (PAPER, "truth", f"{PAPER.title}, against the truth"),
@@ -198,7 +198,10 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         )
     )
     for speed in results.speeds:
-        drawn += _speed_figures(results.traces, speed, folder)
+        here = results.traces[results.traces["speed"] == speed]
+        traces = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
+        path = figures.over_time(folder / f"over_time_{_tag(speed)}.svg", traces)
+        drawn += _figure(path, PAPER_FIGURES.get(speed, f"{speed:g} m/s"), "over_time", speed=speed)
     panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
     curves = figures.error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
     drawn += _figure(curves, "Errors over time", "errors_over_time")
@@ -209,15 +212,6 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
     return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=tuple(drawn))
-
-
-def _speed_figures(traces: Frame, speed: float, folder: Path) -> tuple[ReportFigure, ...]:
-    here = traces[traces["speed"] == speed]
-    shown = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
-    first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
-    cop = figures.cop_over_time(folder / f"cop_{_tag(speed)}.svg", shown)
-    vgrf = figures.vgrf_over_time(folder / f"vgrf_{_tag(speed)}.svg", shown)
-    return _figure(cop, first, "cop", speed=speed) + _figure(vgrf, second, "vgrf", speed=speed)
 
 
 def _tag(speed: float) -> str:

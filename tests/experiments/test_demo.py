@@ -111,7 +111,7 @@ def test_the_page_is_whole(results: WalkStudyResults, report: tuple[Report, str]
         )
     ]
     assert places == sorted(places)
-    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 9
+    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 7
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page needs nothing beside it"
     assert "nan" not in re.sub(r"base64,[^\"]*", "", html).lower().replace("covenant", "")
     assert "There is no film in this report: not asked for." in html
