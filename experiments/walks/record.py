@@ -17,7 +17,7 @@ from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Referen
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.experiments.arrays import stack_rows
+from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
 from surefoot.experiments.weights.weighing import run_weighing
@@ -51,6 +51,42 @@ class Condition:
         return 0.0 if device is None else device.nominal_age
 
 
+class Recording:
+    """Samples of one walk, ``dt`` s apart, kept one by one to become a log."""
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._rows: list[tuple[Any, ...]] = []
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self._rows)
+
+    def keep(self, time: float, raw: Floats, force: Floats, truth: Any, undone: Any, *beliefs: Any) -> None:
+        """Keep one sample: time since the start in s, counts, true forces in N, (K,) each, and beliefs.
+
+        Of the ``truth`` of the simulator there are the soles' poses; ``undone`` is the map that undoes the
+        errors of the readings. Beliefs are a Reference, and perhaps a MomentumReference.
+        """
+        kept = [type(one)(*map(np.array, one)) for one in beliefs]
+        pose = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
+        self._rows.append((time, raw.copy(), kept, np.array(force), *pose, *undone))
+
+    def log(self, first: int = 0, **known: Any) -> Log:
+        """Return the log of samples from a first one on, with the facts of robot and recording."""
+        time, raw, beliefs, *truth = zip(*self._rows[first:], strict=True)
+        reference, *momentum = map(stack_rows, zip(*beliefs, strict=True))
+        return Log(
+            time=np.array(time),
+            raw=np.array(raw),
+            reference=reference,
+            momentum=momentum[0] if momentum else None,
+            truth=LogTruth(*map(np.array, truth)),
+            dt=self._dt,
+            **known,
+        )
+
+
 class FootInstruments:
     """The readings of one condition under one walk, by a random stream of an ``index``.
 
@@ -80,31 +116,25 @@ class FootInstruments:
             _, booted = part.read(truth, self._state.cells, self._streams["cells"], period)
             self._state = self._state._replace(cells=booted)
         self.about = {} if ankle is None else self._errors_between_axes()
-        self._rows: list[tuple[Any, ...]] = []
+        self._dt, self._kept = dt, Recording(dt)
 
-    def read(self, truth: Any, dt: float, believed: tuple[Reference, MomentumReference]) -> None:
+    def read(self, truth: Any, believed: tuple[Reference, MomentumReference]) -> None:
         """Take the readings after a control step, with the robot's beliefs at that moment."""
+        dt, kept = self._dt, self._kept
         raw, self._state = self._all.read(truth, self._state, self._streams, dt)
         force = self._all.join([part.force(truth) for part in self._all.parts])
-        pose = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
-        self._rows.append((raw, force, *pose, *self._all.true_map(self._state), *believed))
+        kept.keep(dt * (len(kept) + 1), raw, force, truth, self._all.true_map(self._state), *believed)
 
-    def log(self, dt: float, about: Mapping[str, Any], **known: Any) -> Log:
+    def log(self, about: Mapping[str, Any], **known: Any) -> Log:
         """Return the readings as a log, with what is known of the walk."""
-        raw, *truth, references, momenta = zip(*self._rows[_SETTLING:], strict=True)
         # The truth is the mean over a step, which is half a step old itself.
-        age = max(self._condition.age - 0.5 * dt, 0.0)
+        age = max(self._condition.age - 0.5 * self._dt, 0.0)
         own = {"condition": self._condition.name, "start": self._condition.start, "sample_age_s": age}
-        return Log(
-            time=np.float64(dt) * np.arange(_SETTLING + 1, len(self._rows) + 1),
-            raw=np.array(raw),
-            reference=stack_rows(references),
-            momentum=stack_rows(momenta),
+        return self._kept.log(
+            _SETTLING,
             layout=self.layout,
             nominal=self.nominal,
             calibrated=self.calibrated,
-            truth=LogTruth(*map(np.array, truth)),
-            dt=dt,
             about={**about, "surefoot": surefoot.__version__, **self.about, **own},
             **known,
         )
@@ -180,12 +210,12 @@ def record_walk(
         earlier = {c.age: c.age - youngest + clock_error for c in conditions}
         believed = {age: _believe(env, env.reference_time - by) for age, by in earlier.items()}
         for condition, one in zip(conditions, feet, strict=True):
-            one.read(source.truth, dt, believed[condition.age])
+            one.read(source.truth, believed[condition.age])
     env.close()
     known = {"seed": seed, "mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
     about = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
     named = zip(conditions, feet, strict=True)
-    return {condition.name: one.log(dt, about, **known) for condition, one in named}
+    return {condition.name: one.log(about, **known) for condition, one in named}
 
 
 def _put_on(
