@@ -1,13 +1,12 @@
 """Figures of both presets; colours mean feeds, as in all of surefoot's figures."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.episodes.scores import Difference, controllers_of, severities_of
+from surefoot.experiments.episodes.scores import controllers_of, severities_of
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import (
     by_way,
@@ -23,10 +22,6 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.page import ReportFigure
 from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
-
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")  # of severities
-
-_MARKERS = "osD^vP"
 
 
 def outcome_figures(
@@ -104,45 +99,6 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
         name_axes(panels, "severity")
         image = panels[0, 0].images[0]
         figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
-    return path
-
-
-def forest(path: Path, found: Sequence[Difference]) -> Path:
-    """Draw differences with their intervals, one under the other: a panel a controller."""
-    controllers = list(dict.fromkeys(one.controller for one in found))
-    severities = sorted({one.severity for one in found if one.severity is not None})
-    # Severities stand one under the other, so that they do not hide each other.
-    series: list[tuple[str, str, float | None, float]] = [
-        (f"severity {severity:g}", _COLOURS[i % 6], severity, 0.22 * (i - 0.5 * (len(severities) - 1)))
-        for i, severity in enumerate(severities)
-    ]
-    if any(one.severity is None for one in found):
-        series = [("true feet", "#000000", None, 0.0), *series]
-    rows = list(dict.fromkeys(one.what for one in found))
-    names = labels(controllers)
-    columns = min(2, len(controllers))
-    lines = -(-len(controllers) // columns)
-    height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2
-    with figure_at(path, 4.6 * columns + 1.4, height * lines) as figure:
-        panels = grid_of(figure, lines, columns, sharex=True, sharey=True)
-        for axes in panels.ravel()[len(controllers) :]:
-            axes.set_axis_off()
-        for axes, controller in zip(panels.ravel(), controllers, strict=False):
-            axes.axvline(0.0, color="#7f7f7f", linewidth=1.0)
-            for i, (label, colour, severity, beside) in enumerate(series):
-                shown = [one for one in found if one.controller == controller and one.severity == severity]
-                place = [rows.index(one.what) + beside for one in shown]
-                half = np.nan_to_num([one.interval.half for one in shown])
-                style: Any = {"marker": _MARKERS[i % 6], "markersize": 5, "capsize": 2.5, "linestyle": "none"}
-                mean = [one.interval.mean for one in shown]
-                axes.errorbar(mean, place, xerr=half, color=colour, label=label, **style)
-            axes.set_yticks(range(len(rows)), rows)
-            axes.set_ylim(len(rows) - 0.5, -0.5)
-            axes.tick_params(labelbottom=True)
-            axes.set_title(names[controller], parse_math=False)
-            axes.set_xlabel("difference of returns")
-        if severities:
-            legend_below(figure, panels.ravel())
     return path
 
 

@@ -117,10 +117,8 @@ def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) ->
     for comparison in COMPARISONS:
         if found := comparison.find(frame):
             table = tables.difference_table(found, comparison.name, comparison.table)
-            path = figures.forest(drawn / f"{table.name}.svg", found)
             extra = (tables.two_by_two(frame, *pair),) if pair and comparison is COMPARISONS[-1] else ()
-            more: Any = {"figures": (ReportFigure(path, table.title, _say("forest")),)}
-            yield Section(table.name, comparison.title, comparison.text, tables=(*extra, table), **more)
+            yield Section(table.name, comparison.title, comparison.text, tables=(*extra, table))
 
 
 def _failures(rows: Frame) -> tuple[Section, ...]:

@@ -1,6 +1,6 @@
-"""Figures of a study of walks: errors at a glance and over time, faults; the CoP paper's 10 to 15."""
+"""Figures of a study of walks: errors at a glance and over time; the CoP paper's 10 to 15."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,7 @@ from surefoot.experiments.study.figures import (
 )
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
-from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric, consistent
-
-Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
-"""A label, where a line is drawn, and what draws the runs of one method at a height."""
+from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric
 
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
 OVER_TIME = (
@@ -44,47 +41,35 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
     Dashed is what was set out to be reached; of runs against the CoP paper's baseline there are the paper's
     own errors instead, as bars.
     """
-
-    def panel(metric: Metric) -> Panel:
-        def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-            draw_mean(axes, runs[metric.column], metric.factor, at, name)
-            if not of_paper or not (runs["against"] == "baseline").all():
-                return
-            published = WALKING_TABLES.get(float(runs["speed"].iloc[0]), {}).get(name)
-            if published is not None:
-                style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
-                error = metric.factor * getattr(published, metric.column)
-                axes.plot(error, at, color=look_of(name).colour, **style)
-
-        return metric.label, None if of_paper else metric.target, draw
-
+    methods = in_order(name for runs in rows.values() for name in runs["method"])
     of_paper = all("against" in runs for runs in rows.values())
-    return _draw_rows(path, rows, [panel(metric) for metric in metrics])
+    with figure_at(path, 5.0 + 2.0 * len(metrics), 1.6 + 0.42 * len(rows)) as figure:
+        panels = grid_of(figure, 1, len(metrics), sharey=True)[0]
+        for axes, metric in zip(panels, metrics, strict=True):
+            for i, part in enumerate(rows.values()):
+                for name, runs in by_way(part).items():
+                    at = i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5)
+                    draw_mean(axes, runs[metric.column], metric.factor, at, name)
+                    if of_paper and (runs["against"] == "baseline").all():
+                        _draw_published(axes, metric, float(runs["speed"].iloc[0]), at, name)
+            if not of_paper:
+                axes.axvline(metric.target, color="black", linestyle="--", linewidth=0.8)
+            logarithmic(axes, metric.label)
+        panels[0].set_yticks(range(len(rows)), list(rows))
+        panels[0].set_ylim(len(rows) - 0.4, -0.6)
+        for look in map(look_of, methods):
+            panels[0].plot([], [], look.marker, color=look.colour, label=look.label)
+        legend_below(figure, panels[0])
+    return path
 
 
-def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw the mean NEES at the ends of walks and the interval of a consistent estimator; or ``None``."""
-
-    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-        axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
-        draw_mean(axes, runs["nees_end"], 1.0, at, name)
-
-    rows = by_scenario(scores[np.isfinite(scores["nees_end"])], scenarios)
-    label = "NEES of scales and offsets over its degrees of freedom"
-    return _draw_rows(path, rows, [(label, 1.0, draw)]) if rows else None
-
-
-def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw how long each fault went unfound, one dot a run; ``None`` if no fault was ever found."""
-
-    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-        times, look = np.maximum(runs["found"], 0.01), look_of(name)
-        style = {"color": look.colour, "marker": look.marker, "linestyle": "none"}
-        axes.plot(times, np.full(len(times), at), alpha=0.5, markersize=4, **style)  # type: ignore[arg-type]
-
-    found = scores[np.isfinite(scores["found"])]
-    rows = by_scenario(found, [scenario for scenario in scenarios if scenario.faults])
-    return _draw_rows(path, rows, [("time until a fault is found (s)", 1.0, draw)]) if rows else None
+def _draw_published(axes: Axes, metric: Metric, speed: float, at: float, name: str) -> None:
+    """Draw the CoP paper's own error of a method at a walking speed in m/s, if it gives one."""
+    published = WALKING_TABLES.get(speed, {}).get(name)
+    if published is not None:
+        style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
+        error = metric.factor * getattr(published, metric.column)
+        axes.plot(error, at, color=look_of(name).colour, **style)
 
 
 def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:
@@ -150,23 +135,3 @@ def by_scenario(scores: Frame, scenarios: Sequence[Scenario]) -> dict[str, Frame
     """Return the rows of each scenario that has some, by its title."""
     parts = {scenario.title: scores[scores["scenario"] == scenario.name] for scenario in scenarios}
     return {title: part for title, part in parts.items() if len(part)}
-
-
-def _draw_rows(path: Path, rows: Mapping[str, Frame], panels: Sequence[Panel]) -> Path:
-    """Draw a row a title, with the methods beside each other around it, a panel each."""
-    methods = in_order(name for runs in rows.values() for name in runs["method"])
-    with figure_at(path, 5.0 + 2.0 * len(panels) + (len(panels) == 1), 1.6 + 0.42 * len(rows)) as figure:
-        drawn = grid_of(figure, 1, len(panels), sharey=True)[0]
-        for axes, (label, line, draw) in zip(drawn, panels, strict=True):
-            for i, part in enumerate(rows.values()):
-                for name, runs in by_way(part).items():
-                    draw(axes, runs, i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5), name)
-            if line is not None:
-                axes.axvline(line, color="black", linestyle="--", linewidth=0.8)
-            logarithmic(axes, label)
-        drawn[0].set_yticks(range(len(rows)), list(rows))
-        drawn[0].set_ylim(len(rows) - 0.4, -0.6)
-        for look in map(look_of, methods):
-            drawn[0].plot([], [], look.marker, color=look.colour, label=look.label)
-        legend_below(figure, drawn[0])
-    return path

@@ -88,12 +88,8 @@ def _figure(path: Path | None, name: str, caption: str = "", **values: Any) -> t
 
 def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
-    shown = (
-        *_figure(
-            figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios)), "All scenarios"
-        ),
-        *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
-    )
+    overview = figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios))
+    shown = _figure(overview, "All scenarios")
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
     summary = (*overviews, tables.alarm_table(scores))
     sections = [
@@ -102,8 +98,7 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     ]
     faults = tables.fault_table(scores, scenarios)
     if faults is not None:
-        shown = _figure(figures.detection(drawn / "detection.svg", scores, scenarios), "Detection")
-        sections.append(Section("faults", "Faults side by side", tables=(faults,), figures=shown))
+        sections.append(Section("faults", "Faults side by side", tables=(faults,)))
     return sections
 
 
