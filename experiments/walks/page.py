@@ -21,7 +21,7 @@ from surefoot.experiments.study.tables import Frame, claim_table, plural, senten
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.options import WalkStudyOptions
-from surefoot.experiments.walks.record import CONDITIONS, Condition
+from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.video import FILM, STILL
@@ -142,8 +142,8 @@ def _lead(results: WalkStudyResults) -> Section:
     loop = results.loop[results.loop["severity"] == results.loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.
     speed = results.speeds[len(results.speeds) // 2]
-    drawn = results.options.out / "figures" / "lead.svg"
-    curves = figures.error_curves(drawn, dict([_errors(results, BAD, speed)]))
+    drawn = results.options.out / "figures" / "errors_over_time.svg"
+    curves = figures.error_curves(drawn, _errors(results), max(len(results.speeds), 2))
     paragraphs = [findings.lead_finding(loop)]
     video: dict[str, Any] = {}
     if isinstance(results.filmed, str):
@@ -163,12 +163,15 @@ def _lead(results: WalkStudyResults) -> Section:
     )
 
 
-def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tuple[str, Frame]:
-    """Return a title, and the errors over time of one condition and speed, while it walks."""
+def _errors(results: WalkStudyResults) -> dict[str, Frame]:
+    """Return the errors over time of each condition and speed, while it walks, by a title."""
     errors = results.errors
-    shown = errors["scenario"] == f"{condition.name}-{speed:g}"
-    shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
-    return f"{condition.title}, {speed:g} m/s", errors[shown]
+    walked = errors[(errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])]
+    return {
+        f"{condition.title}, {speed:g} m/s": walked[walked["scenario"] == f"{condition.name}-{speed:g}"]
+        for condition in CONDITIONS
+        for speed in results.speeds
+    }
 
 
 def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
@@ -187,19 +190,13 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         for condition, against, title in YARDSTICKS
         for speed in results.speeds
     }
-    drawn = list(
-        _figure(
-            figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS), "All speeds", "overview"
-        )
-    )
+    overview = figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS)
+    drawn = list(_figure(overview, "All speeds", "overview"))
     for speed in results.speeds:
         here = results.traces[results.traces["speed"] == speed]
         traces = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
         path = figures.over_time(folder / f"over_time_{_tag(speed)}.svg", traces)
         drawn += _figure(path, PAPER_FIGURES.get(speed, f"{speed:g} m/s"), "over_time", speed=speed)
-    panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
-    curves = figures.error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
-    drawn += _figure(curves, "Errors over time", "errors_over_time")
     texts = (
         _say_paper("conditions", paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
         _say_paper("yardsticks"),
