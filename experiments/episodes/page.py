@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from surefoot.experiments.episodes import figures, tables
 from surefoot.experiments.episodes.episode import VERSIONS, Episode
 from surefoot.experiments.episodes.plan import find_scenario
@@ -18,13 +16,11 @@ from surefoot.experiments.episodes.scores import (
     seeds_text,
     trainings,
 )
-from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import labels
-from surefoot.experiments.policy.tasks import Task, find_task
+from surefoot.experiments.policy.tasks import find_task
 from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, command_line, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
-from surefoot.files import atomic_path
 
 _say = Words("episodes")
 
@@ -79,8 +75,6 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
         )
         for number, (name, runs) in enumerate(own.items())
     }
-    with atomic_path(folder / SCORES) as part:
-        pd.concat(_name_scores(own[name], scores[name], task) for name in scores).to_csv(part, index=False)
     amount = _say(
         "amount",
         episodes=len(frame),
@@ -99,14 +93,6 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
 def _versions_of(runs: Frame) -> str:
     found = runs[list(VERSIONS)].drop_duplicates().to_dict("records")
     return "; ".join(", ".join(f"{name} {one[name] or 'unknown'}" for name in VERSIONS) for one in found)
-
-
-def _name_scores(own: Frame, scores: Table, task: Task) -> Frame:
-    """Add to a table of scores whose they are, for the card of a policy."""
-    runs = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
-    first, seeds = own.iloc[0], [seeds_text(of) for _, of in runs]
-    said = (first["controller"], first["controller_hash"], task.name, seeds)
-    return pd.concat([pd.DataFrame(dict(zip(WHOSE, said, strict=True))), scores.to_frame()], axis=1)
 
 
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:

@@ -21,7 +21,7 @@ from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.run import read_episodes, sort_episodes
 from surefoot.experiments.episodes.scores import controllers_of
 from surefoot.experiments.episodes.tables import score_table
-from surefoot.experiments.policy.card import own_scores, write_card
+from surefoot.experiments.policy.card import write_card
 from surefoot.experiments.policy.controllers import controller_hash, load_controller, training_sensors
 from surefoot.experiments.policy.tasks import SENSORS, TASKS, TRAINING_SEEDS, policy_file, shipped_policy
 from surefoot.experiments.policy.view import make_task
@@ -273,7 +273,7 @@ def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
     answer = RUNNER.invoke(app, arguments)
     assert answer.exit_code == 0, answer.output
     assert len(invented) == 18
-    assert list(pd.read_csv(out / "evaluation.csv")["controller"].unique()) == ["zero", "shipped"]
+    assert [len(pd.read_csv(out / "tables" / f"scores_{i}.csv")) for i in (0, 1)] == [3, 3]
     (out / "index.html").unlink()
     assert RUNNER.invoke(app, arguments).exit_code == 0
     assert (out / "index.html").is_file()
@@ -336,28 +336,24 @@ def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn
     seeds = "the episodes of the seeds 20000 to 20002, the same for all rows"
     assert f"over episodes of the task `balance-hard`: {seeds}" in text
     scored(str(mine / "policy.npz"), "--task", "balance", "--out", str(mine / "own"))
-    shutil.copy(mine / "own" / "evaluation.csv", mine)
-    assert f"over {seeds}" in write_card(mine).read_text(encoding="utf-8")
+    assert f"over {seeds}" in write_card(mine, read_episodes(mine / "own")).read_text(encoding="utf-8")
     # What an earlier policy left is none of a later one's.
     shipped_policy("randomised").save(mine / "policy.npz")
     assert "None yet" in write_card(mine).read_text()
-    for scores in (b"CoP fed back,return\ntrue,12\n", b"\xff\x00,"):
-        (mine / "evaluation.csv").write_bytes(scores)
-        assert "None yet" in write_card(mine).read_text()
+    (mine / "episodes.parquet").write_bytes(b"PAR1 and no more")
+    (mine / "study.json").unlink()
+    assert "None yet" in write_card(mine).read_text()
 
 
-def test_what_is_shipped_has_the_scores_of_its_own_episodes():
+def test_what_is_shipped_has_the_scores_of_its_own_episodes(tmp_path, undrawn):
     shipped = sorted(Path(str(files("surefoot.experiments.policy") / "files")).iterdir())
     assert {folder.name for folder in shipped} == {
         *(f"{task}-{sensors}" for task in ("balance", "walk") for sensors in SENSORS), "balance-hard-true",
     }  # fmt: skip
     for folder in shipped:
-        task = folder.name.rpartition("-")[0]
-        own = own_scores(folder)
-        assert own is not None
-        assert set(own["task"]) == {task}
-        table = score_table(read_episodes(folder)).to_frame()
-        pd.testing.assert_frame_equal(own[table.columns].astype(object), table.astype(object))
+        copied = shutil.copytree(folder, tmp_path / folder.name)
+        assert write_card(copied).read_text() == (folder / "card.md").read_text()
+        assert set(read_episodes(folder)["scenario"]) == {folder.name.rpartition("-")[0]}
 
 
 def test_a_page_says_what_a_policy_was_when_it_was_run(tmp_path, mine, invented, undrawn):
