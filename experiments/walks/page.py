@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from surefoot.calibration import METHODS
 from surefoot.experiments.episodes.figures import survival_curves
 from surefoot.experiments.study.page import (
@@ -28,7 +26,6 @@ from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.paper import weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
-from surefoot.files import atomic_path
 
 _caption = Words("walks", "captions")
 _say_paper = Words("walks", "paper")
@@ -62,7 +59,6 @@ def write_walks_page(results: WalkStudyResults) -> Report:
     if claims := [] if of_paper else findings.claims_of(results.scores):
         targets = (claim_table(claims, "Set out to reach"),)
         sections.append(Section("targets", "What was set out to reach", tables=targets))
-    _save_summary(results)
     amount = say(
         "amount",
         walks=plural(options.seeds, "walk"),
@@ -115,15 +111,6 @@ def _scenario_section(results: WalkStudyResults, scenario: Scenario, folder: Pat
         (tables.scenario_table(results.scores, scenario),),
         figures=_figure(path, "Error over time"),
     )
-
-
-def _save_summary(results: WalkStudyResults) -> None:
-    """Write means over runs, for machines."""
-    numbers = results.scores.select_dtypes(["number", "bool"]).columns.difference(["seed"])
-    groups = results.scores.groupby(["scenario", "method"], sort=False)
-    runs = groups.size().rename("runs")
-    with atomic_path(results.options.out / "tables" / "summary.csv") as part:
-        pd.concat([runs, groups[list(numbers)].mean()], axis=1).to_csv(part)
 
 
 def _paper_sections(results: WalkStudyResults) -> list[Section]:
