@@ -19,8 +19,8 @@ from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
 from surefoot.experiments.episodes.run import case_of
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.study.page import save_facts, save_frames
-from surefoot.experiments.study.runner import Runner, machine, runner
+from surefoot.experiments.study.page import save_frames
+from surefoot.experiments.study.runner import Runner, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
@@ -39,7 +39,7 @@ from surefoot.experiments.walks.run_score import (
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
-from surefoot.experiments.walks.video import FILM, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.video import join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
@@ -115,7 +115,8 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
         results.scores = results.scores.merge(bounded, on=["scenario", "seed"], how="left")
     else:
         results.scores = results.scores.assign(bound_cop=np.nan)
-    _save(results)
+    names = ("scores", "errors", "yardsticks", "loop")
+    save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
     return results
 
 
@@ -132,21 +133,6 @@ def _loop_cases(
         for speed in speeds
     }
     return {key: [case_of(episode) for episode in plan.episodes] for key, plan in plans.items()}
-
-
-def _save(results: WalkStudyResults) -> None:
-    options = results.options
-    names = ("scores", "errors", "yardsticks", "loop")
-    save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
-    save_facts(
-        options.out / "results.json",
-        options,
-        scenarios={s.name: {"title": s.title, "answers": s.answers} for s in results.scenarios},
-        left_out=results.left_out,
-        film=results.filmed if isinstance(results.filmed, str) else FILM,
-        machine=machine(),
-        seconds=results.seconds,
-    )
 
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
