@@ -18,7 +18,15 @@ from surefoot.experiments.episodes.scores import (
 )
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.tasks import find_task
-from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, command_line, publish
+from surefoot.experiments.study.page import (
+    Report,
+    ReportFigure,
+    Section,
+    Words,
+    command_line,
+    failure_section,
+    publish,
+)
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
 
@@ -108,8 +116,13 @@ def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) ->
 
 
 def _failures(rows: Frame) -> tuple[Section, ...]:
-    table = tables.failure_table(rows)
-    return () if table is None else (Section("failed", "Episodes that failed", tables=(table,)),)
+    return failure_section(
+        {
+            f"case {row['case']}: {row['controller']}, {row['feed']}, {row['scenario']}, severity "
+            f"{row['severity']:g}, seed {row['seed']}": row["error"]
+            for row in rows.to_dict("records")
+        }
+    )
 
 
 def write_sweep(results: EpisodeResults, films: int = 0) -> Report:

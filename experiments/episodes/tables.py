@@ -28,13 +28,11 @@ from surefoot.experiments.study.tables import (
     interval_text,
     mean_of,
     number,
-    plural,
     table_of,
     with_interval,
 )
 
 FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth the name
-MOST_FAILURES = 50  # failed episodes that are listed
 
 
 def percent_interval(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
@@ -87,17 +85,13 @@ _OUTCOMES: Mapping[str, Cell] = {
     "CoP off its plan (mm)": mean_of("tracking", 1e3),
 }
 
-_WHICH: Mapping[str, Cell] = {
+_WORST: Mapping[str, Cell] = {
     "case": lambda row: decimal(row["case"], "d"),
     "controller": lambda row: row["controller"],
     "feed": lambda row: short_label(row["feed"]),
     "scenario": lambda row: row["scenario"],
     "severity": lambda row: decimal(row["severity"]),
     "seed": lambda row: decimal(row["seed"], "d"),
-}
-
-_WORST: Mapping[str, Cell] = {
-    **_WHICH,
     "on its feet (s)": lambda row: number(row["time"]),
     "fell": lambda row: Verdict.of(not row["fell"], "yes" if row["fell"] else "no"),
     "return": lambda row: number(row["return"], 4),
@@ -176,18 +170,6 @@ def worst_table(worst: Frame) -> Table:
     """Return the worst episodes, with whole names: those who did not come last are not there."""
     title = "The worst episodes: the earliest falls, then the lowest returns"
     return table_of("worst", title, _WORST, worst.to_dict("records"))
-
-
-def failure_table(failed: Frame) -> Table | None:
-    """Return the episodes that could not be run through, with the last line of their errors."""
-    if not len(failed):
-        return None
-    note = "The whole text is in the column 'error' of episodes.parquet."
-    if len(failed) > MOST_FAILURES:
-        note = f"{len(failed) - MOST_FAILURES} more are left out here. {note}"
-    columns = {**_WHICH, "raised": lambda row: row["error"].splitlines()[-1]}
-    listed = failed.head(MOST_FAILURES).to_dict("records")
-    return table_of("failed", f"{plural(len(failed), 'episode')} failed", columns, listed, note)
 
 
 def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:

@@ -203,7 +203,7 @@ def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
     text = report.page.read_text(encoding="utf-8")
     assert text.count("data:image/svg+xml;base64,") == 3
     assert 'src="figures' not in text
-    assert "5 episodes failed" in text
+    assert "5 cases failed" in text
     assert "RuntimeError: no &lt;gains&gt;" in text
     assert len({table.name: table for table in report.tables}["half"].rows) == 4
     outcomes = pd.read_csv(tmp_path / "tables" / "outcome_stand.csv")
@@ -219,7 +219,7 @@ def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
 def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
     plan = replace(EpisodePlan(), controllers=("zero",), seeds=(2,))
     results = run_plan(plan, tmp_path)
-    assert "5 episodes failed" in write_sweep(results).page.read_text(encoding="utf-8")
+    assert "5 cases failed" in write_sweep(results).page.read_text(encoding="utf-8")
     with pytest.raises(
         ValueError, match=r"no episodes to make a page of: all 5 failed, the first with .*no <gains>"
     ):
