@@ -159,8 +159,9 @@ def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterato
     heat = (ReportFigure(figures.heat_maps(drawn / "heat.svg", rows, titles), "Falls", _say("heat")),)
     yield Section("summary", "In short", tables=() if half is None else (half,), figures=heat)
     for name, title in titles.items():
-        table = tables.outcome_table(rows, name, sentence(title))
-        outcomes = figures.outcome_figures(drawn, rows[rows["scenario"] == name], f"_{name}")
+        part = rows[rows["scenario"] == name]
+        table = tables.score_table(part, f"outcome_{name}", sentence(title))
+        outcomes = figures.outcome_figures(drawn, part, f"_{name}")
         yield Section(name, table.title, tables=(table,), figures=outcomes)
 
 

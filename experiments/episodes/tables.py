@@ -14,7 +14,6 @@ from surefoot.experiments.episodes.scores import (
 )
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import by_way, short_label
-from surefoot.experiments.study.statistics import Share, fall_share
 from surefoot.experiments.study.tables import (
     NOTHING,
     Cell,
@@ -35,18 +34,15 @@ from surefoot.experiments.study.tables import (
 FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth the name
 
 
-def percent_interval(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
+def percent_interval(share: Sequence[float]) -> str:
     """Return a share with the ends of its interval in percent.
 
     >>> percent_interval((0.64, 0.52, 0.75)), percent_interval((0.64, 0.52, 0.75)).value
     ('64.0 % (52 to 75)', {'percent': 64.0, 'from': 52.0, 'to': 75.0})
     """
-    parts = [100 * part for part in share[:3]]
-    return Valued.of(form.format(*parts), dict(zip(("percent", "from", "to"), parts, strict=True)))
-
-
-def _fell(share: Share) -> str:
-    return percent_interval(share, "{:.0f} ({:.0f} to {:.0f})")
+    percent, low, high = parts = [100 * part for part in share]
+    both = dict(zip(("percent", "from", "to"), parts, strict=True))
+    return Valued.of(f"{percent:.1f} % ({low:.0f} to {high:.0f})", both)
 
 
 def _severity(runs: Frame) -> str:
@@ -72,17 +68,6 @@ _SCORES: Mapping[str, Cell] = {
     "time to fall / s": _times_to_fall,
     "CoP error / mm": mean_of("cop_error", 1e3),
     "tracking error / mm": mean_of("tracking", 1e3),
-}
-
-_OUTCOMES: Mapping[str, Cell] = {
-    "feed": lambda runs: short_label(runs["feed"].iloc[0]),
-    "severity": _severity,
-    "episodes": lambda runs: decimal(len(runs), "d"),
-    "fell (%)": lambda runs: _fell(fall_share(runs["fell"])),
-    "on its feet (s)": mean_of("time"),
-    "return": mean_of("return", digits=4),
-    "CoP error fed back (mm)": mean_of("cop_error", 1e3),
-    "CoP off its plan (mm)": mean_of("tracking", 1e3),
 }
 
 _WORST: Mapping[str, Cell] = {
@@ -130,19 +115,6 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         f"interval; of fewer than {FEW_FALLS} falls the shortest and the longest time."
     )
     return table_of(name, title, columns, rows, note)
-
-
-def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
-    """Outcomes of one scenario of a sweep: a row a controller, feed and severity."""
-    names = labels(controllers_of(rows))
-    columns = {"controller": lambda runs: names[runs["controller"].iloc[0]], **_OUTCOMES}
-    parts = _pairs(rows[rows["scenario"] == scenario])
-    note = (
-        "Means over episodes with 95 % intervals (Student t; falls: Wilson). Times count up to the end of "
-        "the episode for those that stood. Errors are rms of an episode from where the controller is asked."
-    )
-    runs = [runs for own in parts for _, runs in own.groupby("severity")]
-    return table_of(f"outcome_{scenario}", title, columns, runs, note)
 
 
 def half_table(rows: Frame, titles: Mapping[str, str]) -> Table | None:

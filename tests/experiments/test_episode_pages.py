@@ -15,7 +15,7 @@ from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_pla
 from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.episodes.page import check_episodes, write_evaluation, write_sweep
 from surefoot.experiments.episodes.scores import COMPARISONS
-from surefoot.experiments.episodes.tables import outcome_table, score_table, two_by_two
+from surefoot.experiments.episodes.tables import score_table, two_by_two
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.tables import Table
 
@@ -151,7 +151,7 @@ def test_names_stay_apart(tmp_path, monkeypatch, undrawn):
     figures.survival_curves(tmp_path / "b.png", rows)
     figures.heat_maps(tmp_path / "c.png", rows, {"x": "X"})
     assert len(set(titles)) == 3 + 3 + 3 * 5
-    assert len({row[0] for row in outcome_table(rows, "x", "X").rows}) == 3
+    assert len({row[0] for row in score_table(rows).rows}) == 3
 
 
 def test_brackets_and_colons_in_names_are_text_in_a_terminal():
@@ -207,9 +207,8 @@ def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
     assert "RuntimeError: no &lt;gains&gt;" in text
     assert len({table.name: table for table in report.tables}["half"].rows) == 4
     outcomes = pd.read_csv(tmp_path / "tables" / "outcome_stand.csv")
-    fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["feed"] == "moment")]
-    assert list(fed["fell (%)"].str.split().str[0].astype(int)) == [0, 100]
-    assert list(fed["episodes"]) == [4, 4]
+    fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["CoP fed back"] == "moment")]
+    assert list(fed["falls"]) == ["0 of 4", "4 of 4"]
     # Falls are bad whatever the word.
     listed = tables.worst_table(results.finished.sort_values("time").head(5))
     assert {(row[7], row[7].good) for row in listed.rows} == {("yes", False)}
