@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from surefoot.experiments.episodes.scores import controllers_of, severities_of
 from surefoot.experiments.policy.controllers import labels
@@ -12,11 +11,9 @@ from surefoot.experiments.study.figures import (
     by_way,
     figure_at,
     grid_of,
-    in_order,
     legend_below,
     look_of,
     name_axes,
-    short_label,
     show_values,
 )
 from surefoot.experiments.study.page import ReportFigure
@@ -84,24 +81,6 @@ def against_severity(path: Path, rows: Frame) -> Path:
     return path
 
 
-def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
-    """Draw shares of falls, scenarios by title down and severities across, a map a controller and feed."""
-    controllers, feeds = controllers_of(rows), in_order(rows["feed"])
-    names = labels(controllers)
-    width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
-    with figure_at(path, width, height) as figure:
-        panels = grid_of(figure, len(controllers), len(feeds), sharey=True)
-        for line, controller in zip(panels, controllers, strict=True):
-            for axes, feed in zip(line, feeds, strict=True):
-                part = rows[(rows["controller"] == controller) & (rows["feed"] == feed)]
-                _heat(axes, part, titles)
-                axes.set_title(f"{names[controller]}: {short_label(feed)}", parse_math=False)
-        name_axes(panels, "severity")
-        image = panels[0, 0].images[0]
-        figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
-    return path
-
-
 def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     """Draw one feed, a little to the side, so that intervals do not hide each other."""
     look = look_of(feed)
@@ -123,17 +102,3 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     middle = np.array([share.share for share in shares])
     reach = [[share.share - share.low for share in shares], [share.high - share.share for share in shares]]
     line[1].errorbar(severities + beside, middle, yerr=np.maximum(reach, 0.0), **style)
-
-
-def _heat(axes: Axes, rows: Frame, titles: dict[str, str]) -> None:
-    severities = sorted(rows["severity"].unique()) or [0.0]
-    fell = rows.astype({"fell": float}).pivot_table("fell", "scenario", "severity")
-    share = fell.reindex(index=list(titles), columns=severities).to_numpy(dtype=np.float64)
-    axes.imshow(share, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
-    for (i, j), value in np.ndenumerate(share):
-        if np.isfinite(value):
-            colour = "white" if value > 0.45 else "black"
-            axes.text(j, i, f"{100 * value:.0f} %", ha="center", va="center", color=colour, fontsize=8)
-    axes.set_xticks(range(len(severities)), [f"{severity:g}" for severity in severities])
-    axes.set_yticks(range(len(titles)), list(titles.values()))
-    axes.grid(visible=False)

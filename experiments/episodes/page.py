@@ -18,15 +18,7 @@ from surefoot.experiments.episodes.scores import (
 )
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.tasks import find_task
-from surefoot.experiments.study.page import (
-    Report,
-    ReportFigure,
-    Section,
-    Words,
-    command_line,
-    failure_section,
-    publish,
-)
+from surefoot.experiments.study.page import Report, Section, Words, command_line, failure_section, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
 
@@ -155,9 +147,8 @@ def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
 
 
 def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterator[Section]:
-    half = tables.half_table(rows, titles)
-    heat = (ReportFigure(figures.heat_maps(drawn / "heat.svg", rows, titles), "Falls", _say("heat")),)
-    yield Section("summary", "In short", tables=() if half is None else (half,), figures=heat)
+    if (half := tables.half_table(rows, titles)) is not None:
+        yield Section("summary", "In short", tables=(half,))
     for name, title in titles.items():
         part = rows[rows["scenario"] == name]
         table = tables.score_table(part, f"outcome_{name}", sentence(title))
