@@ -150,7 +150,7 @@ def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterato
     if (half := tables.half_table(rows, titles)) is not None:
         yield Section("summary", "In short", tables=(half,))
     for name, title in titles.items():
-        part = rows[rows["scenario"] == name]
+        part = sort_episodes(rows[rows["scenario"] == name])
         table = tables.score_table(part, f"outcome_{name}", sentence(title))
         outcomes = figures.outcome_figures(drawn, part, f"_{name}")
         yield Section(name, table.title, tables=(table,), figures=outcomes)
