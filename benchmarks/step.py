@@ -2,7 +2,7 @@
 
     python benchmarks/step.py
     python benchmarks/step.py --robots NaoBalance G1 --rounds 400
-    python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
+    python benchmarks/step.py --robots NaoWalk --methods none tare window moment
     python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
     python benchmarks/step.py --robots NaoBalance --launchers
     python benchmarks/step.py --write
@@ -23,12 +23,10 @@ of many is that of a process of its own which has stepped them once.
 """
 
 import argparse
-import cProfile
 import csv
 import json
 import os
 import platform
-import pstats
 import shlex
 import sys
 import time
@@ -36,7 +34,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
-from functools import partial
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -298,22 +295,8 @@ LOAD = os.getloadavg()[0]
 """How many processes wanted to run on the average of the minute before."""
 
 
-def print_shares(run: Callable[[], Any], deepest: int = 18) -> None:
-    """Print where the time of a run goes, as the profiler sees it."""
-    profile = cProfile.Profile()
-    profile.runcall(run)
-    statistics: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
-    total = sum(row[2] for row in statistics.values())
-    rows = sorted(statistics.items(), key=lambda row: -row[1][2])
-    print("Shares of the time, as the profiler sees it:")
-    for (file, line, name), (_, calls, own, cumulative, _) in rows[:deepest]:
-        where = f"{Path(file).parent.name}/{Path(file).name}:{line}" if line else ""
-        share, whole = 100 * own / total, 100 * cumulative / total
-        print(f"  {share:5.1f} % own  {whole:5.1f} % in all  {calls:7d} x  {name} {where}")
-
-
 def main() -> None:
-    """Print the table, and where the time of the last stack goes."""
+    """Print the tables, and write them if asked to."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
@@ -325,15 +308,21 @@ def main() -> None:
     parser.add_argument("--memory", type=int, default=0, help="measure the memory of so many robots")
     parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--launchers", action="store_true", help="also Gymnasium's, of many robots alone")
-    parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     tables = "folder for tables, of 64, 256, 1024 and 4096 robots; by default docs/data/speed"
     parser.add_argument("--write", type=Path, nargs="?", const=DATA / "speed", help=tables)
     arguments = parser.parse_args()
-    counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
-    all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})
-    ones, more = [], []
-
+    alike = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
     print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s} {'':14s} {'us/reset':>10s}")
+    ones, more, held = times_of_one(arguments), times_of_many(arguments, alike), memory(arguments, alike)
+    if arguments.write:
+        save(arguments.write, "one", ["robot", "layers", "CPU µs a step", "of bare", "µs a reset"], ones)
+        save(arguments.write, "many", MANY_HEADS, more)
+        save(arguments.write, "memory", ["robot", "robots", "GB"], held)
+
+
+def times_of_one(arguments: argparse.Namespace) -> list[list[str]]:
+    """Time the layers around one robot of each kind."""
+    rows = []
     for name in () if arguments.launchers else arguments.robots:
         print(f"{name}, 1 robot")
         try:
@@ -344,47 +333,44 @@ def main() -> None:
         found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
         costs = compare(found, arguments.rounds, arguments.steps, RESETS)
         print_costs(costs)
-        ones += [[name, *row_of_one(layer, cost)] for layer, cost in costs.items()]
-        if arguments.shares:
-            last = found[f"+ SelfCalibration({arguments.methods[-1]})"]
-            print_shares(partial(last.run, 1000))
-    of_batches = [robot for robot in arguments.robots if ROBOTS[robot].batch or len(arguments.robots) == 1]
-    for name, count, threads in product(of_batches, counts, all_threads):
+        for layer, cost in costs.items():
+            ratio = f"{cost.ratio:.2f} ({cost.low:.2f} to {cost.high:.2f})"
+            rows.append([name, layer, f"{1e6 * cost.used:.0f}", ratio, f"{1e6 * cost.reset:.0f}"])
+    return rows
+
+
+def times_of_many(arguments: argparse.Namespace, robots: list[str]) -> list[list[str]]:
+    """Time the layers around many robots; rows are of the last one: sensors and the last method."""
+    rows = []
+    counts = arguments.many if arguments.many is not None else [64, 256, 1024] if arguments.write else [64]
+    all_threads = arguments.threads or sorted({1, min(2, cores()), cores()})
+    for name, count, threads in product(robots, counts, all_threads):
         print(f"{name}, {count} robots, {threads} threads")
         rest = arguments.methods, arguments.faults, threads, arguments.launchers
         rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
         costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
         print_costs(costs, count)
         first, *_, end = costs.values()
-        more.append([name, f"{count:,}", str(threads), *row_of_many(first, end, count)])
-    held = []
-    robots_held = arguments.memory or (4096 if arguments.write else 0)
-    for name in of_batches if robots_held else ():
+        added = f"{1e6 * end.added / count:.1f}"
+        times = f"{1e3 * first.passed:.1f}", f"{end.passed_ratio:.2f}", added, f"{end.ratio:.2f}"
+        rows.append([name, f"{count:,}", str(threads), *times])
+    return rows
+
+
+def memory(arguments: argparse.Namespace, robots: list[str]) -> list[list[str]]:
+    """Measure the memory of many robots of each kind, if asked for."""
+    rows, count = [], arguments.memory or (4096 if arguments.write else 0)
+    for name in robots if count else ():
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            size = pool.submit(memory_of, name, robots_held).result()
-        print(f"{name}, {robots_held} robots with sensors and calibration: {size:.2f} GB")
-        held.append([name, f"{robots_held:,}", f"{size:.2f}"])
-    if arguments.write:
-        save(arguments.write, "one", ["robot", "layers", "CPU µs a step", "of bare", "µs a reset"], ones)
-        save(arguments.write, "many", MANY_HEADS, more)
-        save(arguments.write, "memory", ["robot", "robots", "GB"], held)
+            size = pool.submit(memory_of, name, count).result()
+        print(f"{name}, {count} robots with sensors and calibration: {size:.2f} GB")
+        rows.append([name, f"{count:,}", f"{size:.2f}"])
+    return rows
 
 
 MANY_HEADS = [
     "robot", "robots", "threads", "bare, ms", "wall time of bare", "µs a robot added", "CPU time of bare",
 ]  # fmt: skip
-
-
-def row_of_one(layer: str, cost: Cost) -> list[str]:
-    """Return a row of the table of one robot."""
-    ratio = f"{cost.ratio:.2f} ({cost.low:.2f} to {cost.high:.2f})"
-    return [layer, f"{1e6 * cost.used:.0f}", ratio, f"{1e6 * cost.reset:.0f}"]
-
-
-def row_of_many(bare: Cost, cost: Cost, count: int) -> list[str]:
-    """Return a row of the table of many robots, with sensors and the last method."""
-    added = f"{1e6 * cost.added / count:.1f}"
-    return [f"{1e3 * bare.passed:.1f}", f"{cost.passed_ratio:.2f}", added, f"{cost.ratio:.2f}"]
 
 
 if __name__ == "__main__":

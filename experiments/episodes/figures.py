@@ -1,32 +1,24 @@
 """Figures of both presets; colours mean feeds, as in all of surefoot's figures."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from surefoot.experiments.episodes.scores import Difference, controllers_of, severities_of
+from surefoot.experiments.episodes.scores import controllers_of, severities_of
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import (
     by_way,
     figure_at,
     grid_of,
-    in_order,
     legend_below,
     look_of,
     name_axes,
-    short_label,
     show_values,
 )
 from surefoot.experiments.study.page import ReportFigure
 from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
-
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")  # of severities
-
-_MARKERS = "osD^vP"
 
 
 def outcome_figures(
@@ -89,63 +81,6 @@ def against_severity(path: Path, rows: Frame) -> Path:
     return path
 
 
-def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
-    """Draw shares of falls, scenarios by title down and severities across, a map a controller and feed."""
-    controllers, feeds = controllers_of(rows), in_order(rows["feed"])
-    names = labels(controllers)
-    width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
-    with figure_at(path, width, height) as figure:
-        panels = grid_of(figure, len(controllers), len(feeds), sharey=True)
-        for line, controller in zip(panels, controllers, strict=True):
-            for axes, feed in zip(line, feeds, strict=True):
-                part = rows[(rows["controller"] == controller) & (rows["feed"] == feed)]
-                _heat(axes, part, titles)
-                axes.set_title(f"{names[controller]}: {short_label(feed)}", parse_math=False)
-        name_axes(panels, "severity")
-        image = panels[0, 0].images[0]
-        figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
-    return path
-
-
-def forest(path: Path, found: Sequence[Difference]) -> Path:
-    """Draw differences with their intervals, one under the other: a panel a controller."""
-    controllers = list(dict.fromkeys(one.controller for one in found))
-    severities = sorted({one.severity for one in found if one.severity is not None})
-    # Severities stand one under the other, so that they do not hide each other.
-    series: list[tuple[str, str, float | None, float]] = [
-        (f"severity {severity:g}", _COLOURS[i % 6], severity, 0.22 * (i - 0.5 * (len(severities) - 1)))
-        for i, severity in enumerate(severities)
-    ]
-    if any(one.severity is None for one in found):
-        series = [("true feet", "#000000", None, 0.0), *series]
-    rows = list(dict.fromkeys(one.what for one in found))
-    names = labels(controllers)
-    columns = min(2, len(controllers))
-    lines = -(-len(controllers) // columns)
-    height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2
-    with figure_at(path, 4.6 * columns + 1.4, height * lines) as figure:
-        panels = grid_of(figure, lines, columns, sharex=True, sharey=True)
-        for axes in panels.ravel()[len(controllers) :]:
-            axes.set_axis_off()
-        for axes, controller in zip(panels.ravel(), controllers, strict=False):
-            axes.axvline(0.0, color="#7f7f7f", linewidth=1.0)
-            for i, (label, colour, severity, beside) in enumerate(series):
-                shown = [one for one in found if one.controller == controller and one.severity == severity]
-                place = [rows.index(one.what) + beside for one in shown]
-                half = np.nan_to_num([one.interval.half for one in shown])
-                style: Any = {"marker": _MARKERS[i % 6], "markersize": 5, "capsize": 2.5, "linestyle": "none"}
-                mean = [one.interval.mean for one in shown]
-                axes.errorbar(mean, place, xerr=half, color=colour, label=label, **style)
-            axes.set_yticks(range(len(rows)), rows)
-            axes.set_ylim(len(rows) - 0.5, -0.5)
-            axes.tick_params(labelbottom=True)
-            axes.set_title(names[controller], parse_math=False)
-            axes.set_xlabel("difference of returns")
-        if severities:
-            legend_below(figure, panels.ravel())
-    return path
-
-
 def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     """Draw one feed, a little to the side, so that intervals do not hide each other."""
     look = look_of(feed)
@@ -167,17 +102,3 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     middle = np.array([share.share for share in shares])
     reach = [[share.share - share.low for share in shares], [share.high - share.share for share in shares]]
     line[1].errorbar(severities + beside, middle, yerr=np.maximum(reach, 0.0), **style)
-
-
-def _heat(axes: Axes, rows: Frame, titles: dict[str, str]) -> None:
-    severities = sorted(rows["severity"].unique()) or [0.0]
-    fell = rows.astype({"fell": float}).pivot_table("fell", "scenario", "severity")
-    share = fell.reindex(index=list(titles), columns=severities).to_numpy(dtype=np.float64)
-    axes.imshow(share, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
-    for (i, j), value in np.ndenumerate(share):
-        if np.isfinite(value):
-            colour = "white" if value > 0.45 else "black"
-            axes.text(j, i, f"{100 * value:.0f} %", ha="center", va="center", color=colour, fontsize=8)
-    axes.set_xticks(range(len(severities)), [f"{severity:g}" for severity in severities])
-    axes.set_yticks(range(len(titles)), list(titles.values()))
-    axes.grid(visible=False)

@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from surefoot.experiments.episodes import figures, tables
 from surefoot.experiments.episodes.episode import VERSIONS, Episode
 from surefoot.experiments.episodes.plan import find_scenario
@@ -18,13 +16,11 @@ from surefoot.experiments.episodes.scores import (
     seeds_text,
     trainings,
 )
-from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import labels
-from surefoot.experiments.policy.tasks import Task, find_task
-from surefoot.experiments.study.page import Report, ReportFigure, Section, Words, command_line, publish
+from surefoot.experiments.policy.tasks import find_task
+from surefoot.experiments.study.page import Report, Section, Words, command_line, failure_section, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
-from surefoot.files import atomic_path
 
 _say = Words("episodes")
 
@@ -79,8 +75,6 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
         )
         for number, (name, runs) in enumerate(own.items())
     }
-    with atomic_path(folder / SCORES) as part:
-        pd.concat(_name_scores(own[name], scores[name], task) for name in scores).to_csv(part, index=False)
     amount = _say(
         "amount",
         episodes=len(frame),
@@ -101,33 +95,26 @@ def _versions_of(runs: Frame) -> str:
     return "; ".join(", ".join(f"{name} {one[name] or 'unknown'}" for name in VERSIONS) for one in found)
 
 
-def _name_scores(own: Frame, scores: Table, task: Task) -> Frame:
-    """Add to a table of scores whose they are, for the card of a policy."""
-    runs = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
-    first, seeds = own.iloc[0], [seeds_text(of) for _, of in runs]
-    said = (first["controller"], first["controller_hash"], task.name, seeds)
-    return pd.concat([pd.DataFrame(dict(zip(WHOSE, said, strict=True))), scores.to_frame()], axis=1)
-
-
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:
-    pair, targets = trainings(frame), tables.target_table(frame)
-    if targets is not None and targets.rows:
-        yield Section("summary", "In short", tables=(targets,))
+    pair = trainings(frame)
     given = frame[frame["cop_input"] == "given"]
     outcomes = figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
     yield Section("scores", "Scores", tables=tuple(scores.values()), figures=outcomes)
     for comparison in COMPARISONS:
         if found := comparison.find(frame):
             table = tables.difference_table(found, comparison.name, comparison.table)
-            path = figures.forest(drawn / f"{table.name}.svg", found)
             extra = (tables.two_by_two(frame, *pair),) if pair and comparison is COMPARISONS[-1] else ()
-            more: Any = {"figures": (ReportFigure(path, table.title, _say("forest")),)}
-            yield Section(table.name, comparison.title, comparison.text, tables=(*extra, table), **more)
+            yield Section(table.name, comparison.title, comparison.text, tables=(*extra, table))
 
 
 def _failures(rows: Frame) -> tuple[Section, ...]:
-    table = tables.failure_table(rows)
-    return () if table is None else (Section("failed", "Episodes that failed", tables=(table,)),)
+    return failure_section(
+        {
+            f"case {row['case']}: {row['controller']}, {row['feed']}, {row['scenario']}, severity "
+            f"{row['severity']:g}, seed {row['seed']}": row["error"]
+            for row in rows.to_dict("records")
+        }
+    )
 
 
 def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
@@ -160,12 +147,12 @@ def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
 
 
 def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterator[Section]:
-    half = tables.half_table(rows, titles)
-    heat = (ReportFigure(figures.heat_maps(drawn / "heat.svg", rows, titles), "Falls", _say("heat")),)
-    yield Section("summary", "In short", tables=() if half is None else (half,), figures=heat)
+    if (half := tables.half_table(rows, titles)) is not None:
+        yield Section("summary", "In short", tables=(half,))
     for name, title in titles.items():
-        table = tables.outcome_table(rows, name, sentence(title))
-        outcomes = figures.outcome_figures(drawn, rows[rows["scenario"] == name], f"_{name}")
+        part = sort_episodes(rows[rows["scenario"] == name])
+        table = tables.score_table(part, f"outcome_{name}", sentence(title))
+        outcomes = figures.outcome_figures(drawn, part, f"_{name}")
         yield Section(name, table.title, tables=(table,), figures=outcomes)
 
 

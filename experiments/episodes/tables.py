@@ -1,61 +1,48 @@
-"""Tables of both presets: means and shares over episodes, differences of runs, and claims."""
+"""Tables of both presets: means and shares over episodes, and differences of runs."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from surefoot.experiments.episodes.scores import (
     CALIBRATED,
     Difference,
-    Run,
     controllers_of,
-    difference,
     half_fall,
     recovery_share,
     same_seeds,
     severities_of,
-    trainings,
 )
-from surefoot.experiments.policy.controllers import BUILT_IN, labels
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.figures import by_way, short_label
-from surefoot.experiments.study.page import Words
-from surefoot.experiments.study.statistics import Interval, Share, fall_share, mean_interval
 from surefoot.experiments.study.tables import (
     NOTHING,
     Cell,
-    Claim,
     Column,
     Frame,
     Table,
     Valued,
     Verdict,
-    at_least,
-    claim_table,
     count_of,
     decimal,
     interval_text,
     mean_of,
     number,
-    plural,
     table_of,
     with_interval,
 )
 
 FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth the name
-MOST_FAILURES = 50  # failed episodes that are listed
 
 
-def percent_interval(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
+def percent_interval(share: Sequence[float]) -> str:
     """Return a share with the ends of its interval in percent.
 
     >>> percent_interval((0.64, 0.52, 0.75)), percent_interval((0.64, 0.52, 0.75)).value
     ('64.0 % (52 to 75)', {'percent': 64.0, 'from': 52.0, 'to': 75.0})
     """
-    parts = [100 * part for part in share[:3]]
-    return Valued.of(form.format(*parts), dict(zip(("percent", "from", "to"), parts, strict=True)))
-
-
-def _fell(share: Share) -> str:
-    return percent_interval(share, "{:.0f} ({:.0f} to {:.0f})")
+    percent, low, high = parts = [100 * part for part in share]
+    both = dict(zip(("percent", "from", "to"), parts, strict=True))
+    return Valued.of(f"{percent:.1f} % ({low:.0f} to {high:.0f})", both)
 
 
 def _severity(runs: Frame) -> str:
@@ -83,28 +70,13 @@ _SCORES: Mapping[str, Cell] = {
     "tracking error / mm": mean_of("tracking", 1e3),
 }
 
-_OUTCOMES: Mapping[str, Cell] = {
-    "feed": lambda runs: short_label(runs["feed"].iloc[0]),
-    "severity": _severity,
-    "episodes": lambda runs: decimal(len(runs), "d"),
-    "fell (%)": lambda runs: _fell(fall_share(runs["fell"])),
-    "on its feet (s)": mean_of("time"),
-    "return": mean_of("return", digits=4),
-    "CoP error fed back (mm)": mean_of("cop_error", 1e3),
-    "CoP off its plan (mm)": mean_of("tracking", 1e3),
-}
-
-_WHICH: Mapping[str, Cell] = {
+_WORST: Mapping[str, Cell] = {
     "case": lambda row: decimal(row["case"], "d"),
     "controller": lambda row: row["controller"],
     "feed": lambda row: short_label(row["feed"]),
     "scenario": lambda row: row["scenario"],
     "severity": lambda row: decimal(row["severity"]),
     "seed": lambda row: decimal(row["seed"], "d"),
-}
-
-_WORST: Mapping[str, Cell] = {
-    **_WHICH,
     "on its feet (s)": lambda row: number(row["time"]),
     "fell": lambda row: Verdict.of(not row["fell"], "yes" if row["fell"] else "no"),
     "return": lambda row: number(row["return"], 4),
@@ -145,19 +117,6 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     return table_of(name, title, columns, rows, note)
 
 
-def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
-    """Outcomes of one scenario of a sweep: a row a controller, feed and severity."""
-    names = labels(controllers_of(rows))
-    columns = {"controller": lambda runs: names[runs["controller"].iloc[0]], **_OUTCOMES}
-    parts = _pairs(rows[rows["scenario"] == scenario])
-    note = (
-        "Means over episodes with 95 % intervals (Student t; falls: Wilson). Times count up to the end of "
-        "the episode for those that stood. Errors are rms of an episode from where the controller is asked."
-    )
-    runs = [runs for own in parts for _, runs in own.groupby("severity")]
-    return table_of(f"outcome_{scenario}", title, columns, runs, note)
-
-
 def half_table(rows: Frame, titles: Mapping[str, str]) -> Table | None:
     """Return the severities at which half fall; ``None`` where one severity alone was run."""
     names = labels(controllers_of(rows))
@@ -183,18 +142,6 @@ def worst_table(worst: Frame) -> Table:
     """Return the worst episodes, with whole names: those who did not come last are not there."""
     title = "The worst episodes: the earliest falls, then the lowest returns"
     return table_of("worst", title, _WORST, worst.to_dict("records"))
-
-
-def failure_table(failed: Frame) -> Table | None:
-    """Return the episodes that could not be run through, with the last line of their errors."""
-    if not len(failed):
-        return None
-    note = "The whole text is in the column 'error' of episodes.parquet."
-    if len(failed) > MOST_FAILURES:
-        note = f"{len(failed) - MOST_FAILURES} more are left out here. {note}"
-    columns = {**_WHICH, "raised": lambda row: row["error"].splitlines()[-1]}
-    listed = failed.head(MOST_FAILURES).to_dict("records")
-    return table_of("failed", f"{plural(len(failed), 'episode')} failed", columns, listed, note)
 
 
 def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:
@@ -247,72 +194,3 @@ def _pairs(rows: Frame) -> list[Frame]:
     controllers = controllers_of(rows.sort_values("case"))
     parts = [by_way(rows[rows["controller"] == name], "feed") for name in controllers]
     return [runs for part in parts for runs in part.values()]
-
-
-def target_table(frame: Frame) -> Table | None:
-    """Table of the claims about a policy and about randomisation; ``None`` without policies.
-
-    Untrained controllers have no target: of policies, the first that was trained on true feet has some.
-    """
-    trained = dict(zip(frame["controller"], frame["trained"], strict=True))
-    learnt = [name for name in controllers_of(frame) if name not in BUILT_IN]
-    if not learnt:
-        return None
-    controller = next((name for name in learnt if trained.get(name) == "true"), learnt[0])
-    own = frame[frame["controller"] == controller]
-    claims = [*_claims(own), *_claims_of_randomisation(frame)]
-    used = difference(own, Run("true"), Run("true", "shuffled"))
-    if used is not None:
-        claims.append(_clearly("true CoP given less shuffled", used))
-    title = f"Set out to reach, by {labels(controllers_of(frame))[controller]}"
-    return claim_table(claims, title, Words("episodes")("targets"))
-
-
-def _claims_of_randomisation(frame: Frame) -> Iterator[Claim]:
-    """Claim that randomisation and calibration together are not clearly worse than either alone."""
-    pair = trainings(frame)
-    if pair is None:
-        return
-    clean, wild = pair
-    for severity in severities_of(frame):
-        both = Run(CALIBRATED, "given", wild)
-        alone = {"calibration": Run(CALIBRATED, "given", clean), "randomisation": Run("none", "given", wild)}
-        gaps = {name: difference(frame, both, other, severity) for name, other in alone.items()}
-        found = {name: gap for name, gap in gaps.items() if gap is not None and gap.n > 1}
-        if found:
-            # The difference that ends lowest decides.
-            name = min(found, key=lambda one: found[one].mean + found[one].half)
-            what = f"severity {severity:g}: randomised and calibrated, less either alone"
-            measured = f"{interval_text(found[name])} (less {name})"
-            worse = found[name].apart and found[name].mean < 0.0
-            yield Claim(what, "not clearly below 0", measured, not worse)
-
-
-def _claims(own: Frame) -> Iterator[Claim]:
-    """Return the claims about the feet of one policy."""
-    given = own[own["cop_input"] == "given"]
-    true = given[given["feed"] == "true"]
-    if len(true):
-        share = 100.0 * float(1.0 - true["fell"].mean())
-        yield at_least("survives on true CoP (%)", share, 95.0, f"{share:.3g}")
-    for severity in severities_of(own):
-        at = f"severity {severity:g}: "
-        drifting = mean_interval(given[(given["feed"] == "none") & (given["severity"] == severity)]["return"])
-        on_true = mean_interval(true["return"])
-        if drifting.n and on_true.n:
-            what = f"{at}return on drifting CoP below that on true CoP"
-            measured = f"{interval_text(drifting, digits=4)} and {interval_text(on_true, digits=4)}"
-            apart = drifting.mean + drifting.half < on_true.mean - on_true.half
-            yield Claim(what, "intervals apart", measured, apart)
-        won = recovery_share(own, CALIBRATED, severity)
-        if won is not None:
-            measured = percent_interval(won, "{:.1f} ({:.1f} to {:.1f})")
-            yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
-        for other in ("window", "quasi-static"):
-            gap = difference(own, Run(CALIBRATED), Run(other), severity)
-            if gap is not None:
-                yield _clearly(f"{at}moment less {other}", gap)
-
-
-def _clearly(what: str, gap: Interval) -> Claim:
-    return Claim(what, "> 0, clearly", interval_text(gap), gap.apart and gap.mean > 0.0)

@@ -12,6 +12,9 @@ from jinja2 import Environment, StrictUndefined
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
+from surefoot.experiments.episodes.run import read_episodes
+from surefoot.experiments.episodes.scores import same_seeds, seeds_text
+from surefoot.experiments.episodes.tables import score_table
 from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task, task_in
 from surefoot.experiments.policy.train import CURVE, POLICY
@@ -20,9 +23,7 @@ from surefoot.experiments.study.figures import figure_at
 from surefoot.experiments.study.tables import Frame
 from surefoot.files import write_text
 
-FIGURE, CARD, SCORES = "curve.png", "card.md", "evaluation.csv"
-
-WHOSE = ("controller", "policy file", "task", "seeds")  # columns that say whose scores they are
+FIGURE, CARD = "curve.png", "card.md"
 _REWARD, _FALLS = "#0072B2", "#D55E00"  # of a learning curve
 
 _TRAINED = {
@@ -48,20 +49,23 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
     return path
 
 
-def own_scores(out: Path) -> Frame | None:
-    """Scores that an evaluation wrote of the policy in a folder; ``None`` without any."""
+def own_episodes(out: Path, frame: Frame | None = None) -> Frame | None:
+    """Episodes of the policy in a folder, among given ones or those in the folder; ``None`` without any."""
     try:
-        scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)
-    except (FileNotFoundError, ValueError):
+        rows = read_episodes(out) if frame is None else frame
+    except ValueError:
         return None
-    if not set(WHOSE) <= set(scores.columns):
+    if "controller_hash" not in rows:
         return None
-    own = scores[scores["policy file"] == controller_hash(str(out / POLICY))]
+    own = rows[rows["controller_hash"] == controller_hash(str(out / POLICY))]
     return own[own["controller"] == own["controller"].iloc[0]] if len(own) else None
 
 
-def write_card(out: Path) -> Path:
-    """Write the card of the policy in a folder, with its own scores; FileNotFoundError without a policy."""
+def write_card(out: Path, frame: Frame | None = None) -> Path:
+    """Write the card of the policy in a folder, with the scores of :func:`own_episodes`.
+
+    Raises FileNotFoundError without a policy.
+    """
     network = PolicyNetwork.load(out / POLICY)
     notes = network.notes
     options: dict[str, Any] = notes.get("options", {})
@@ -70,9 +74,9 @@ def write_card(out: Path) -> Path:
     if (out / CURVE).exists():
         curve = pd.read_csv(out / CURVE)
         draw_curve(curve, out / FIGURE, most)
-    scores = own_scores(out)
-    seeds = [] if scores is None else list(dict.fromkeys(scores["seeds"]))
-    scored = task.name if scores is None else scores["task"].iloc[0]
+    own = own_episodes(out, frame)
+    scored = task.name if own is None else own["scenario"].iloc[0]
+    of_other = f"episodes of the task `{scored}`: "
     sensors = options.get("sensors", "unknown")
     sizes = (sum(network.parts.values()), *(len(layer) for layer in network.biases))
     asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
@@ -98,17 +102,18 @@ def write_card(out: Path) -> Path:
         most=most,
         figure=FIGURE,
         curve_file=CURVE,
-        scores=None if scores is None else scores.drop(columns=list(WHOSE)),
+        scores=None if own is None else score_table(own).to_frame(),
         evaluate_command=f"{evaluated} --out {shlex.quote(str(out))}",
-        episodes=("" if scored == task.name else f"episodes of the task `{scored}`: ")
-        + (
-            f"the episodes of the seeds {seeds[0]}, the same for all rows"
-            if len(seeds) == 1
-            else "episodes that are not the same for all rows"
-        ),
+        episodes="" if own is None else f"{'' if scored == task.name else of_other}{_name_seeds(own)}",
     )
     write_text(out / CARD, text)
     return out / CARD
+
+
+def _name_seeds(own: Frame) -> str:
+    if same_seeds(own):
+        return f"the episodes of the seeds {seeds_text(own['seed'])}, the same for all rows"
+    return "episodes that are not the same for all rows"
 
 
 def _options(values: Mapping[str, Any]) -> list[str]:

@@ -30,12 +30,10 @@ from surefoot.experiments.policy.tasks import TASKS, policy_file, shipped_policy
 
 Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]  # answers an observation with an action
 
-_BUILT_IN: Mapping[str, Callable[[Mapping[str, slice]], Controller]] = {
+BUILT_IN: Mapping[str, Callable[[Mapping[str, slice]], Controller]] = {
     "zero": lambda layout: zero_action,
     "stabiliser": Stabiliser,
 }
-
-BUILT_IN = tuple(_BUILT_IN)  # controllers that learnt nothing
 
 _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomised"}
 """Policies that come with the package, and what they were trained on."""
@@ -50,8 +48,8 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
     which puts a policy into circumstances that it was not made for, does not.
     """
     bare: Any = env.unwrapped
-    if name in _BUILT_IN:
-        return _BUILT_IN[name](bare.state_layout)
+    if name in BUILT_IN:
+        return BUILT_IN[name](bare.state_layout)
     if name in _SHIPPED or name.endswith(_FILES):
         policy = _policy(name, _id_of(env))
         check_fits(policy, env, name, same_task=same_task)
@@ -88,7 +86,7 @@ def controller_hash(name: str, env_id: str = "") -> str:
 
     Of shipped policies the environment says which one is meant; without one, the hash is that of all of them.
     """
-    if name in _BUILT_IN:
+    if name in BUILT_IN:
         return ""
     if name in _SHIPPED:
         tasks = [task.name for task in TASKS.values() if env_id in ("", task.env_id)]
@@ -158,7 +156,7 @@ def _file(name: str) -> Path:
 def _import_function(name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     if not (module and function):
-        available = ", ".join(map(repr, (*_BUILT_IN, *_SHIPPED)))
+        available = ", ".join(map(repr, (*BUILT_IN, *_SHIPPED)))
         raise ValueError(
             f"There is no controller '{name}'. Available: {available}, a policy file 'path.npz', or "
             "'module:function'."

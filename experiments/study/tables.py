@@ -275,9 +275,9 @@ def at_most(what: str, value: float, limit: float, measured: str = "") -> Claim:
     return Claim(what, f"≤ {limit:g}".replace("e-0", "e-"), measured or number(value), value <= limit)
 
 
-def at_least(what: str, value: float, limit: float, measured: str = "") -> Claim:
+def at_least(what: str, value: float, limit: float) -> Claim:
     """Return the claim that a value is no smaller than a limit."""
-    return Claim(what, f"≥ {limit:g}", measured or number(value), value >= limit)
+    return Claim(what, f"≥ {limit:g}", number(value), value >= limit)
 
 
 def claim_table(claims: Iterable[Claim], title: str = "What was set out to reach", note: str = "") -> Table:

@@ -154,7 +154,7 @@ class Page(Served):
     def _record(self) -> None:
         if self._folder is None:
             raise ValueError("There is no folder for recordings; give one with --record FOLDER.")
-        if self.session.recording:
+        if self.session.recording is not None:
             self._save()
         else:
             self.session.record()
@@ -162,7 +162,7 @@ class Page(Served):
 
     def _save(self) -> None:
         """Write the recording, if there is one, into the folder that the command was given."""
-        if not self.session.recording or self._folder is None:
+        if self.session.recording is None or self._folder is None:
             return
         self._panel.show_recording(False)
         log = self.session.stop_recording()

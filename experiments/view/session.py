@@ -19,9 +19,9 @@ from surefoot.envs.gait.pattern import plan_walk
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
-from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, show_feet
 from surefoot.experiments.view.world import LiveWorld
+from surefoot.experiments.walks.record import Recording
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
 from surefoot.robot.foot_view import FootView, default_parts
@@ -36,6 +36,7 @@ from surefoot.wrappers.source import find_source, with_source
 
 WALK = "surefoot/NaoWalk-v0"  # the environment that is shown unless another is named
 WALK_TIME = 60.0  # how long a plan of a walk is in s, standing included
+LONGEST_RECORDING = 600.0  # time in s after which a recording ends by itself
 ERROR_STREAM = 0x5F02  # number of the random stream that live errors draw from
 
 START: Mapping[str, Any] = {
@@ -238,10 +239,11 @@ class Session:
         if self.fell:
             self._retract()
         self.over = bool(self.fell or truncated)
-        if self.recording is not None:
-            self.recording.keep(
-                self.time, self._raw, self._env.reference, self.source.truth, self.errors.parameters
-            )
+        reference, truth = self._env.reference, self.source.truth
+        # Not before the robot knows where it is.
+        if self.recording is not None and np.isfinite(reference.com).all():
+            force, undone = truth.force_cell[-1], self.errors.parameters
+            self.recording.keep(self.time, self._raw, force, truth, undone, reference)
 
     @property
     def time(self) -> float:
@@ -269,7 +271,9 @@ class Session:
 
     def stop_recording(self) -> Log:
         """Stop recording and return the log; ValueError if nothing was."""
-        recording, self.recording = self.recording or Recording(self.dt), None
+        recording, self.recording = self.recording, None
+        if recording is None or len(recording) < 2:
+            raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
         setup = self._env.calibrator.setup
         about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
         about["view"] = {"env": self.env_id, "seed": self.seed, **self._made, "changes": self.changes}
@@ -277,6 +281,7 @@ class Session:
             layout=self.layout,
             mass=float(setup.mass),
             nominal=self._sensors.instruments.nominal,
+            calibrated=None,
             lag=int(setup.lag),
             seed=self.seed,
             about=about,
@@ -289,7 +294,9 @@ class Session:
     @property
     def record_is_full(self) -> bool:
         """Whether a recording must be taken now: its episode has ended, or it is as long as it may be."""
-        return self.recording is not None and (self.over or self.recording.full)
+        if self.recording is None:
+            return False
+        return self.over or len(self.recording) * self.dt >= LONGEST_RECORDING
 
     def _reset(self, seed: int | None) -> None:
         """Begin an episode: with a seed everything is fresh, without one feet and calibration stay."""

@@ -79,19 +79,14 @@ def calibrate_log(
     initial = starting_map(log, start)
     if ros2 and "curves" in log.about:
         raise LogError(f"{file}: a ROS 2 node takes no curves, and the map to start from has some.")
-    if zero_phase and (np.diff(log.time) > MAX_GAP).any():
-        raise LogError(
-            f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
-        )
-    options = {"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}
-    if not options and any(foot.position_cell_sole is None for foot in log.layout.feet):
-        raise LogError(
-            f"{file}: channels have no places, which would tell the length of a foot; give it in m in the "
-            'description: "about": {"foot_length_m": 0.25}.'
-        )
     if stand and method != "window":
         raise ValueError(
             f"A quiet stand tells the weights of the window alone, not of '{method}'; leave out --stand."
+        )
+    options = _foot_length(log, file)
+    if zero_phase and (np.diff(log.time) > MAX_GAP).any():
+        raise LogError(
+            f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
         )
     notices = (*_judge(log, start, initial, file, accept), *log_notices(log, file))
     watch = partial(each, "calibrating")
@@ -100,9 +95,8 @@ def calibrate_log(
     node: dict[str, Any] = {}
     if ros2:
         node, lacking = parameters_of_log(log, Parameters(estimate.scale[-1], estimate.offset[-1]), **options)
-        notices += (f"The ROS 2 parameters are the map alone, which starts no node: {lacking}",) * bool(
-            lacking
-        )
+        if lacking:
+            notices += (f"The ROS 2 parameters are the map alone, which starts no node: {lacking}",)
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
     tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
@@ -113,6 +107,18 @@ def calibrate_log(
         write_walking_page(page, facts)
     written = _write_ros2(facts, node, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
     return CalibratedLog(walk, parameters, page, tables, notices, written)
+
+
+def _foot_length(log: Log, file: str) -> dict[str, float]:
+    """Return the length of a foot as an option of methods, where places of channels do not tell it."""
+    if "foot_length_m" in log.about:
+        return {"foot_length": float(log.about["foot_length_m"])}
+    if any(foot.position_cell_sole is None for foot in log.layout.feet):
+        raise LogError(
+            f"{file}: channels have no places, which would tell the length of a foot; give it in m in the "
+            'description: "about": {"foot_length_m": 0.25}.'
+        )
+    return {}
 
 
 def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:

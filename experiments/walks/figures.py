@@ -1,7 +1,6 @@
-"""Figures of a study of walks: errors at a glance and over time, faults; the CoP paper's 10 to 15."""
+"""Figures of a study of walks: errors at a glance and over time; the CoP paper's 10 to 15."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ from matplotlib.axes import Axes
 
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import (
-    Look,
     by_way,
     draw_curve,
     draw_mean,
@@ -22,22 +20,18 @@ from surefoot.experiments.study.figures import (
     logarithmic,
     look_of,
     name_axes,
-    show_values,
 )
-from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
-from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, Metric, consistent
+from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric
 
-Panel = tuple[str, float | None, Callable[[Axes, Frame, float, str], None]]
-"""A label, where a line is drawn, and what draws the runs of one method at a height."""
-
-Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
-
-_SPEED_LOOKS = tuple(
-    Look("", colour, "-", marker)
-    for colour, marker in (("#56B4E9", "o"), ("#0072B2", "s"), ("#012a4a", "^"), ("#7f7f7f", "v"))
+OVER_TIME = (
+    "CoP x, forward (mm)",
+    "CoP y, left (mm)",
+    "distance to truth (mm)",
+    "both feet, Fz (N)",
+    "left foot, Fz (N)",
 )
 
 
@@ -47,47 +41,35 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
     Dashed is what was set out to be reached; of runs against the CoP paper's baseline there are the paper's
     own errors instead, as bars.
     """
-
-    def panel(metric: Metric) -> Panel:
-        def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-            draw_mean(axes, runs[metric.column], metric.factor, at, name)
-            if not of_paper or not (runs["against"] == "baseline").all():
-                return
-            published = WALKING_TABLES.get(float(runs["speed"].iloc[0]), {}).get(name)
-            if published is not None:
-                style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
-                error = metric.factor * getattr(published, metric.column)
-                axes.plot(error, at, color=look_of(name).colour, **style)
-
-        return metric.label, None if of_paper else metric.target, draw
-
+    methods = in_order(name for runs in rows.values() for name in runs["method"])
     of_paper = all("against" in runs for runs in rows.values())
-    return _draw_rows(path, rows, [panel(metric) for metric in metrics])
+    with figure_at(path, 5.0 + 2.0 * len(metrics), 1.6 + 0.42 * len(rows)) as figure:
+        panels = grid_of(figure, 1, len(metrics), sharey=True)[0]
+        for axes, metric in zip(panels, metrics, strict=True):
+            for i, part in enumerate(rows.values()):
+                for name, runs in by_way(part).items():
+                    at = i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5)
+                    draw_mean(axes, runs[metric.column], metric.factor, at, name)
+                    if of_paper and (runs["against"] == "baseline").all():
+                        _draw_published(axes, metric, float(runs["speed"].iloc[0]), at, name)
+            if not of_paper:
+                axes.axvline(metric.target, color="black", linestyle="--", linewidth=0.8)
+            logarithmic(axes, metric.label)
+        panels[0].set_yticks(range(len(rows)), list(rows))
+        panels[0].set_ylim(len(rows) - 0.4, -0.6)
+        for look in map(look_of, methods):
+            panels[0].plot([], [], look.marker, color=look.colour, label=look.label)
+        legend_below(figure, panels[0])
+    return path
 
 
-def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw the mean NEES at the ends of walks and the interval of a consistent estimator; or ``None``."""
-
-    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-        axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
-        draw_mean(axes, runs["nees_end"], 1.0, at, name)
-
-    rows = by_scenario(scores[np.isfinite(scores["nees_end"])], scenarios)
-    label = "NEES of scales and offsets over its degrees of freedom"
-    return _draw_rows(path, rows, [(label, 1.0, draw)]) if rows else None
-
-
-def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw how long each fault went unfound, one dot a run; ``None`` if no fault was ever found."""
-
-    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
-        times, look = np.maximum(runs["found"], 0.01), look_of(name)
-        style = {"color": look.colour, "marker": look.marker, "linestyle": "none"}
-        axes.plot(times, np.full(len(times), at), alpha=0.5, markersize=4, **style)  # type: ignore[arg-type]
-
-    found = scores[np.isfinite(scores["found"])]
-    rows = by_scenario(found, [scenario for scenario in scenarios if scenario.faults])
-    return _draw_rows(path, rows, [("time until a fault is found (s)", 1.0, draw)]) if rows else None
+def _draw_published(axes: Axes, metric: Metric, speed: float, at: float, name: str) -> None:
+    """Draw the CoP paper's own error of a method at a walking speed in m/s, if it gives one."""
+    published = WALKING_TABLES.get(speed, {}).get(name)
+    if published is not None:
+        style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
+        error = metric.factor * getattr(published, metric.column)
+        axes.plot(error, at, color=look_of(name).colour, **style)
 
 
 def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:
@@ -111,96 +93,37 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
     return path
 
 
-def cop_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the CoP over time (the paper's Figures 10, 12, 14), and how far off it is, as walks end."""
-    lines: dict[str, Line] = {
-        "CoP x, forward (mm)": lambda cop, truth: 1e3 * cop[:, 0],
-        "CoP y, left (mm)": lambda cop, truth: 1e3 * cop[:, 1],
-        "distance to truth (mm)": lambda cop, truth: (
-            None if cop is truth else np.maximum(1e3 * np.linalg.norm(cop - truth, axis=1), 1e-2)
-        ),
-    }
-    with _over_time(path, traces, "cop", 6.6, lines) as (panels, seen):
-        truth = 1e3 * np.concatenate(seen["truth"])
-        for axes, values in zip(panels[:2, 0], truth.T, strict=True):
-            limit_to(axes, values, least=1.0)
-        for axes in panels[2]:
-            logarithmic(axes)
-        bottom, top = panels[2, 0].get_ylim()
-        panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
-    return path
-
-
-def vgrf_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the vertical force of both feet and of the left foot over time (the paper's 11, 13, 15)."""
-    lines: dict[str, Line] = {
-        "both feet, Fz (N)": lambda vgrf, truth: vgrf.sum(axis=1),
-        "left foot, Fz (N)": lambda vgrf, truth: vgrf[:, 0],
-    }
-    with _over_time(path, traces, "vgrf", 5.2, lines) as (panels, seen):
-        # Single samples at a landing must not flatten all the others into one line.
-        totals = [vgrf.sum(axis=1) for of_way in seen.values() for vgrf in of_way]
-        low, high = np.nanpercentile(np.concatenate(totals), [0.5, 99.5])
-        margin = 0.4 * max(float(high - low), 1.0)
-        panels[0, 0].set_ylim(float(low) - margin, float(high) + margin)
-    return path
-
-
-@contextmanager
-def _over_time(
-    path: Path, traces: Mapping[str, Frame], quantity: str, height: float, lines: Mapping[str, Line]
-) -> Iterator[tuple[Any, dict[str, list[Floats]]]]:
-    """Draw a row a line and a column a trace; lend the panels and the lines, to set limits."""
-    with figure_at(path, 10.0, height) as figure:
-        panels = grid_of(figure, len(lines), len(traces), sharex=True, sharey="row")
-        seen: dict[str, list[Floats]] = {name: [] for name in DRAWN}
+def over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
+    """Draw CoP and vertical forces as walks end (the paper's Figures 10 to 15), a column a trace."""
+    with figure_at(path, 10.0, 10.4) as figure:
+        panels = grid_of(figure, len(OVER_TIME), len(traces), sharex=True, sharey="row")
+        places, totals = [], []
         for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
-            ways = {row["method"]: row for row in trace.to_dict("records")}
+            ways = trace.set_index("method")
+            truth = 1e3 * _array(ways.loc["truth", "cop"])
+            places.append(truth)
             for name in DRAWN:
-                time, values = _array(ways[name]["time"]), _array(ways[name][quantity])
-                seen[name].append(values)
+                time, cop, vgrf = (_array(ways.loc[name, quantity]) for quantity in ("time", "cop", "vgrf"))
+                off = np.maximum(np.linalg.norm(1e3 * cop - truth, axis=1), 1e-2)
+                totals.append(vgrf.sum(axis=1))
                 style = {"linewidth": 1.1, "zorder": 2.0, "alpha": 0.9}
                 if name == "truth":
-                    style = {"linewidth": 1.9, "zorder": 1.5}
-                for axes, line in zip(column, lines.values(), strict=True):
-                    drawn = line(values, seen["truth"][-1])
-                    if drawn is not None:
-                        draw_curve(axes, time, drawn, look_of(name), **style)
+                    off, style = np.full(len(off), np.nan), {"linewidth": 1.9, "zorder": 1.5}
+                for axes, line in zip(column, (*1e3 * cop.T, off, totals[-1], vgrf[:, 0]), strict=True):
+                    draw_curve(axes, time, line, look_of(name), **style)
             column[0].set_title(title)
-        name_axes(panels, "time (s)", *lines)
-        yield panels, seen
-        legend_below(figure, panels[0, 0])
-
-
-def sensitivity_curves(path: Path, parts: Mapping[str, Frame]) -> Path:
-    """Draw the window's errors (CoP in m, vGRF in N) against its weights, a row a title and metric."""
-    weights = list(dict.fromkeys(next(iter(parts.values()))["weight"]))
-    metrics = [(title, metric) for title in parts for metric in PAPER_METRICS]
-    with figure_at(path, 3.3 * len(weights), 2.1 * len(metrics) + 0.5) as figure:
-        panels = grid_of(figure, len(metrics), len(weights), sharex=True, sharey="row")
-        for row, (title, metric) in zip(panels, metrics, strict=True):
-            for axes, weight in zip(row, weights, strict=True):
-                _draw_factors(axes, parts[title][parts[title]["weight"] == weight], metric)
-            row[0].set_ylabel(metric.label)
-            row[len(row) // 2].set_title(title)
-            row[0].set_ylim(0, 1.05 * row[0].get_ylim()[1])
-        for axes, weight in zip(panels[-1], weights, strict=True):
-            axes.set_xlabel(f"factor on ${weight[0]}_{weight[-1]}$")
+            logarithmic(column[2])
+        for axes, values in zip(panels[:2, 0], np.concatenate(places).T, strict=True):
+            limit_to(axes, values, least=1.0)
+        bottom, top = panels[2, 0].get_ylim()
+        panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
+        # Single samples at a landing must not flatten all the others into one line.
+        low, high = map(float, np.nanpercentile(np.concatenate(totals), [0.5, 99.5]))
+        margin = 0.4 * max(high - low, 1.0)
+        panels[3, 0].set_ylim(low - margin, high + margin)
+        name_axes(panels, "time (s)", *OVER_TIME)
         legend_below(figure, panels[0, 0])
     return path
-
-
-def _draw_factors(axes: Axes, part: Frame, metric: Metric) -> None:
-    factors = sorted(part["factor"].unique())
-    for speed, look in zip(sorted(part["speed"].unique()), _SPEED_LOOKS, strict=False):
-        here = part[part["speed"] == speed]
-        cells = [mean_interval(here[here["factor"] == factor][metric.column]) for factor in factors]
-        mean = np.array([metric.factor * cell.mean for cell in cells])
-        half = np.nan_to_num(np.array([metric.factor * cell.half for cell in cells]))
-        draw_curve(axes, factors, mean, look._replace(label=f"{speed:g} m/s"), mean - half, mean + half)
-    axes.axvline(1.0, color="#7f7f7f", linewidth=0.8, linestyle=":")
-    axes.set_xscale("log")
-    show_values(axes, factors)
 
 
 def _array(values: Any) -> Floats:
@@ -212,23 +135,3 @@ def by_scenario(scores: Frame, scenarios: Sequence[Scenario]) -> dict[str, Frame
     """Return the rows of each scenario that has some, by its title."""
     parts = {scenario.title: scores[scores["scenario"] == scenario.name] for scenario in scenarios}
     return {title: part for title, part in parts.items() if len(part)}
-
-
-def _draw_rows(path: Path, rows: Mapping[str, Frame], panels: Sequence[Panel]) -> Path:
-    """Draw a row a title, with the methods beside each other around it, a panel each."""
-    methods = in_order(name for runs in rows.values() for name in runs["method"])
-    with figure_at(path, 5.0 + 2.0 * len(panels) + (len(panels) == 1), 1.6 + 0.42 * len(rows)) as figure:
-        drawn = grid_of(figure, 1, len(panels), sharey=True)[0]
-        for axes, (label, line, draw) in zip(drawn, panels, strict=True):
-            for i, part in enumerate(rows.values()):
-                for name, runs in by_way(part).items():
-                    draw(axes, runs, i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5), name)
-            if line is not None:
-                axes.axvline(line, color="black", linestyle="--", linewidth=0.8)
-            logarithmic(axes, label)
-        drawn[0].set_yticks(range(len(rows)), list(rows))
-        drawn[0].set_ylim(len(rows) - 0.4, -0.6)
-        for look in map(look_of, methods):
-            drawn[0].plot([], [], look.marker, color=look.colour, label=look.label)
-        legend_below(figure, drawn[0])
-    return path

@@ -12,8 +12,6 @@ from surefoot.experiments.study.tables import (
     Frame,
     at_least,
     at_most,
-    decimal,
-    interval_text,
     number,
     percent,
     plural,
@@ -22,9 +20,7 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 from surefoot.experiments.walks.scenarios import PLAIN, SPEEDS, TRUE_MAP, Scenario
-from surefoot.experiments.walks.tables import METRICS, PAPER_METRICS, WALKING_TABLES, consistent, seconds_text
-
-_CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on
+from surefoot.experiments.walks.tables import METRICS, consistent, seconds_text
 
 
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:
@@ -73,8 +69,8 @@ def _rank(errors: Frame) -> str:
     return text + "."
 
 
-def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
-    """Return the claims about the moment filter, of a row a run and one a method; none if it was not run."""
+def claims_of(scores: Frame) -> list[Claim]:
+    """Return the claims about the moment filter, of a row a run; none if it was not run."""
     method = "moment"
     own = scores[scores["method"] == method]
     if not len(own):
@@ -111,20 +107,7 @@ def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
     hours = float(own["hours"].sum())
     rate = float(own["alarms"].sum()) / hours
     claims.append(at_most(f"false alarms per hour (in {hours:.2f} h)", rate, 1.0))
-    times = timing.set_index("method")
-    if method in times.index:
-        median = float(times.loc[method, "median_us"])
-        claims.append(at_most("one update of one robot, median (µs)", median, 100.0))
-        if "window" in times.index:
-            ratio = float(times.loc["window", "mean_us"] / times.loc[method, "mean_us"])
-            claims.append(at_least("window's time per sample over its", ratio, 10.0))
     return claims
-
-
-def errors_of(scores: Frame, condition: str, against: str, speed: float, metric: str) -> Frame:
-    """Return errors of one condition, yardstick and speed: one row a seed, one column a method."""
-    chosen = (scores["condition"] == condition) & (scores["against"] == against) & (scores["speed"] == speed)
-    return scores[chosen].pivot(index="seed", columns="method", values=metric)
 
 
 def loop_findings(runs: Frame) -> Iterator[str]:
@@ -163,44 +146,3 @@ def feed_name(feed: str) -> str:
 
 def _mm(errors: Column) -> str:
     return f"{with_interval(errors, 1e3)} mm"
-
-
-def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:
-    """Return the claims about known weights: of a relative difference, CoP rmse in m, vGRF rmse in N."""
-    return [
-        at_most("Table 2 coefficients, relative", coefficient, 1e-8, decimal(coefficient, ".1e")),
-        at_most("known weights, held-out CoP (mm)", 1e3 * cop, 0.5),
-        at_most("known weights, held-out vGRF (N)", vgrf, 0.08),
-    ]
-
-
-def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Claim]:
-    """Return the claims about the window, against the paper and quasi-static, and about an update in ms."""
-    claims = []
-    for speed, published in WALKING_TABLES.items():
-        for metric, factor, title, unit, _ in PAPER_METRICS:
-            table = errors_of(scores, condition, "baseline", speed, metric)
-            if not {"window", "quasi-static"} <= set(table.columns):
-                continue
-            window, limit = mean_interval(table["window"]), getattr(published["window"], metric)
-            name, shown = f"window at {speed:g} m/s, {title}", interval_text(window, factor)
-            aim = f"≤ {number(factor * limit)}"
-            claims.append(Claim(f"{name} against baseline ({unit})", aim, shown, window.mean <= limit))
-            gap = mean_interval(table["quasi-static"] - table["window"])
-            what = f"{name} less than quasi-static by ({unit})"
-            claims.append(Claim(what, "> 0", interval_text(gap, factor), gap.mean > 0 and gap.apart))
-    what = "one update of the window, median (ms)"
-    return [*claims, Claim(what, "< 1", number(update_ms), update_ms < 1)]
-
-
-def loop_claims(loop: Frame) -> list[Claim]:
-    """Return the claims about who falls in the closed loop."""
-    claims = []
-    for (severity, feed), part in loop.groupby(["severity", "feed"], sort=False):
-        fell = float(part["fell"].mean())
-        what = f"severity {severity:g}, {feed_name(feed)} CoP fed back: share that falls"
-        if feed == "none":
-            claims.append(Claim(what, "> 50 %", percent(fell), fell > 0.5))
-        elif feed in _CALIBRATED:
-            claims.append(Claim(what, percent(0.0), percent(fell), fell == 0))
-    return claims

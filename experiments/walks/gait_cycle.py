@@ -92,11 +92,11 @@ def cycle_rows(stream: Stream, force: Floats) -> list[dict[str, Any]]:
 
 
 def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:
-    """Return the statistics of one speed's cycles, a row a method in each condition; titles by names."""
+    """Return the statistics of one speed's cycles, a row a method and foot in each condition."""
 
     def pool(name: str, form: str, factor: float = 1.0) -> Cell:
-        def cell(item: tuple[str, Frame]) -> str:
-            means, spreads = item[1][name], item[1][f"{name}_std"]
+        def cell(part: Frame) -> str:
+            means, spreads = part[name], part[f"{name}_std"]
             if not means.notna().any():
                 return NOTHING
             mean, spread = factor * float(means.mean()), factor * float(np.sqrt((spreads**2).mean()))
@@ -104,32 +104,24 @@ def cycle_table(cycles: Frame, conditions: Mapping[str, str]) -> Table:
 
         return cell
 
-    def of_foot(foot: str, cell: Cell) -> Cell:
-        return lambda item: cell((item[0], item[1][item[1]["foot"] == foot]))
-
     columns: dict[str, Cell] = {
-        "condition": lambda item: item[0],
-        "method": lambda item: look_of(item[1]["method"].iloc[0]).label,
-        "cycles": lambda item: decimal(item[1]["cycles"].sum()),
-        **{f"peak vGRF, {foot} (weights)": of_foot(foot, pool("peak", ".3f")) for foot in FEET},
-        **{f"duty factor, {foot} (%)": of_foot(foot, pool("duty", ".1f", 100.0)) for foot in FEET},
+        "condition": lambda part: conditions[part["condition"].iloc[0]],
+        "method": lambda part: look_of(part["method"].iloc[0]).label,
+        "foot": lambda part: str(part["foot"].iloc[0]),
+        "cycles": lambda part: decimal(part["cycles"].sum()),
+        "peak vGRF (weights)": pool("peak", ".3f"),
+        "duty factor (%)": pool("duty", ".1f", 100.0),
         "cycle (s)": pool("period", ".3f"),
-        **{
-            f"CoP repeats within, {foot} (mm)": of_foot(
-                foot, lambda item: number(1e3 * float(np.sqrt((item[1]["repeat"] ** 2).mean())))
-            )
-            for foot in FEET
-        },
+        "CoP repeats within (mm)": lambda part: number(1e3 * float(np.sqrt((part["repeat"] ** 2).mean()))),
     }
     parts = [
-        (title, part)
-        for name, title in conditions.items()
-        for part in by_way(cycles[cycles["condition"] == name]).values()
+        part
+        for name in conditions
+        for own in by_way(cycles[cycles["condition"] == name]).values()
+        for _, part in own.groupby("foot")
     ]
-    speed = float(cycles["speed"].iloc[0])
-    return table_of(
-        "gait_cycle", f"Gait cycles at {speed:g} m/s", columns, parts, Words("walks", "paper")("gait_cycle")
-    )
+    title = f"Gait cycles at {cycles['speed'].iloc[0]:g} m/s"
+    return table_of("gait_cycle", title, columns, parts, Words("walks", "paper")("gait_cycle"))
 
 
 def cycle_figure(path: Path, cycles: Frame, conditions: Mapping[str, str], methods: Sequence[str]) -> Path:

@@ -27,13 +27,11 @@ class WalkStudyOptions:
     loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
     loop_seeds: int | None = None  # of each closed loop at most
     loop_duration: float = STAND_TIME + 20.0  # in s, standing included
-    factors: tuple[float, ...] = ()  # of the window's weights
-    sensitivity_seeds: int = 5  # walks on which each weight is scaled
     film_duration: float = 0.0  # in s; 0 for no film
 
     def __post_init__(self) -> None:
         """Check the numbers and the names."""
-        for name in ("seeds", "jobs", "sensitivity_seeds"):
+        for name in ("seeds", "jobs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
         if not STAND_TIME < self.settle < self.duration:
@@ -67,8 +65,6 @@ class WalkStudyOptions:
             settle=STAND_TIME + 4.0,
             loops={3.0: LOOPED},
             loop_duration=STAND_TIME + 4.0,
-            factors=(0.2, 1.0, 5.0) if self.factors else (),
-            sensitivity_seeds=1,
             film_duration=min(self.film_duration, STAND_TIME + 2.0),
         )
 
@@ -83,14 +79,13 @@ def paper_names(*speeds: float) -> tuple[str, ...]:
 def full_options(
     out: Path = Path("out/compare-walking-full"), seeds: int = 10, jobs: int = 2
 ) -> WalkStudyOptions:
-    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film."""
+    """Return the CoP paper's study in full: three speeds, closed loops, a film."""
     return WalkStudyOptions(
         out=out,
         seeds=seeds,
         jobs=jobs,
         scenarios=paper_names(*SPEEDS),
         loops={3.0: LOOPED, 1.0: ("none", "window")},
-        factors=(0.2, 0.5, 1.0, 2.0, 5.0),
         film_duration=STAND_TIME + 12.0,
     )
 
@@ -102,6 +97,5 @@ def demo_options(out: Path = Path("out/demo"), seeds: int = 8, jobs: int = 2) ->
         scenarios=paper_names(0.04),
         loops={3.0: LOOPED},
         loop_seeds=4,
-        factors=(),
         film_duration=STAND_TIME + 10.0,
     )

@@ -1,10 +1,7 @@
 """The page of a study of walks: scenarios one by one, or the CoP paper's conditions with the loop closed."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import pandas as pd
 
 from surefoot.calibration import METHODS
 from surefoot.experiments.episodes.figures import survival_curves
@@ -18,24 +15,23 @@ from surefoot.experiments.study.page import (
     repeat_section,
 )
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import Claim, Frame, claim_table, plural, sentence
+from surefoot.experiments.study.tables import Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
 from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.options import WalkStudyOptions
-from surefoot.experiments.walks.record import CONDITIONS, Condition
-from surefoot.experiments.walks.run import STANDING, WalkStudyResults, run_walk_study
+from surefoot.experiments.walks.record import CONDITIONS
+from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.experiments.weights.paper import paper_table_2, weights_section
+from surefoot.experiments.weights.paper import weights_section
 from surefoot.experiments.weights.weighing import weigh_after_walk
-from surefoot.files import atomic_path
 
 _caption = Words("walks", "captions")
 _say_paper = Words("walks", "paper")
 
 PAPER, BAD = CONDITIONS
-PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
+PAPER_FIGURES = {0.02: "Figures 10 and 11", 0.04: "Figures 12 and 13", 0.1: "Figures 14 and 15"}
 YARDSTICKS = (
     (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
     (PAPER, "truth", f"{PAPER.title}, against the truth"),
@@ -55,16 +51,14 @@ def write_walks_page(results: WalkStudyResults) -> Report:
     options, of_paper = results.options, bool(results.options.loops)
     say = _say_paper if of_paper else Words("walks", "scenarios")
     if of_paper:
-        title, sections, claims = "Walking on bad feet, and on calibrated ones", *_paper_sections(results)
+        title, sections = "Walking on bad feet, and on calibrated ones", _paper_sections(results)
     else:
         title, sections = "Calibrators on the same walks", _scenario_sections(results)
-        claims = findings.claims_of(results.scores, results.timing)
     sections += failure_section(results.failures)
     sections.append(repeat_section(say("repeat"), _commands(results), results.seconds))
-    if claims:
+    if claims := [] if of_paper else findings.claims_of(results.scores):
         targets = (claim_table(claims, "Set out to reach"),)
         sections.append(Section("targets", "What was set out to reach", tables=targets))
-    _save_summary(results)
     amount = say(
         "amount",
         walks=plural(options.seeds, "walk"),
@@ -90,23 +84,17 @@ def _figure(path: Path | None, name: str, caption: str = "", **values: Any) -> t
 
 def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     scores, scenarios, drawn = results.scores, results.scenarios, results.options.out / "figures"
-    timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
-    shown = (
-        *_figure(
-            figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios)), "All scenarios"
-        ),
-        *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
-    )
+    overview = figures.overview(drawn / "overview.svg", figures.by_scenario(scores, scenarios))
+    shown = _figure(overview, "All scenarios")
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
-    summary = (*overviews, timing, alarms)
+    summary = (*overviews, tables.alarm_table(scores))
     sections = [
         Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
         *(_scenario_section(results, scenario, drawn) for scenario in scenarios),
     ]
     faults = tables.fault_table(scores, scenarios)
     if faults is not None:
-        shown = _figure(figures.detection(drawn / "detection.svg", scores, scenarios), "Detection")
-        sections.append(Section("faults", "Faults side by side", tables=(faults,), figures=shown))
+        sections.append(Section("faults", "Faults side by side", tables=(faults,)))
     return sections
 
 
@@ -125,31 +113,15 @@ def _scenario_section(results: WalkStudyResults, scenario: Scenario, folder: Pat
     )
 
 
-def _save_summary(results: WalkStudyResults) -> None:
-    """Write means over runs, for machines."""
-    numbers = results.scores.select_dtypes(["number", "bool"]).columns.difference(["seed"])
-    groups = results.scores.groupby(["scenario", "method"], sort=False)
-    runs = groups.size().rename("runs")
-    with atomic_path(results.options.out / "tables" / "summary.csv") as part:
-        pd.concat([runs, groups[list(numbers)].mean()], axis=1).to_csv(part)
-
-
-def _paper_sections(results: WalkStudyResults) -> tuple[list[Section], list[Claim]]:
-    """Return the sections about the CoP paper's study, and its claims."""
+def _paper_sections(results: WalkStudyResults) -> list[Section]:
+    """Return the sections about the CoP paper's study."""
     folder = results.options.out / "figures"
-    weighing, coefficient = weigh_after_walk(), paper_table_2()[1]
-    slowest = results.timing.set_index("method")["slowest_us"]
-    claims = findings.weight_claims(coefficient, *weighing.errors("weights"))
-    claims += findings.walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
-    claims += findings.loop_claims(results.loop) if len(results.loop) else []
-    sections = [
+    return [
         _walking_section(results, folder),
         *((_cycle_section(results, folder),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
-        weights_section(weighing, folder),
-        *((_sensitivity_section(results, folder),) if len(results.sensitivity) else ()),
+        weights_section(weigh_after_walk(), folder),
     ]
-    return sections, claims
 
 
 def _lead(results: WalkStudyResults) -> Section:
@@ -157,8 +129,8 @@ def _lead(results: WalkStudyResults) -> Section:
     loop = results.loop[results.loop["severity"] == results.loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.
     speed = results.speeds[len(results.speeds) // 2]
-    drawn = results.options.out / "figures" / "lead.svg"
-    curves = figures.error_curves(drawn, dict([_errors(results, BAD, speed)]))
+    drawn = results.options.out / "figures" / "errors_over_time.svg"
+    curves = figures.error_curves(drawn, _errors(results), max(len(results.speeds), 2))
     paragraphs = [findings.lead_finding(loop)]
     video: dict[str, Any] = {}
     if isinstance(results.filmed, str):
@@ -178,12 +150,15 @@ def _lead(results: WalkStudyResults) -> Section:
     )
 
 
-def _errors(results: WalkStudyResults, condition: Condition, speed: float) -> tuple[str, Frame]:
-    """Return a title, and the errors over time of one condition and speed, while it walks."""
+def _errors(results: WalkStudyResults) -> dict[str, Frame]:
+    """Return the errors over time of each condition and speed, while it walks, by a title."""
     errors = results.errors
-    shown = errors["scenario"] == f"{condition.name}-{speed:g}"
-    shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
-    return f"{condition.title}, {speed:g} m/s", errors[shown]
+    walked = errors[(errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])]
+    return {
+        f"{condition.title}, {speed:g} m/s": walked[walked["scenario"] == f"{condition.name}-{speed:g}"]
+        for condition in CONDITIONS
+        for speed in results.speeds
+    }
 
 
 def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
@@ -196,21 +171,19 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         )
     )
     shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
+    parts = dict(iter(shown.groupby(["condition", "against", "speed"])))
     rows = {
-        f"{title}, {speed:g} m/s": part[part["speed"] == speed]
-        for title, part in _by_yardstick(shown, YARDSTICKS).items()
+        f"{title}, {speed:g} m/s": parts.get((condition.name, against, speed), shown[:0])
+        for condition, against, title in YARDSTICKS
         for speed in results.speeds
     }
-    drawn = list(
-        _figure(
-            figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS), "All speeds", "overview"
-        )
-    )
+    overview = figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS)
+    drawn = list(_figure(overview, "All speeds", "overview"))
     for speed in results.speeds:
-        drawn += _speed_figures(results.traces, speed, folder)
-    panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
-    curves = figures.error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
-    drawn += _figure(curves, "Errors over time", "errors_over_time")
+        here = results.traces[results.traces["speed"] == speed]
+        traces = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
+        path = figures.over_time(folder / f"over_time_{_tag(speed)}.svg", traces)
+        drawn += _figure(path, PAPER_FIGURES.get(speed, f"{speed:g} m/s"), "over_time", speed=speed)
     texts = (
         _say_paper("conditions", paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
         _say_paper("yardsticks"),
@@ -218,23 +191,6 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
     return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=tuple(drawn))
-
-
-def _by_yardstick(scores: Frame, chosen: Sequence[tuple[Condition, str, str]]) -> dict[str, Frame]:
-    """Return the scores of some of :data:`YARDSTICKS`, by their titles."""
-    return {
-        title: scores[(scores["condition"] == condition.name) & (scores["against"] == against)]
-        for condition, against, title in chosen
-    }
-
-
-def _speed_figures(traces: Frame, speed: float, folder: Path) -> tuple[ReportFigure, ...]:
-    here = traces[traces["speed"] == speed]
-    shown = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
-    first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
-    cop = figures.cop_over_time(folder / f"cop_{_tag(speed)}.svg", shown)
-    vgrf = figures.vgrf_over_time(folder / f"vgrf_{_tag(speed)}.svg", shown)
-    return _figure(cop, first, "cop", speed=speed) + _figure(vgrf, second, "vgrf", speed=speed)
 
 
 def _tag(speed: float) -> str:
@@ -262,24 +218,6 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
     said = tuple(findings.loop_findings(results.loop))
     shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": drawn}
     return Section("closed-loop", "Closing the loop", (_say_paper("loop", stand=STAND_TIME),), said, **shown)
-
-
-def _sensitivity_section(results: WalkStudyResults, folder: Path) -> Section:
-    of_stand = results.sensitivity["weight"] == STANDING
-    parts = _by_yardstick(results.sensitivity[~of_stand], (YARDSTICKS[0], YARDSTICKS[2]))
-    standing = _by_yardstick(results.sensitivity[of_stand], YARDSTICKS)
-    fixed = _by_yardstick(results.yardsticks[results.yardsticks["method"] == "window"], YARDSTICKS)
-    curves = figures.sensitivity_curves(folder / "sensitivity.svg", parts)
-    return Section(
-        "sensitivity",
-        "How much hangs on the window's weights",
-        (_say_paper("sensitivity"),),
-        tables=(
-            *(tables.sensitivity_table(part, title) for title, part in parts.items()),
-            tables.standing_table(fixed, standing),
-        ),
-        figures=_figure(curves, "Sensitivity", "weights"),
-    )
 
 
 def _commands(results: WalkStudyResults) -> tuple[str, ...]:

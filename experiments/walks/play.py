@@ -4,18 +4,18 @@ A covariance is held against the truth as it appears, once a second, and forgott
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference
+from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import WalkStudyOptions
-from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map, steps_of
+from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of, with_standing
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -90,26 +90,19 @@ SNAPSHOT = 1.0  # time between looks at a covariance in s
 
 
 @dataclass(frozen=True, eq=False)
-class Consistency:
-    """Squared errors of one run by the covariance claimed, over their number: 1 is right, NaN is no claim."""
-
-    time: Floats  # of M looks in s, shape (M,)
-    nees: Floats  # of (a, b), shape (M,)
-    nees_cop: Floats  # of the centre of pressure
-    nees_force: Floats  # of single channels, without what they have to do with each other
-    nis: float  # sum of the normalised squared innovations after the settling time
-    nis_rows: float  # number of rows in that sum
-
-
-@dataclass(frozen=True, eq=False)
 class Played:
-    """The result of a method on one stream of N samples and K channels."""
+    """The result of a method on one stream of N samples and K channels.
+
+    ``looks`` are squared errors by the covariance claimed, over their number: 1 is right, NaN is no claim. A
+    row a look: its time in s, of (a, b), and of the centre of pressure.
+    """
 
     force: Floats  # in N, shape (N, K)
     scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
     offset: Floats  # b in N, shape (N, K)
     flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
-    consistency: Consistency
+    looks: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    nis: tuple[float, float] = (0.0, 0.0)  # sum of normalised squared innovations of judged samples; of rows
 
 
 def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:
@@ -121,9 +114,8 @@ def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]
 
 def _true_map(stream: Stream) -> Played:
     undone = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
-    flags, nothing = np.zeros(stream.log.raw.shape, dtype=np.int64), np.full(0, np.nan)
-    silent = Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0)
-    return Played(_undo_errors(stream), undone.scale, undone.offset, flags, silent)
+    flags = np.zeros(stream.log.raw.shape, dtype=np.int64)
+    return Played(_undo_errors(stream), undone.scale, undone.offset, flags)
 
 
 def _undo_errors(stream: Stream) -> Floats:
@@ -141,7 +133,8 @@ def _undo_errors(stream: Stream) -> Floats:
 
 def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
     log, start = stream.log, starting_map(stream.log)
-    calibrator = make_calibrator(log, method, **options)
+    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    calibrator = FootCalibrator(log.layout, method, **known, **with_standing(log, start, options))
     force, scale, offset = np.empty((3, len(log), log.layout.channels))
     flags = np.empty(force.shape, dtype=np.int64)
     truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(start)
@@ -159,27 +152,23 @@ def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
             nis, rows = nis + float(estimate.nis), rows + float(estimate.nis_rows)
         if (k + 1) % every == 0:
             looks.append((log.time[k], *_nees(stream, k, true_map[k], estimate, now)))
-    time, of_map, of_cop, of_force = np.array(looks).reshape(-1, 4).T
-    return Played(force, scale, offset, flags, Consistency(time, of_map, of_cop, of_force, nis, rows))
+    return Played(force, scale, offset, flags, np.array(looks).reshape(-1, 3), (nis, rows))
 
 
 def _nees(
     stream: Stream, k: int, true_map: Floats, estimate: Estimate, reference: Reference | MomentumReference
-) -> tuple[float, float, float]:
-    """Squared errors of map, CoP and forces at sample ``k`` by the covariance claimed, over their number."""
-    nees = cop = force = float("nan")
+) -> tuple[float, float]:
+    """Squared errors of map and CoP at sample ``k`` by the covariance claimed, over their number."""
+    nees = cop = float("nan")
     # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
     if not stream.faults:
         nees = _normalise(np.hstack([estimate.scale, estimate.offset]) - true_map, estimate.covariance)
-    true_force = stream.truth.force[k]
-    if estimate.force_std is not None:
-        force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
     if estimate.cop_covariance is not None and estimate.cop_valid:
         # The true forces are placed under the soles that the estimate is placed under.
-        wrench = sole_wrenches(true_force, stream.log.layout)
+        wrench = sole_wrenches(stream.truth.force[k], stream.log.layout)
         true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
         cop = _normalise(estimate.cop - true_cop, estimate.cop_covariance)
-    return nees, cop, force
+    return nees, cop
 
 
 def _normalise(error: Floats, covariance: Any) -> float:

@@ -51,6 +51,42 @@ class Condition:
         return 0.0 if device is None else device.nominal_age
 
 
+class Recording:
+    """Samples of one walk, ``dt`` s apart, kept one by one to become a log."""
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._rows: list[tuple[Any, ...]] = []
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self._rows)
+
+    def keep(self, time: float, raw: Floats, force: Floats, truth: Any, undone: Any, *beliefs: Any) -> None:
+        """Keep one sample: time since the start in s, counts, true forces in N, (K,) each, and beliefs.
+
+        Of the ``truth`` of the simulator there are the soles' poses; ``undone`` is the map that undoes the
+        errors of the readings. Beliefs are a Reference, and perhaps a MomentumReference.
+        """
+        kept = [type(one)(*map(np.array, one)) for one in beliefs]
+        pose = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
+        self._rows.append((time, raw.copy(), kept, np.array(force), *pose, *undone))
+
+    def log(self, first: int = 0, **known: Any) -> Log:
+        """Return the log of samples from a first one on, with the facts of robot and recording."""
+        time, raw, beliefs, *truth = zip(*self._rows[first:], strict=True)
+        reference, *momentum = map(stack_rows, zip(*beliefs, strict=True))
+        return Log(
+            time=np.array(time),
+            raw=np.array(raw),
+            reference=reference,
+            momentum=momentum[0] if momentum else None,
+            truth=LogTruth(*map(np.array, truth)),
+            dt=self._dt,
+            **known,
+        )
+
+
 class FootInstruments:
     """The readings of one condition under one walk, by a random stream of an ``index``.
 
@@ -62,7 +98,7 @@ class FootInstruments:
     def __init__(
         self, condition: Condition, *, index: int, seed: int, truth: Any, drawing: RobotDrawing, dt: float
     ) -> None:
-        cells, ankle = condition.cells, condition.ankle
+        self._condition, cells, ankle = condition, condition.cells, condition.ankle
         if cells is None and ankle is None:
             raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
         self._all = Instruments(tuple(one for one in (cells, ankle) if one is not None), drawing, dt)
@@ -80,18 +116,28 @@ class FootInstruments:
             _, booted = part.read(truth, self._state.cells, self._streams["cells"], period)
             self._state = self._state._replace(cells=booted)
         self.about = {} if ankle is None else self._errors_between_axes()
-        self._rows: list[tuple[Floats, ...]] = []
+        self._dt, self._kept = dt, Recording(dt)
 
-    def read(self, truth: Any, dt: float) -> None:
-        """Take the readings after a control step."""
+    def read(self, truth: Any, believed: tuple[Reference, MomentumReference]) -> None:
+        """Take the readings after a control step, with the robot's beliefs at that moment."""
+        dt, kept = self._dt, self._kept
         raw, self._state = self._all.read(truth, self._state, self._streams, dt)
         force = self._all.join([part.force(truth) for part in self._all.parts])
-        self._rows.append((raw, force, *self._all.true_map(self._state)))
+        kept.keep(dt * (len(kept) + 1), raw, force, truth, self._all.true_map(self._state), *believed)
 
-    @property
-    def columns(self) -> tuple[Floats, ...]:
-        """Counts, right readings in N and N m, scale and offset of the map that undoes the errors, (N, K)."""
-        return tuple(map(np.array, zip(*self._rows, strict=True)))
+    def log(self, about: Mapping[str, Any], **known: Any) -> Log:
+        """Return the readings as a log, with what is known of the walk."""
+        # The truth is the mean over a step, which is half a step old itself.
+        age = max(self._condition.age - 0.5 * self._dt, 0.0)
+        own = {"condition": self._condition.name, "start": self._condition.start, "sample_age_s": age}
+        return self._kept.log(
+            _SETTLING,
+            layout=self.layout,
+            nominal=self.nominal,
+            calibrated=self.calibrated,
+            about={**about, "surefoot": surefoot.__version__, **self.about, **own},
+            **known,
+        )
 
     def _errors_between_axes(self) -> dict[str, Any]:
         parts, order = self._all.parts, self._all.order
@@ -153,31 +199,23 @@ def record_walk(
     dt = source.dt
     known: Any = {"seed": seed, "truth": source.truth, "drawing": source.drawing, "dt": dt}
     feet = [FootInstruments(condition, index=i, **known) for i, condition in enumerate(conditions)]
-    torso = bare.model.body(source.drawing.torso).id
-    believed: dict[float, list[tuple[Reference, MomentumReference]]] = {c.age: [] for c in conditions}
-    poses: list[tuple[Floats, Floats]] = []
+    torso, steps = bare.model.body(source.drawing.torso).id, 0
     terminated = truncated = False
-    while not (terminated or truncated) and len(poses) * dt <= duration - 0.5 * dt:
-        now = len(poses) * dt
+    while not (terminated or truncated) and steps * dt <= duration - 0.5 * dt:
+        now = steps * dt
         if held[0]:
             bare.data.xfrc_applied[torso, 2] = weight * lift(now, *held)
         _, _, terminated, truncated, info = env.step(act(now))
-        truth = source.truth
-        for age, both in believed.items():
-            both.append(_believe(env, env.reference_time - (age - youngest + clock_error)))
-        for one in feet:
-            one.read(truth, dt)
-        poses.append((truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()))
+        steps += 1
+        earlier = {c.age: c.age - youngest + clock_error for c in conditions}
+        believed = {age: _believe(env, env.reference_time - by) for age, by in earlier.items()}
+        for condition, one in zip(conditions, feet, strict=True):
+            one.read(source.truth, believed[condition.age])
     env.close()
-    time = dt * np.arange(_SETTLING + 1, len(poses) + 1)
-    common: dict[str, Any] = {"time": time, "dt": dt, "seed": seed}
-    common |= {"mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
+    known = {"seed": seed, "mass": env.calibrator.setup.mass, "lag": int(info["surefoot"]["lag"])}
     about = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
-    soles = [np.array(part)[_SETTLING:] for part in zip(*poses, strict=True)]
-    return {
-        condition.name: _make_log(condition, one, believed[condition.age][_SETTLING:], soles, about, common)
-        for condition, one in zip(conditions, feet, strict=True)
-    }
+    named = zip(conditions, feet, strict=True)
+    return {condition.name: one.log(about, **known) for condition, one in named}
 
 
 def _put_on(
@@ -224,33 +262,6 @@ def _walker(
     bare: Any = tap.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     return tap, lambda time: controller(tap.seen)
-
-
-def _make_log(
-    condition: Condition,
-    feet: FootInstruments,
-    believed: Sequence[tuple[Reference, MomentumReference]],
-    soles: Sequence[Floats],
-    about: Mapping[str, Any],
-    common: Mapping[str, Any],
-) -> Log:
-    raw, force, scale, offset = (column[_SETTLING:] for column in feet.columns)
-    # The truth is the mean over a step, which is half a step old itself.
-    age = max(condition.age - 0.5 * common["dt"], 0.0)
-    own = {"condition": condition.name, "start": condition.start, "sample_age_s": age}
-    position, rotation = soles
-    reference, momentum = map(stack_rows, zip(*believed, strict=True))
-    return Log(
-        raw=raw,
-        reference=reference,
-        momentum=momentum,
-        layout=feet.layout,
-        nominal=feet.nominal,
-        calibrated=feet.calibrated,
-        truth=LogTruth(force, position, rotation, scale, offset),
-        about={**about, "surefoot": surefoot.__version__, **feet.about, **own},
-        **common,
-    )
 
 
 def _believe(env: SelfCalibration, moment: float) -> tuple[Reference, MomentumReference]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference, replay
+from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.calibration.window.config import confidence_from_standing
@@ -17,30 +17,23 @@ from surefoot.experiments.logs.table import LogError
 
 
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
-    """Run one method over a log, N samples at once, from a map; options as of :func:`make_calibrator`."""
-    options = _with_standing(log, initial, options)
+    """Run one method over a log, N samples at once, from a map; options as of :class:`FootCalibrator`.
+
+    And those of :func:`~surefoot.calibration.replay` and :func:`with_standing`.
+    """
+    options = with_standing(log, initial, options)
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
     # Accelerations are what can be filtered forwards and backwards.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
     return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
 
 
-def make_calibrator(log: Log, method: str, **options: Any) -> FootCalibrator:
-    """Make a calibrator of a log's robot; options as of :class:`FootCalibrator`.
+def with_standing(log: Log, initial: Parameters, options: dict[str, Any]) -> dict[str, Any]:
+    """Return options with the window's weights of a quiet stand, as in the CoP paper, for ``stand`` in them.
 
-    And ``stand``: for how many s the robot stands at the beginning; of these the window then takes its
-    weights, as in the CoP paper.
+    It says for how many s the robot stands at the beginning. Raises LogError if the log has no such stand.
     """
-    options = _with_standing(log, starting_map(log), options)
-    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    return FootCalibrator(log.layout, method, **known, **options)
-
-
-def _with_standing(log: Log, initial: Parameters, options: dict[str, Any]) -> dict[str, Any]:
-    """Return options with the window's weights of a quiet stand, for ``stand`` among them.
-
-    Raises LogError if the log has none.
-    """
+    options = dict(options)
     if not (stand := options.pop("stand", 0.0)):
         return options
     known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}

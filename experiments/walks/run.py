@@ -3,7 +3,6 @@
 Finished cases are kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,20 +15,19 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters, posterior_bound
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.setup import setup_from_options
-from surefoot.experiments.arrays import take_rows
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
 from surefoot.experiments.episodes.run import case_of
-from surefoot.experiments.logs.format import Log, read_log
-from surefoot.experiments.study.page import save_facts, save_frames
-from surefoot.experiments.study.runner import Runner, machine, runner
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.study.page import save_frames
+from surefoot.experiments.study.runner import Runner, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import beliefs_of, make_calibrator, starting_map
+from surefoot.experiments.walks.replay import beliefs_of, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -41,19 +39,13 @@ from surefoot.experiments.walks.run_score import (
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
-from surefoot.experiments.walks.video import FILM, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.video import join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
-STANDING = (
-    "of a quiet stand"  # in the place of a weight that is scaled: w_F and w_P as the CoP paper has them
-)
 LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
 BOUNDED = 3  # walks of a scenario that have a bound: it varies by 1 % from walk to walk
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
-TIMED = 1600  # samples of one walk on which an update is timed: 20 s
-PHASES = 4  # the window solves at every fourth sample: one of four samples is the slow one
 
 Tables = dict[str, list[dict[str, Any]]]
 
@@ -69,9 +61,7 @@ class WalkStudyResults:
     yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
     traces: Frame = field(default_factory=pd.DataFrame)  # ends of walks
     cycles: Frame = field(default_factory=pd.DataFrame)  # a row a run and foot, see ``walks.gait_cycle``
-    sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
-    timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
     filmed: tuple[float, float, int] | str = "not asked for"  # severity, speed in m/s, seed; or why not
     left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
     failures: dict[str, str] = field(default_factory=dict)  # raised, by case
@@ -84,7 +74,7 @@ class WalkStudyResults:
 
 
 def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkStudyResults:
-    """Walk, record, replay, score, time, close the loop, film, and save; bounds on errors if asked for.
+    """Walk, record, replay, score, close the loop, film, and save; bounds on errors if asked for.
 
     Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
     used.
@@ -96,11 +86,10 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
     few = replace(options, seeds=min(options.seeds, BOUNDED))
     limits = [Case(f"{s.name} bound", _bound, (s, few), _depends(s, few)) for s in chosen if bounds]
-    scaled, loops = _weight_cases(options, chosen), _loop_cases(options, results.speeds)
+    loops = _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
         "compute the bounds": limits,
-        "scale the window's weights": [case for cases in scaled.values() for case in cases],
         "close the loop": [case for cases in loops.values() for case in cases],
     }
     store = Store(options.out / "results")
@@ -117,32 +106,18 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
                 for (severity, speed), cases in loops.items()
             ]
             results.loop = pd.concat(rows, ignore_index=True)[list(LOOP_COLUMNS)]
-        results.timing = pd.DataFrame(run.do("time an update", _timings(results)))
         if options.film_duration > 0.0 and len(results.loop):
             _film(run, results)
     results.failures = store.failures([case for cases in stages.values() for case in cases])
-    _collect(results, store, scored, scaled)
+    _collect(results, store, scored)
     bounded = store.rows("bounds", limits)
     if len(bounded):
         results.scores = results.scores.merge(bounded, on=["scenario", "seed"], how="left")
     else:
-        results.scores = results.scores.assign(bound_cop=np.nan, bound_vgrf=np.nan, bound_cell=np.nan)
-    _save(results)
+        results.scores = results.scores.assign(bound_cop=np.nan)
+    names = ("scores", "errors", "yardsticks", "loop")
+    save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
     return results
-
-
-def _weight_cases(
-    options: WalkStudyOptions, chosen: tuple[Scenario, ...]
-) -> dict[tuple[str, float], list[Case]]:
-    """List the cases of the window with a weight scaled, by weight and factor, and with those of standing."""
-    fewer = replace(options, seeds=min(options.seeds, options.sensitivity_seeds))
-    of_stand = [score_case(s, "window", fewer, {"stand": STAND_TIME}) for s in chosen if s.paper]
-    return ({(STANDING, 1.0): of_stand} if options.factors else {}) | {
-        (weight, factor): [score_case(s, "window", fewer, {changed: factor}) for s in chosen if s.paper]
-        for weight, changed in WEIGHTS.items()
-        for factor in options.factors
-        if factor != 1.0
-    }
 
 
 def _loop_cases(
@@ -158,28 +133,6 @@ def _loop_cases(
         for speed in speeds
     }
     return {key: [case_of(episode) for episode in plan.episodes] for key, plan in plans.items()}
-
-
-def _save(results: WalkStudyResults) -> None:
-    options = results.options
-    names = ("scores", "errors", "timing", "yardsticks", "sensitivity", "loop")
-    save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
-    save_facts(
-        options.out / "results.json",
-        options,
-        scenarios={s.name: {"title": s.title, "answers": s.answers} for s in results.scenarios},
-        left_out=results.left_out,
-        film=results.filmed if isinstance(results.filmed, str) else FILM,
-        machine=machine(),
-        seconds=results.seconds,
-    )
-
-
-def _timings(results: WalkStudyResults) -> list[Any]:
-    """List the methods with the first walk of the first scenario."""
-    options, first = results.options, results.scenarios[0]
-    path = log_paths(first, 0, options.duration, options.logs)[first.condition]
-    return [(time_method, (path, m, first.options_of(m))) for m in options.rows if m != TRUE_MAP]
 
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
@@ -206,9 +159,7 @@ def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
     return float(loop["speed"].iloc[0]), int(loop["seed"].iloc[0])
 
 
-def _collect(
-    results: WalkStudyResults, store: Store, scored: list[Case], scaled: dict[tuple[str, float], list[Case]]
-) -> None:
+def _collect(results: WalkStudyResults, store: Store, scored: list[Case]) -> None:
     for name in ("scores", "errors", "yardsticks", "traces", "cycles"):
         setattr(results, name, store.rows(name, scored))
     if not len(results.scores):
@@ -219,70 +170,29 @@ def _collect(
         )
     left_out = store.rows("left_out", scored)
     results.left_out = left_out.groupby("scenario", sort=False)["count"].first().astype(int).to_dict()
-    if scaled and len(plain := results.yardsticks):
-        # Weights as they are were replayed already.
-        plain = plain[(plain["method"] == "window") & (plain["seed"] < results.options.sensitivity_seeds)]
-        frames = {key: store.rows("yardsticks", cases) for key, cases in scaled.items()}
-        frames |= {(weight, 1.0): plain for weight in WEIGHTS}
-        parts = [frame.assign(weight=weight, factor=factor) for (weight, factor), frame in frames.items()]
-        results.sensitivity = pd.concat(parts, ignore_index=True)
 
 
-def score_case(
-    scenario: Scenario, method: str, options: WalkStudyOptions, changes: Mapping[str, Any] | None = None
-) -> Case:
-    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario, with changed options.
+def score_case(scenario: Scenario, method: str, options: WalkStudyOptions) -> Case:
+    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
     and for the scenarios of the CoP paper ``yardsticks``, ``traces`` and ``cycles``.
     """
-    changed = dict(changes or {})
-    name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
-    arguments = (scenario, method, options, changed)
-    depends = (method, changed, _depends(scenario, options), *own_code(method))
-    return Case(name, _score, arguments, depends)
+    depends = (method, _depends(scenario, options), *own_code(method))
+    return Case(f"{scenario.name} {method}", _score, (scenario, method, options), depends)
 
 
-def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
-    """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
-
-    NaN for other walks than the NAO's.
-    """
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> float:
+    """Return the posterior Cramér-Rao bound on the CoP's error in m, judged samples; NaN but for walks."""
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():
-        return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
+        return float("nan")
     assert log.truth is not None
     known: dict[str, Any] = {"mass": log.mass, "initial": starting_map(log), "dt": log.dt, "lag": log.lag}
     setup, own = setup_from_options(log.layout, **known, options=dict(options))
     truth = Parameters(log.truth.scale, log.truth.offset)
     bound = posterior_bound(setup, log.raw, beliefs_of(log, "moment"), truth, Moment(**own))
-    return {
-        "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
-        "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
-        "cell": float(np.sqrt(np.mean(bound.force[judged] ** 2))),
-    }
-
-
-def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
-    log = read_log(path)
-    calibrator = make_calibrator(log, method, initial=starting_map(log), **options)
-    taken = []
-    beliefs = beliefs_of(log, method)
-    for k in range(min(TIMED, len(log))):
-        reference = take_rows(beliefs, k)
-        began = time.perf_counter()
-        calibrator.update(log.raw[k], reference)
-        taken.append(time.perf_counter() - began)
-    # The first half warms up, and holds what only a standing start does.
-    steady = 1e6 * np.array(taken[len(taken) // 2 :])
-    phases = steady[: len(steady) // PHASES * PHASES].reshape(-1, PHASES)
-    return {
-        "method": method,
-        "median_us": float(np.median(steady)),
-        "mean_us": float(steady.mean()),
-        "slowest_us": float(np.median(phases, axis=0).max()),
-    }
+    return float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1))))
 
 
 def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
@@ -294,14 +204,14 @@ def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
     return scenario, options.duration, options.settle, logs
 
 
-def _score(scenario: Scenario, method: str, options: WalkStudyOptions, changes: dict[str, Any]) -> Tables:
+def _score(scenario: Scenario, method: str, options: WalkStudyOptions) -> Tables:
     streams, left_out = streams_of(scenario, options)
     row = {"scenario": scenario.name, "method": method}
     found: Tables = {"scores": [], "errors": [], "left_out": [{**row, "count": left_out}]}
     if method in OTHER_WAYS:
         rows = [one for stream in streams for one in other_way(stream, method, options.settle)]
         return {**found, "yardsticks": rows}
-    played_by_method = play(streams, method, **scenario.options_of(method), **changes)
+    played_by_method = play(streams, method, **scenario.options_of(method))
     for stream, played in zip(streams, played_by_method, strict=True):
         found["scores"].append({**row, **score_run(stream, played)})
         running = running_rmse(stream.log.time, run_errors(stream, played.force).cop)
@@ -330,6 +240,5 @@ def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
         # A bound knows of no fault, hand or shear: what it says of these would mean nothing.
         if not (stream.faults or scenario.held[0] or shears):
             limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
-            named = {f"bound_{part}": value for part, value in limit.items()}
-            rows.append({"scenario": scenario.name, "seed": stream.seed, **named})
+            rows.append({"scenario": scenario.name, "seed": stream.seed, "bound_cop": limit})
     return {"bounds": rows}

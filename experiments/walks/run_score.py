@@ -8,11 +8,10 @@ Errors are root mean squares over the judged samples, as in :mod:`surefoot.exper
   within twice its value over the last 10 s of the walk.
 * ``spread``: standard deviation in m of that running error after the settling time.
 * ``cop_foot``: CoP error of each foot in its own sole's frame, over both feet.
-* ``end``, ``end_start``: CoP error over the last 10 s, of the method and of the map that it started from;
-  ``worse`` if the first is larger. ``worse_foot``, ``worse_vgrf`` and ``worse_cell`` say the same of the
-  feet's own CoP and of forces.
-* ``nees``, ``nees_end``, ``nees_cop``, ``nees_force``, ``nis``: how errors agree with the uncertainty
-  claimed, each over its degrees of freedom, so that 1 is right. NaN for a method that claims none.
+* ``end``: CoP error over the last 10 s; ``worse`` if that of the map that it started from is smaller.
+  ``worse_foot``, ``worse_vgrf`` and ``worse_cell`` say the same of the feet's own CoP and of forces.
+* ``nees``, ``nees_end``, ``nees_cop``, ``nis``: how errors agree with the uncertainty claimed, each over its
+  degrees of freedom, so that 1 is right. NaN for a method that claims none.
 * ``alarms``, ``hours``: how often a flag of a fault rose on a channel that had none, and in how much
   walking.
 * ``found``, ``isolated``, ``named``, ``after``, ``after_foot``: with a fault, the time in s until any of
@@ -76,7 +75,6 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         **errors.rms(judged),
         "finite": bool(np.isfinite(played.force).all()),
         "end": end["cop"],
-        "end_start": start["cop"],
         # A method that leaves the readings alone is not worse by a rounding error.
         **{
             f"worse{name.removeprefix('_cop')}": bool(end[name[1:]] > start[name[1:]] * (1.0 + 1e-6))
@@ -86,9 +84,6 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
     }
     row |= _parameter_errors(stream, played) | _consistency(stream, played)
-    # On which share of the judged samples each flag stood on any channel.
-    raised = np.bitwise_or.reduce(played.flags[judged], axis=1)
-    row |= {f"flag_{flag.name}": float(np.mean((raised & int(flag)) != 0)) for flag in Flag}
     return row | _faults(stream, played, errors)
 
 
@@ -131,14 +126,15 @@ def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
 
 
 def _consistency(stream: Stream, played: Played) -> dict[str, float]:
-    seen = played.consistency
-    counted = seen.time >= stream.log.time[stream.judged][0]
-    mean = {name: _mean(getattr(seen, name)[counted]) for name in ("nees", "nees_cop", "nees_force")}
-    return mean | {
-        "nees_end": float(seen.nees[-1]) if len(seen.nees) else float("nan"),
+    looks, (nis, rows) = played.looks, played.nis
+    counted = looks[looks[:, 0] >= stream.log.time[stream.judged][0]]
+    return {
+        "nees": _mean(counted[:, 1]),
+        "nees_cop": _mean(counted[:, 2]),
+        "nees_end": float(looks[-1, 1]) if len(looks) else float("nan"),
         "parameters": float(2 * stream.log.layout.channels),
-        "nis": seen.nis / seen.nis_rows if seen.nis_rows else float("nan"),
-        "nis_rows": seen.nis_rows,
+        "nis": nis / rows if rows else float("nan"),
+        "nis_rows": rows,
     }
 
 

@@ -32,8 +32,6 @@ class Score(NamedTuple):
     cop_foot: float  # of single feet in m
     vgrf: float  # of both feet together in N
     cell: float  # in N
-    samples: int  # that count
-    held: float  # share of them in which the estimate had no centre of pressure of its own
 
 
 class Errors(NamedTuple):
@@ -82,10 +80,7 @@ def score_forces(
             f"the walk ends at {time[-1]:g} s: walk longer or settle for less."
         )
     errors = errors_of(estimate, truth, layout, position_sole, R_world_sole)
-    lost = vertical_forces(estimate, layout, R_world_sole).sum(axis=-1) <= FORCE_THRESHOLD
-    pressed = counted & np.isfinite(errors.cop)
-    held = float(np.mean(lost[pressed])) if pressed.any() else float("nan")
-    return Score(**errors.rms(counted), samples=int(counted.sum()), held=held)
+    return Score(**errors.rms(counted))
 
 
 def errors_of(

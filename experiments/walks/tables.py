@@ -1,4 +1,4 @@
-"""Tables of a study of walks: a scenario each, one over all; faults, alarms, time; the CoP paper's 4 to 6."""
+"""Tables of a study of walks: a scenario each, one over all; faults, alarms; the CoP paper's 4 to 6."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -198,16 +198,6 @@ def alarm_table(scores: Frame) -> Table:
     return table_of("alarms", "False alarms in all walks", columns, parts)
 
 
-def timing_table(timing: Frame) -> Table:
-    """Return the time of one robot's update."""
-    columns: dict[str, Cell] = {
-        "method": lambda row: look_of(row.method).label,
-        "median (µs)": lambda row: number(row.median_us),
-        "mean (µs)": lambda row: number(row.mean_us),
-    }
-    return table_of("timing", "Time of one update", columns, timing.itertuples())
-
-
 def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
     """Errors of each way to read the feet, and who falls by it."""
     own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
@@ -302,33 +292,3 @@ def loop_table(runs: Frame, horizon: float) -> Table:
     groups = runs.groupby(["severity", "speed"], sort=False)
     parts = [part for _, walks in groups for part in by_way(walks, "feed").values()]
     return table_of("closed_loop", "The walker on different feet", columns, parts, note)
-
-
-def sensitivity_table(runs: Frame, title: str) -> Table:
-    """Return how far the window's errors move with each of its weights."""
-    factors = sorted(runs["factor"].unique())
-    rows: list[tuple[str, ...]] = []
-    for (weight, speed), part in runs.groupby(["weight", "speed"], sort=False):
-        for column, factor, what, unit, _ in PAPER_METRICS:
-            means = [factor * mean_interval(part[part["factor"] == f][column]).mean for f in factors]
-            base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
-            change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"
-            rows.append((weight, decimal(speed), f"{what} ({unit})", *map(number, means), change))
-    columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
-    name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
-    return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))
-
-
-def standing_table(fixed: Mapping[str, Frame], standing: Mapping[str, Frame]) -> Table:
-    """Return the window's errors with its weights and with those of a quiet stand, on the same walks."""
-    rows = []
-    for title, stood in standing.items():
-        for speed, part in stood.groupby("speed"):
-            plain = fixed[title][fixed[title]["seed"].isin(part["seed"]) & (fixed[title]["speed"] == speed)]
-            both = [metric.cell(runs) for metric in METRICS for runs in (plain, part)]
-            rows.append((f"{title}, {speed:g} m/s", *both))
-    columns = [f"{m.what} ({m.unit}){stand}" for m in METRICS for stand in ("", ", of standing")]
-    note = "w_F and w_P as they are, and of the quiet stand before the walk, as in the paper."
-    return Table(
-        "standing_weights", "The window's weights of a quiet stand", ("walks", *columns), tuple(rows), note
-    )

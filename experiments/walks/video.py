@@ -6,12 +6,10 @@ filled: a black dot is the true centre of pressure, a coloured one that which th
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from ctypes.util import find_library
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import imageio.v2 as imageio
 import numpy as np
@@ -30,17 +28,17 @@ FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
 LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
+AFTER_FALL = 4  # pictures after a fall that the still is of
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
 OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
 
 
-@dataclass(frozen=True, eq=False)
-class Reel:
-    """One walk on film: pictures, shape (n, height, width, 3), and when the robot fell in s, or ``None``."""
+class Reel(NamedTuple):
+    """One episode on film: its pictures, each of shape (height, width, 3), and whether the last is a fall."""
 
-    frames: NDArray[np.uint8]
-    fell_at: float | None
+    frames: list[NDArray[np.uint8]]
+    fell: bool
 
 
 def prepare_rendering() -> None:
@@ -53,31 +51,22 @@ def prepare_rendering() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def shoot(episode: Episode) -> Reel:
-    """Film an episode of a walk into memory, refused as in :func:`pictures`."""
-    frames, fell_at = [], None
-    for frame, moment in pictures(episode, partial(_sheet, episode.feed), FIRST_MOMENT):
-        frames.append(frame)
-        fell_at = moment.time if moment.fell else None
-    if not frames:
-        raise ValueError(f"A film begins at {FIRST_MOMENT:g} s, when the robot has stood: make it longer.")
-    return Reel(np.array(frames), fell_at)
+def shoot(episode: Episode, begin: float = FIRST_MOMENT, title: str = "") -> Reel:
+    """Film an episode from a time in s on, under a title, by default the name of its feed.
 
-
-def pictures(
-    episode: Episode, draw: Callable[[Moment], NDArray[np.uint8]], begin: float
-) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
-    """Run an episode and yield pictures and moments from a time in s on; OSError if nothing can be drawn."""
+    Raises OSError if nothing can be drawn, ValueError if it is refused, or ends before the film begins.
+    """
     prepare_rendering()
+    frames, fell = [], False
     try:
         moments = episode_moments(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
         for k, moment in enumerate(moments):
-            quality = moment.bare.model.vis.quality
+            quality, fell = moment.bare.model.vis.quality, moment.fell
             # Shadows take a software renderer ten times as long as all the rest.
             quality.shadowsize, quality.offsamples = 0, 4
             shown = k % round(1.0 / (moment.bare.dt * FRAMES_PER_SECOND)) == 0 and moment.time > begin
-            if shown or moment.fell:
-                yield draw(moment), moment
+            if shown or fell:
+                frames.append(_sheet(episode.feed, moment, title))
     except ValueError:
         raise  # An episode that is refused is no fault of the driver.
     except Exception as error:  # Drivers fail in as many ways as there are drivers.
@@ -86,13 +75,16 @@ def pictures(
             f"nothing can be drawn here ({type(error).__name__}: {reason}); install an OpenGL driver such as "
             "libegl1 and libgl1-mesa-dri, or set MUJOCO_GL."
         ) from error
+    if not frames:
+        raise ValueError(f"A film begins at {begin:g} s, when the robot has stood: make it longer.")
+    return Reel(frames, fell)
 
 
-def join_reels(folder: Path, left: Reel, right: Reel) -> None:
-    """Set two walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
-    frames = _side_by_side([left, right])
-    falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
-    shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
+def join_reels(folder: Path, *reels: Reel) -> None:
+    """Set walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
+    frames = _side_by_side(reels)
+    falls = [len(reel.frames) + AFTER_FALL for reel in reels if reel.fell]
+    shown = min(falls, default=len(frames) // 2)
     write_film(folder / FILM, frames)
     with atomic_path(folder / STILL) as part:
         Image.fromarray(frames[min(shown, len(frames) - 1)]).save(part)
@@ -104,45 +96,36 @@ def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show a walk, as :func:`walk_episode`, in a window; raise OSError without a screen."""
+    """Show a walk, as :func:`walk_episode`, in a window; raise OSError without a screen.
+
+    Dots on the ground are the true centre of pressure (black) and the fed one, in its feed's colour.
+    """
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
+    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
     for moment in episode_moments(walk_episode(feed, **walk), render_mode="human"):
-        mark_cop(feed, moment)
+        dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
+        moment.bare.markers = [
+            ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
+        ]
 
 
 def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
-    """Film the last 12 s of an episode, or all, with true (black) and fed CoP, as .mp4; OSError as drawn."""
+    """Film the last 12 s of an episode that ends at a time in s, or all of it, as .mp4; OSError as drawn."""
     who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
-
-    def draw(moment: Moment) -> NDArray[np.uint8]:
-        mark_cop(episode.feed, moment)
-        picture = Image.fromarray(moment.bare.render())
-        _write_heading(picture, f"case {episode.number}: {who}", moment, 24, 14)
-        return np.asarray(picture)
-
     begin = 0.0 if until is None else until - LAST_SECONDS
-    return write_film(path, [frame for frame, _ in pictures(episode, draw, begin)], quality=6)
+    return write_film(path, shoot(episode, begin, f"case {episode.number}: {who}").frames)
 
 
-def mark_cop(feed: str, moment: Moment) -> None:
-    """Put dots on the ground: the true centre of pressure (black) and the fed one, in its feed's colour."""
-    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
-    dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
-    moment.bare.markers = [
-        ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
-    ]
-
-
-def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
+def write_film(path: Path, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> Path:
     """Write pictures (height, width, 3) to an .mp4, or every other one to an animated .webp or .gif."""
     with atomic_path(path) as part:
         if path.suffix in ANIMATIONS:
-            stills = [Image.fromarray(frame) for frame in list(frames)[::2]]
+            stills = [Image.fromarray(frame) for frame in frames[::2]]
             options: Any = {"save_all": True, "append_images": stills[1:], "loop": 0, "method": 6}
             stills[0].save(part, duration=2000 // FRAMES_PER_SECOND, **options)
             return path
-        writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=quality)
+        writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=7)
         try:
             for frame in frames:
                 writer.append_data(frame)
@@ -155,36 +138,25 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
+def _side_by_side(reels: Sequence[Reel]) -> list[NDArray[np.uint8]]:
     """Join walks; one that has ended shows its last picture on."""
     count = max(len(reel.frames) for reel in reels)
-    lengthened = [
-        np.pad(reel.frames, ((0, count - len(reel.frames)), *[(0, 0)] * 3), mode="edge") for reel in reels
-    ]
-    return np.concatenate(lengthened, axis=2)
+    return [np.hstack([reel.frames[min(k, len(reel.frames) - 1)] for reel in reels]) for k in range(count)]
 
 
-def _write_heading(
-    picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8
-) -> None:
-    """Write a heading over a picture: a text, the time, and whether the robot fell."""
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(size=size)
-    draw.rectangle((0, 0, WIDTH, height), fill="white")
-    draw.text((indent, 4), text, fill="black", font=font)
-    draw.text((WIDTH - 4 * size - 4, 4), f"{moment.time:5.1f} s", fill="black", font=font)
-    if moment.fell:
-        draw.text((WIDTH - 64, height + 8), "fallen", fill="#b34700", font=font)
-
-
-def _sheet(feed: str, moment: Moment) -> NDArray[np.uint8]:
-    """Put the walker, a heading and the view from above on one sheet."""
+def _sheet(feed: str, moment: Moment, title: str) -> NDArray[np.uint8]:
+    """Put the walker, a title with the time, and the view from above on one sheet."""
     sheet, look = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white"), look_of(feed)
     sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
     sheet.paste(_from_above(feed, moment), (0, HEIGHT))
     name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
-    _write_heading(sheet, name, moment, 30, 18, indent=28)
-    draw = ImageDraw.Draw(sheet)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14 if title else 18)
+    draw.rectangle((0, 0, WIDTH, 30), fill="white")
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
+    draw.text((28, 4), title or name, fill="black", font=font)
+    draw.text((WIDTH - 76, 4), f"{moment.time:5.1f} s", fill="black", font=font)
+    if moment.fell:
+        draw.text((WIDTH - 64, 38), "fallen", fill="#b34700", font=font)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)
     return np.asarray(sheet)
 

@@ -268,7 +268,7 @@ def test_one_weight_is_no_line(tmp_path: Path) -> None:
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
-        if name.rpartition(".")[2] not in ("session", "recording", "world"):
+        if name.rpartition(".")[2] not in ("session", "world"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     fails(

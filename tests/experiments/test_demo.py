@@ -1,7 +1,6 @@
 """The demo from end to end, small: what it writes, and that single cases of it can be repeated."""
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
@@ -35,8 +34,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
             settle=STAND_TIME + 2.0,
             loop_duration=STAND_TIME + 1.0,
             loops={2.0: ("true", "none", "window"), 1.0: ("none",)},
-            factors=(1.0, 5.0),
-            sensitivity_seeds=1,
         )
     )
 
@@ -77,7 +74,6 @@ def test_every_method_saw_the_same_walks(results: WalkStudyResults) -> None:
         (table["condition"] == "paper") & (table["method"] == "none") & (table["against"] == "baseline")
     ]
     assert same["cop"].max() < 1e-9, "from known weights, doing nothing is the paper's baseline"
-    assert (table["held"].dropna() < 0.01).all()
 
 
 def test_the_floor_lies_below_a_bad_start(results: WalkStudyResults) -> None:
@@ -110,19 +106,15 @@ def test_the_page_is_whole(results: WalkStudyResults, report: tuple[Report, str]
             "2. Gait cycles",
             "3. Closing the loop",
             "4. Known weights",
-            "5. How much hangs on the window&#39;s weights",
-            "6. Repeat any part",
-            "7. What was set out to reach",
+            "5. Repeat any part",
         )
     ]
     assert places == sorted(places)
-    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 10
+    assert html.count("data:image/svg+xml;base64,") == html.count("<img") == 7
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page needs nothing beside it"
     assert "nan" not in re.sub(r"base64,[^\"]*", "", html).lower().replace("covenant", "")
     assert "There is no film in this report: not asked for." in html
     assert "1 seeds" not in html
-    stored = json.loads((results.options.out / "results.json").read_text())
-    assert stored["options"]["seeds"] == 2
 
 
 def test_tables_are_files_too(results: WalkStudyResults, report: tuple[Report, str]) -> None:
@@ -157,7 +149,7 @@ def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
 
 
 def test_the_number_of_processes_changes_nothing(results: WalkStudyResults, tmp_path: Path) -> None:
-    fewer = {"scenarios": ("paper-0.1",), "loops": {2.0: ("none",)}, "factors": ()}
+    fewer = {"scenarios": ("paper-0.1",), "loops": {2.0: ("none",)}}
     again = run_walk_study(dataclasses.replace(results.options, out=tmp_path, jobs=2, **fewer))
     walked, loop = results.yardsticks, results.loop
     walked = walked[walked["condition"] == "paper"].reset_index(drop=True)

@@ -45,7 +45,7 @@ def test_the_window_takes_its_weights_of_a_quiet_stand(walks: dict[str, Log], lo
     walk = walks["paper"]
     weighed, usual = replay_logs([walk], "window", stand=4.0)[0], replay_logs([walk], "window")[0]
     # Where it has stood for long enough the cells and the reference agree better than in walking.
-    deltas = replay._with_standing(walk, starting_map(walk), {"stand": 4.0})
+    deltas = replay.with_standing(walk, starting_map(walk), {"stand": 4.0})
     assert 1e-3 < deltas["delta_force"] < 0.01
     assert 2e-3 < deltas["delta_cop"] < 0.05
     same = replay_logs([walk], "window", **deltas)[0]

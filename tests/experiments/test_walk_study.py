@@ -1,7 +1,6 @@
 """A study of walks from end to end: what it writes, that it can be interrupted, and what it refuses."""
 
 import dataclasses
-import json
 import re
 import shutil
 from pathlib import Path
@@ -28,8 +27,8 @@ from surefoot.sensors import ForceTorque
 RUN = ("speed-0.1", "instant-0.1", "fault-dropped")
 
 
-def bound(log: Log, judged: Any, options: Any) -> dict[str, float]:
-    return {"cop": 1e-3, "vgrf": 0.1, "cell": 0.1}
+def bound(log: Log, judged: Any, options: Any) -> float:
+    return 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -125,13 +124,9 @@ def test_the_page_holds_everything(results: WalkStudyResults, undrawn: None) -> 
     for name in RUN:
         assert f'<section id="{name}">' in text
     out = results.options.out
-    summary = pd.read_csv(out / "tables" / "summary.csv")
-    assert len(summary) == 9
     pd.testing.assert_frame_equal(
         pd.read_parquet(out / "tables" / "scores.parquet"), results.scores, check_like=True
     )
-    facts = json.loads((out / "results.json").read_text())
-    assert list(facts["scenarios"]) == list(RUN)
     tare = results.scores[(results.scores["scenario"] == "speed-0.1") & (results.scores["method"] == "tare")]
     assert f"{1e3 * tare['cop'].mean():.2f} ± " in text
 
