@@ -5,9 +5,9 @@ Three things give a channel away:
 * **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
-* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears, and
-  the robot's motion misses that load. So is a cell found that is dead from the start: scales of the others
-  would make up for it.
+* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears,
+  and the robot's motion misses that load. So is a cell found that is dead from the start: scales of the
+  others would make up for it.
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
