@@ -182,8 +182,8 @@ def _change_constants(part: str) -> Any:
     """Return a patch that leaves a part out of every filter that is made; none without a name."""
     change = PARTS.get(part, {})
 
-    def constants(core: MomentFilter) -> dict[str, Any]:
-        return {**moment_constants(core), **(change(core) if callable(change) else change)}
+    def constants(core: MomentFilter) -> tuple[Any, ...]:
+        return (change(core) if callable(change) else change), *moment_constants(core)
 
     return patch("surefoot.calibration.native.config.moment_constants", constants)
 

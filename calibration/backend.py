@@ -65,7 +65,7 @@ class LibraryFilter:
     @property
     def state(self) -> Any:
         """The state as the Python has it."""
-        return self._native.unpack(self._state) if self._in_use else None
+        return self._state.python() if self._in_use else None
 
     @state.setter
     def state(self, state: Any) -> None:

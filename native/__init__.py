@@ -8,7 +8,7 @@ from surefoot.native.build import FOLDER, Sources, compiler
 from surefoot.native.calls import Call, record_at
 from surefoot.native.libraries import CALIBRATION, ENVS, SENSORS
 from surefoot.native.library import ADDRESS, Library, Native, places_at, require
-from surefoot.native.records import Record, c_header, leaves_of, rebuilt
+from surefoot.native.records import Record, StateRecord, c_header, leaves_of, rebuilt, state_dtype
 from surefoot.native.threads import call_for_many, cores
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "Native",
     "Record",
     "Sources",
+    "StateRecord",
     "c_header",
     "call_for_many",
     "compiler",
@@ -31,4 +32,5 @@ __all__ = [
     "rebuilt",
     "record_at",
     "require",
+    "state_dtype",
 ]

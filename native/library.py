@@ -3,10 +3,11 @@
 import ctypes
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import prod
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ ADDRESS = ctypes.c_void_p
 """Type of an argument of a library's function that points to a record or an array."""
 
 _BY_HAND = "python -m surefoot.native"
+
+_MISSING: Any = object()
 
 
 _KINDS: dict[str, np.dtype[Any]] = {
@@ -83,6 +86,21 @@ class Library(NamedTuple):
             {"names": list(shapes), "formats": formats, "offsets": offsets, "itemsize": places[""][2]}
         )
 
+    def constants(self, name: str, *sources: Any) -> NDArray[Any] | None:
+        """Return one of its records, each field filled by its name; ``None`` if it has no room for a value.
+
+        Args:
+            name: The record.
+            sources: What has its values, the first that has a field: mappings, objects by the names of their
+                attributes, and modules by those of their constants, in capitals. A part of an object has the
+                fields that begin with its name: ``wire_delay`` is ``wire.delay``.
+
+        Raises:
+            KeyError: If nobody has a field.
+        """
+        fields = (field for field in self.places[name] if field)
+        return self.record_of(name, {field: _value_of(field, name, sources) for field in fields})
+
     def zeros(self, name: str) -> dict[str, Any]:
         """Return a zero for each field of one of its records, and for each array one without a number."""
         zeros = {}
@@ -100,6 +118,28 @@ class Library(NamedTuple):
         for field, value in values.items():
             record[field] = value
         return record
+
+
+def _value_of(field: str, record: str, sources: Sequence[Any]) -> Any:
+    """Return what sources have under the name of a field; as of :meth:`Library.constants`."""
+    for search in (_attribute, _part):
+        for source in sources:
+            value = search(source, field)
+            if value is not _MISSING:
+                return value
+    kinds = [getattr(source, "__name__", type(source).__name__) for source in sources]
+    raise KeyError(f"Nobody has '{field}' of the record '{record}'; looked in {', '.join(kinds)}.")
+
+
+def _attribute(source: Any, field: str) -> Any:
+    if isinstance(source, Mapping):
+        return source.get(field, _MISSING)
+    return getattr(source, field.upper() if isinstance(source, ModuleType) else field, _MISSING)
+
+
+def _part(source: Any, field: str) -> Any:
+    name, _, rest = field.partition("_")
+    return _attribute(_attribute(source, name), rest)
 
 
 def places_at(address: int, count: int) -> dict[str, dict[str, tuple[str, int, int]]]:

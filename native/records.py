@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.native.library import Library
+
 Path = tuple[str, ...]
 
 
@@ -30,6 +32,47 @@ class Record:
     def copy(self) -> NDArray[Any]:
         """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
         return np.ndarray((), self.now.dtype, self.bytes.copy())
+
+    def __reduce__(self) -> Any:
+        return _record, (self.now.dtype, self.bytes.tobytes())
+
+
+class StateRecord(Record):
+    """A state of Python's as a library holds it, each part under the way to it; it goes on in place.
+
+    Args:
+        dtype: Its layout, as :func:`state_dtype` returns it.
+        like: A state of its kind, of which shapes and types are taken.
+    """
+
+    def __init__(self, dtype: np.dtype[Any], like: Any) -> None:
+        super().__init__(dtype)
+        self._like = like
+
+    def put(self, state: Any) -> None:
+        """Go on from a state as the Python has it."""
+        for path, leaf in leaves_of(state):
+            self.now["_".join(path)] = leaf
+
+    def python(self) -> Any:
+        """Return the state as the Python has it, which shares nothing with it."""
+
+        def own(path: Path, like: Any) -> Any:
+            part = self.now["_".join(path)]
+            return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
+
+        return rebuilt(self._like, own)
+
+
+def _record(dtype: np.dtype[Any], values: bytes) -> Record:
+    found = Record(dtype)
+    found.bytes[:] = np.frombuffer(values, np.uint8)
+    return found
+
+
+def state_dtype(library: Library, name: str, like: Any) -> np.dtype[Any] | None:
+    """Return the layout of a state like this one in a library's record; ``None`` without room for it."""
+    return library.record(name, {"_".join(path): np.shape(leaf) for path, leaf in leaves_of(like)})
 
 
 def leaves_of(state: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:

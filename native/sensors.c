@@ -75,11 +75,11 @@ static const place places[] = {
     WHOLE_OF(cells_config), WHOLE_OF(cells),
 
     C_INT(channels), C_INT(clocked), C_INT(averaged), C_INT(settling), C_INT(warms), C_INT(shears), C_INT(plays), C_INT(creeps),
-    C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise), C_REAL(scale_walk),
-    C_REAL(offset_walk), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
+    C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise_counts), C_REAL(scale_drift),
+    C_REAL(offset_drift), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
     C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),
-    C_REAL(creep_share), C_REAL(creep_time), C_REAL(impact_threshold), C_REAL(warp_std),
-    C_REAL(common_std), C_REAL(overload_share), C_REAL(safe_load), WIRE_CONFIG(cells_config),
+    C_REAL(creep_shares), C_REAL(creep_time_constants), C_REAL(impact_threshold), C_REAL(mounting_warp_std),
+    C_REAL(mounting_common_std), C_REAL(overload_share), C_REAL(safe_load), WIRE_CONFIG(cells_config),
 
     S_REAL(period), S_REAL(due), S_REAL(charge), S_REAL(held), S_REAL(error), S_REAL(thermal),
     S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
@@ -89,14 +89,14 @@ static const place places[] = {
     WHOLE_OF(force_torque_config), WHOLE_OF(force_torque),
 
     PLACE(force_torque_config, sensors, "int"), F_REAL(slope), F_REAL(noise), F_REAL(full_scale_ratio),
-    F_REAL(scale_walk), F_REAL(offset_walk), WIRE_CONFIG(force_torque_config),
+    F_REAL(scale_drift), F_REAL(offset_walk), WIRE_CONFIG(force_torque_config),
 
     PLACE(force_torque, error, "real"), PLACE(force_torque, offset, "real"), WIRE_STATE(force_torque),
 
     WHOLE_OF(strain_gauges_config), WHOLE_OF(strain_gauges),
 
     G_INT(channels), G_INT(bends), G_INT(plays), G_INT(of_load), G_INT(creeps), G_INT(walks), G_INT(noisy),
-    G_INT(converts), G_REAL(full_scale), G_REAL(creep_share), G_REAL(creep_time), G_REAL(hysteresis),
+    G_INT(converts), G_REAL(full_scale), G_REAL(creep_shares), G_REAL(creep_time_constants), G_REAL(hysteresis),
     G_REAL(hysteresis_excess), G_REAL(hysteresis_most), G_REAL(slack), G_REAL(walk_map), G_REAL(noise_map),
     G_REAL(temperature_ramp), G_REAL(temperature_rise), G_REAL(lowest), G_REAL(highest),
 
@@ -114,7 +114,7 @@ static const place places[] = {
 
     T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(room), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
     T_DOUBLE(substep), T_DOUBLE(period), T_DOUBLE(delay), T_DOUBLE(jitter), T_REAL(interval),
-    T_REAL(smoothing), T_REAL(encoder_bias), T_REAL(encoder_noise), T_REAL(encoder_step), T_REAL(bias_std),
+    T_REAL(smoothing), T_REAL(encoders_bias_std), T_REAL(encoders_noise_std), T_REAL(encoders_resolution), T_REAL(bias_std),
     T_REAL(spread), T_REAL(walk), T_REAL(noise), T_REAL(step), T_REAL(most),
 
     U_DOUBLE(due), U_WHOLE(number), U_WHOLE(substeps), U_WHOLE(first), U_WHOLE(waiting), U_REAL(bias),

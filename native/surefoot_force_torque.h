@@ -35,7 +35,7 @@
 typedef struct {
     int sensors;
     sf_real slope[SF_AXES * SF_SIX_AXIS], noise[SF_AXES * SF_SIX_AXIS];
-    sf_real full_scale_ratio[SF_AXES * SF_AXES], scale_walk, offset_walk[SF_AXES];
+    sf_real full_scale_ratio[SF_AXES * SF_AXES], scale_drift, offset_walk[SF_AXES];
     sf_wire_config wire;
 } sf_force_torque_config;
 
@@ -59,7 +59,7 @@ SF_API void sf_force_torque_step(const sf_force_torque_config *c, sf_force_torqu
         int axis = i % SF_AXES;
         const sf_real *felt = wrench + i - axis, *ratio = c->full_scale_ratio + SF_AXES * axis;
         sf_real *error = s->error + SF_AXES * i, talk = 0;
-        error[axis] += c->scale_walk * root * drawn[i];
+        error[axis] += c->scale_drift * root * drawn[i];
         s->offset[i] += root * c->offset_walk[axis] * drawn[K + i];
         for (int j = 0; j < SF_AXES; j++) talk += error[j] * ratio[j] * felt[j];
         sf_real read = wrench[i] + talk + s->offset[i] + drawn[2 * K + i] * c->noise[i];
@@ -72,7 +72,7 @@ SF_API void sf_force_torque_step(const sf_force_torque_config *c, sf_force_torqu
 
 typedef struct {
     int channels, bends, plays, of_load, creeps, walks, noisy, converts;
-    sf_real full_scale[SF_AXES], creep_share[SF_CREEPS], creep_time[SF_CREEPS];
+    sf_real full_scale[SF_AXES], creep_shares[SF_CREEPS], creep_time_constants[SF_CREEPS];
     sf_real hysteresis, hysteresis_excess[SF_GAUGES], hysteresis_most[SF_GAUGES], slack[SF_GAUGE_PLAYS];
     sf_real walk_map[SF_GAUGES * SF_GAUGES], noise_map[SF_GAUGES * SF_GAUGES];
     sf_real temperature_ramp, temperature_rise, lowest, highest;
@@ -130,7 +130,7 @@ SF_API void sf_strain_gauges_step(const sf_strain_gauges_config *c, sf_strain_ga
     sf_real load[SF_AXES], before = s->temperature;
     memcpy(load, wrench, sizeof load);
     if (c->bends) sf_coupled_nonlinearity(c->full_scale, s->bend_cubic, s->bend_cross, load);
-    sf_creep(c->creep_share, c->creep_time, c->creeps, dt, SF_AXES, s->creep_yielded, load);
+    sf_creep(c->creep_shares, c->creep_time_constants, c->creeps, dt, SF_AXES, s->creep_yielded, load);
     if (c->of_load) sf_gauge_hysteresis(c, s, SF_AXES, load);
     for (int i = 0; i < K; i++) {
         counts[i] = 0;

@@ -32,11 +32,11 @@
 
 typedef struct {
     int channels, clocked, averaged, settling, warms, shears, plays, creeps;
-    sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, noise, scale_walk, offset_walk;
+    sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, noise_counts, scale_drift, offset_drift;
     sf_real temperature_ramp, temperature_rise;
     /* The spring elements. */
-    sf_real capacity, nonlinearity, hysteresis, hysteresis_excess, slack[SF_PLAYS], creep_share[SF_CREEPS];
-    sf_real creep_time[SF_CREEPS], impact_threshold, warp_std, common_std, overload_share, safe_load;
+    sf_real capacity, nonlinearity, hysteresis, hysteresis_excess, slack[SF_PLAYS], creep_shares[SF_CREEPS];
+    sf_real creep_time_constants[SF_CREEPS], impact_threshold, mounting_warp_std, mounting_common_std, overload_share, safe_load;
     sf_wire_config wire;
 } sf_cells_config;
 
@@ -53,7 +53,7 @@ typedef struct {
 
 /* Whether a config that comes from elsewhere lies within the arrays. */
 SF_API int sf_cells_fits(const sf_cells_config *c) {
-    int jumps = c->warp_std > 0 || c->common_std > 0;
+    int jumps = c->mounting_warp_std > 0 || c->mounting_common_std > 0;
     return c->channels > 0 && c->channels <= SF_LOAD_CELLS && c->settling >= 1 && c->settling <= SF_SETTLING &&
            (c->settling == 1 || c->clocked) && c->plays >= 0 && c->plays <= SF_PLAYS && c->creeps >= 0 &&
            c->creeps <= SF_CREEPS && sf_wire_fits(&c->wire, c->channels) &&
@@ -73,8 +73,8 @@ SF_API void sf_mounting(const sf_cells_config *c, sf_cells *s, sf_random *stream
     static const sf_real warp[SF_CELLS_OF_A_FOOT] = {1, -1, -1, 1};
     int feet = c->channels / SF_CELLS_OF_A_FOOT;
     sf_real warped[SF_LOAD_CELLS] = {0}, common[SF_LOAD_CELLS] = {0};
-    if (c->warp_std > 0) sf_random_fill(stream, 1, feet, warped);
-    if (c->common_std > 0) sf_random_fill(stream, 1, feet, common);
+    if (c->mounting_warp_std > 0) sf_random_fill(stream, 1, feet, warped);
+    if (c->mounting_common_std > 0) sf_random_fill(stream, 1, feet, common);
     for (int foot = 0; foot < feet; foot++) {
         sf_real *cell = load + SF_CELLS_OF_A_FOOT * foot;
         sf_real *offset = s->mechanics_mounting_offset + SF_CELLS_OF_A_FOOT * foot;
@@ -82,7 +82,7 @@ SF_API void sf_mounting(const sf_cells_config *c, sf_cells *s, sf_random *stream
         int hit = isfinite(sum) && fabs(sum - s->mechanics_mounting_load[foot]) > c->impact_threshold;
         for (int i = 0; i < SF_CELLS_OF_A_FOOT; i++) {
             if (hit && s->mechanics_mounting_impact[foot] < (sf_real)0.5)
-                offset[i] += warped[foot] * (c->warp_std * warp[i]) + common[foot] * c->common_std;
+                offset[i] += warped[foot] * (c->mounting_warp_std * warp[i]) + common[foot] * c->mounting_common_std;
             cell[i] += offset[i];
         }
         if (isfinite(sum)) s->mechanics_mounting_load[foot] = sum;
@@ -110,8 +110,8 @@ SF_API void sf_mechanics(const sf_cells_config *c, sf_cells *s, sf_random *strea
         load[i] = sf_hysteresis(c->hysteresis, c->hysteresis_excess, c->capacity, c->slack, c->plays,
                                 s->mechanics_hysteresis_plays + i, c->channels, load[i]);
     if (c->creeps)
-        sf_creep(c->creep_share, c->creep_time, c->creeps, dt, c->channels, s->mechanics_creep_yielded, load);
-    if (c->warp_std > 0 || c->common_std > 0) sf_mounting(c, s, stream, load);
+        sf_creep(c->creep_shares, c->creep_time_constants, c->creeps, dt, c->channels, s->mechanics_creep_yielded, load);
+    if (c->mounting_warp_std > 0 || c->mounting_common_std > 0) sf_mounting(c, s, stream, load);
     if (c->overload_share > 0) sf_overload(c, s, load);
 }
 
@@ -161,7 +161,7 @@ SF_API sf_real sf_settle(const sf_cells_config *c, sf_real *window, sf_real sign
 SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stream, const sf_real *block,
                           int substeps, sf_real dt, sf_real *counts) {
     int K = c->channels, wide = sf_loads(c), most = (int)(c->highest_rate * dt) + 1, draws = 0;
-    int acts = c->nonlinearity > 0 || c->plays || c->creeps || c->warp_std > 0 || c->common_std > 0 ||
+    int acts = c->nonlinearity > 0 || c->plays || c->creeps || c->mounting_warp_std > 0 || c->mounting_common_std > 0 ||
                c->overload_share > 0;
     int remembers = acts || c->settling > 1;
     sf_real step = dt / substeps;
@@ -190,13 +190,13 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
         if (remembers && !isfinite(load[i])) load[i] = (sf_real)NAN;
     }
     if (acts) sf_mechanics(c, s, stream, dt, load);
-    draws = (c->scale_walk > 0) + (c->offset_walk > 0) + (c->noise > 0);
+    draws = (c->scale_drift > 0) + (c->offset_drift > 0) + (c->noise_counts > 0);
     if (draws) sf_random_fill(stream, 1, draws * K, drawn);
     for (int i = 0; i < K; i++) {
         sf_real *scale = s->error + i, *offset = s->error + K + i;
         const sf_real *own = drawn + i;
-        if (c->scale_walk > 0) *scale += *own * (root * c->scale_walk), own += K;
-        if (c->offset_walk > 0) *offset += *own * (root * c->offset_walk), own += K;
+        if (c->scale_drift > 0) *scale += *own * (root * c->scale_drift), own += K;
+        if (c->offset_drift > 0) *offset += *own * (root * c->offset_drift), own += K;
         if (c->warms) {
             sf_real *rise = s->thermal + 2 * K + i, before = *rise;
             *rise = sf_warmed(before, c->temperature_ramp, c->temperature_rise, dt);
@@ -206,7 +206,7 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
         sf_real bridge = load[i] * (1 + *scale) + *offset;
         if (c->settling > 1) bridge = sf_settle(c, s->window + i, bridge, number[i] + 1, most);
         sf_real code = bridge * c->slope[i] + c->zero_code;
-        if (c->noise > 0) code += c->noise * *own;
+        if (c->noise_counts > 0) code += c->noise_counts * *own;
         if (number[i] >= 0) s->held[i] = sf_code(&c->wire, i, code);
         counts[i] = s->held[i];
     }

@@ -46,7 +46,7 @@ typedef struct {
     int averaged, skewed; /* whether a sample is a mean; whether the IMU's axes are a little off */
     double dt, substep, period, delay, jitter;
     sf_real interval, smoothing; /* the period, and the share that the velocity filter takes */
-    sf_real encoder_bias, encoder_noise, encoder_step; /* a step of 0 does not round */
+    sf_real encoders_bias_std, encoders_noise_std, encoders_resolution; /* a step of 0 does not round */
     sf_real bias_std[6], spread[18]; /* of what is drawn at power-up */
     sf_real walk[6], noise[6];           /* standard deviations a packet */
     sf_real step[6], most[6];            /* resolution and range; 0 for neither */
@@ -93,12 +93,12 @@ SF_API sf_real sf_round_to(sf_real value, sf_real step) {
 SF_API void sf_encoders(const sf_telemetry_config *c, const sf_telemetry *s, const sf_real *position,
                         sf_random *stream, sf_real *angle) {
     int J = c->joints;
-    if (c->encoder_noise != 0)
+    if (c->encoders_noise_std != 0)
         sf_random_fill(stream, 1, J, angle);
     else
         memset(angle, 0, (size_t)J * sizeof(sf_real));
     for (int j = 0; j < J; j++)
-        angle[j] = sf_round_to(position[j] + s->error[j] + c->encoder_noise * angle[j], c->encoder_step);
+        angle[j] = sf_round_to(position[j] + s->error[j] + c->encoders_noise_std * angle[j], c->encoders_resolution);
 }
 
 /* Read the IMU: axes a little off, a drifting bias, and samples that are noisy, clipped and rounded. */
@@ -220,7 +220,7 @@ SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, cons
         if (c->skewed) sf_random_fill(stream, 1, 18, s->matrix);
         for (int i = 0; i < 18; i++) s->matrix[i] = (i % 9 % 4 == 0) + c->spread[i] * s->matrix[i];
         sf_random_fill(stream, 1, c->joints, s->error);
-        for (int j = 0; j < c->joints; j++) s->error[j] *= c->encoder_bias;
+        for (int j = 0; j < c->joints; j++) s->error[j] *= c->encoders_bias_std;
     }
     sf_encoders(c, s, position, stream, s->position);
     memset(s->velocity, 0, sizeof s->velocity);

@@ -87,7 +87,7 @@ class Motions:
         self._feet, self._wrench_map = len(setup.layout.feet), setup.layout.wrench_map
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._gravity = setup.gravity
-        self._reach = LARGEST_REACH * setup.length
+        self.reach = LARGEST_REACH * setup.length
         self.columns = MotionColumns.of(self._feet)
         self.shapes = reference_shapes(self._feet)
         level = np.tile(np.eye(3).ravel(), self._feet)
@@ -160,7 +160,7 @@ class Motions:
             vgrf = mass * (az + self._gravity)  # Eq. 9
             moment = np.array([lever * ax + rate_y, lever * ay - rate_x])
             cop = com[:2] - moment / (vgrf if vgrf > self._threshold else self._weight)  # Eqs. 10, 11
-        near = (np.abs(soles[:, :2] - cop) <= self._reach).all()
+        near = (np.abs(soles[:, :2] - cop) <= self.reach).all()
         return vgrf, cop, bool(near and self._threshold < vgrf < LARGEST_WEIGHTS * self._weight)
 
     def rows(self, motion: Array) -> Array:

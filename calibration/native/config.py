@@ -72,7 +72,7 @@ def constants_of(
     number, raw = _METHODS[method], np.zeros(setup.layout.channels)
     if library.record("config", {"offset": raw.shape, "wrench_map": setup.layout.wrench_map.shape}) is None:
         return None
-    own: dict[str, Any] = {}
+    own: tuple[Any, ...] = ()
     like: Any
     covariance = faults = None
     if method == "moment":
@@ -88,14 +88,16 @@ def constants_of(
         if method == "tare":
             config = SwingTare(**options)
             like = tare(setup, config).init(raw)
-            own = {
-                "settle": round(config.settle / setup.dt),
-                "minimum_samples": config.minimum_samples,
-                "spread": config.spread * setup.weight,
-                "limit": config.offset_range * setup.weight,
-            }
-    record, name = library.record_of("config", _robot(front, faults)), _OWN[number]
-    of_method = library.record_of(name, own) if name else None
+            own = (
+                {
+                    "settle": round(config.settle / setup.dt),
+                    "spread": config.spread * setup.weight,
+                    "limit": config.offset_range * setup.weight,
+                },
+                config,
+            )
+    record, name = library.constants("config", *_robot(front, faults)), _OWN[number]
+    of_method = library.constants(name, *own) if name else None
     if record is None or (name and of_method is None):
         return None
     contact = method == "moment"
@@ -139,148 +141,57 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     return c_header("surefoot_window.h", sizes, records)
 
 
-def moment_constants(core: MomentFilter) -> dict[str, Any]:
-    """Return the constants of a moment filter by their names in ``sf_moment_config``."""
-    config, spread, rows = core.config, core.spread, core.model
-    of_modes = {f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields}
-    return {
-        **of_modes,
-        "components": core.columns.components,
-        "capacity": core.blocks.capacity,
+def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
+    """Return what has the constants of a moment filter, by their names in ``sf_moment_config``."""
+    own = {
+        **{f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields},
         "held": modes.MODES.index(modes.HELD),
-        "talks": len(rows.talk_to),
-        "talk_to": rows.talk_to,
-        "talk_from": rows.talk_from,
-        "first_variance": core.first_variance,
-        "walk": spread.walk,
-        "block": config.block,
-        "mass_std": config.mass_std,
-        "ahead": core.ahead,
-        "kept_time": stream.KEPT_TIME,
-        "longest_pause": stream.LONGEST_PAUSE,
-        "product_time": stream.PRODUCT_TIME,
-        "largest_error": stream.LARGEST_ERROR,
-        "level": core.level,
-        "least_read": stream.LEAST_READ,
-        "held_chance": stream.HELD_CHANCE,
-        "velocity_variance": rows.velocity_variance,
-        "spin_variance": rows.spin_variance,
-        "ripple": config.ripple,
-        "least_load": model.LEAST_LOAD,
+        "talks": len(core.model.talk_to),
         "tare_variance": core.tare.variance,
         "tare_share": tares.LEAST_SHARE,
-        "least_apart": tares.LEAST_APART,
-        "rate_share": tares.RATE_SHARE,
-        "smallest_rate": tares.SMALLEST_RATE,
-        "largest_rate": tares.LARGEST_RATE,
         "tare_surprise": tares.LARGEST_SURPRISE,
-        "stated_rate": tares.STATED_RATE,
-        "first_rate": severity.FIRST_RATE,
         "tare_leap": tares.LEAP,
-        "largest_load": tares.LARGEST_LOAD,
-        "largest_sum": tares.LARGEST_SUM,
         "touch_load": tares.TOUCH,
-        "spread_scale": spread.scale,
-        "spread_offset": spread.offset,
-        "unit": spread.unit,
-        "severities": severity.SEVERITIES,
-        "likely": severity.LIKELY,
-        "wide": columns.WIDE,
         "least_share": severity.LEAST_SHARE,
-        "most_load": health.MOST_LOAD,
-        "least_row": health.LEAST_ROW,
-        "reading_noise": core.reading_noise,
-        "rates": modes.RATES,
-        "first_chance": modes.FIRST_CHANCE,
-        "least_chance": modes.LEAST_CHANCE,
-        "leg_time": motion.LEG_TIME,
-        "spin_time": motion.SPIN_TIME,
-        "first_speed": motion.FIRST_SPEED,
-        "fastest": motion.FASTEST,
-        "sure": suspects.SURE,
-        "contrast": suspects.CONTRAST,
-        "alike": suspects.ALIKE,
-        "smallest_step": suspects.SMALLEST_STEP,
-        "least_error": suspects.LEAST_ERROR,
-        "suspect_share": suspects.SUSPECT_SHARE,
-        "suspect_noise": suspects.SUSPECT_NOISE,
-        "suspect_surprise": suspects.SUSPECT_SURPRISE,
     }
+    parts = core, core.config, core.columns, core.blocks, core.spread, core.model
+    return own, *parts, stream, model, tares, severity, columns, health, modes, motion, suspects
 
 
-def _robot(front: FrontEnd, faults: ChannelFaults | None) -> dict[str, Any]:
-    """Return a robot's constants by the names in ``sf_config``."""
-    setup, layout = front.setup, front.setup.layout
-    none = np.zeros(0)
-    shares = faults and faults.stand_in
-    return {
-        "leap": faults.leap if faults else 0.0,
-        "leap_alone": faults.leap_alone if faults else none,
-        "landing_kept": faults.landing_kept if faults else 0.0,
-        "renewal": shares.renewal if shares else 0.0,
-        "prior": shares.prior if shares else none,
-        "by_others": faults.by_others if faults else none,
-        "cells": shares.cells if shares else none,
-        "together": shares.together if shares else none,
-        "channels": layout.channels,
-        "feet": len(layout.feet),
-        "lag": setup.lag,
-        "kept": front.kept,
-        "foot_of_channel": layout.foot_of_channel,
-        "dt": setup.dt,
-        "weight": setup.weight,
-        "mass": setup.mass,
-        "gravity": setup.gravity,
-        "length": setup.length,
-        "reach": front.motions._reach,
-        "force_threshold": setup.force_threshold,
-        "carried": front.carried,
-        "scale": setup.initial.scale,
-        "offset": setup.initial.offset,
-        "lowest": front.plausible[0],
-        "highest": front.plausible[1],
-        "wrench_map": layout.wrench_map,
-    }
+def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:
+    """Return what has a robot's constants, by their names in ``sf_config``."""
+    setup, (lowest, highest) = front.setup, front.plausible
+    own = {"feet": len(setup.layout.feet), "lowest": lowest, "highest": highest}
+    without: dict[str, Any] = dict.fromkeys(("leap", "landing_kept", "renewal"), 0.0)
+    without |= dict.fromkeys(("leap_alone", "prior", "by_others", "cells", "together"), np.zeros(0))
+    of_faults = [part for part in (faults, faults and faults.stand_in) if part]
+    return own, front, setup, setup.layout, setup.initial, front.motions, *of_faults, without
 
 
-def _window(window: SlidingWindow) -> dict[str, Any]:
-    """Return the constants of a sliding window by their names in ``sf_window_config``."""
+def _window(window: SlidingWindow) -> tuple[Any, ...]:
+    """Return what has the constants of a sliding window, by their names in ``sf_window_config``."""
     config, setup, standing = window.config, window.setup, window.standing
-    ends = [0, setup.layout.channels]
     transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
     if config.cutoff is not None:
         transfer, steady = coefficients(config.cutoff, setup.dt)
-    weight = setup.weight
-    return {
-        "every": config.every,
-        "length": window.length,
-        "settle": window.settle,
-        "transition": window.transition,
-        "iterations": config.iterations,
-        "quasi_static": window.quasi_static,
+    weight, ends = setup.weight, [0, setup.layout.channels]
+    own = {
+        **{
+            name: getattr(window, name)[ends]
+            for name in ("spread", "step_bound", "rate_bound", "lowest", "highest")
+        },
         "filtered": config.cutoff is not None,
-        "standing_start": config.standing_start,
         "standing_samples": standing.minimum_samples,
-        "force": window.weights.force,
-        "cop": window.weights.cop,
         "gross_force": config.gross_error * weight,
         "gross_length": config.gross_error * setup.length,
         "outlier": config.outlier_threshold**2,
         "least": config.minimum_share * window.length,
-        "spread": window.spread[ends],
-        "step_bound": window.step_bound[ends],
-        "rate_bound": window.rate_bound[ends],
-        "lowest": window.lowest[ends],
-        "highest": window.highest[ends],
         "transfer": transfer,
         "steady": steady[:, 0],
-        "warm_up": standing.warm_up,
-        "duration": standing.duration,
         "patience": config.standing_patience,
         "deviation": [standing.scale_std, standing.offset_std],
         "noise": [standing.force_noise, *[weight * standing.cop_noise] * 2],
         "shared": [weight * standing.mass_error, *[weight * standing.com_error] * 2],
         "largest": PLAUSIBLE_WEIGHTS * weight,
-        "acceleration_threshold": standing.acceleration_threshold,
-        "rate_threshold": standing.rate_threshold,
     }
+    return own, window, window.weights, standing, config

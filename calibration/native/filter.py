@@ -11,19 +11,20 @@ from surefoot.calibration.native.config import Constants, constants_of
 from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
-from surefoot.native import Library, Record, leaves_of, rebuilt
+from surefoot.native import Library, Record, StateRecord, leaves_of, rebuilt, state_dtype
 
 
-class NativeState:
+class NativeState(StateRecord):
     """A state of an online method as the library holds it.
 
     Args:
-        record: All numbers.
-        covariance: Name of those that are the covariance of an estimate, if there is one.
+        dtype: Its layout.
+        like: A state of the method's Python.
+        covariance: Name of the part that is the covariance of an estimate, if there is one.
     """
 
-    def __init__(self, record: NDArray[Any], covariance: str | None = None) -> None:
-        self.record, self.address = record, record.ctypes.data
+    def __init__(self, dtype: np.dtype[Any], like: Any, covariance: str | None = None) -> None:
+        super().__init__(dtype, like)
         self._name = covariance or ""
         self._covariance: NDArray[np.float64] | None = None
 
@@ -31,7 +32,7 @@ class NativeState:
     def covariance(self) -> NDArray[np.float64]:
         """That of an estimate, the same array until the next one is handed out."""
         if self._covariance is None:
-            self._covariance = self.record[self._name].copy()
+            self._covariance = self.now[self._name].copy()
         return self._covariance
 
     def drop_published(self) -> None:
@@ -71,8 +72,7 @@ class NativeFilter:
             "nis": (), "nis_rows": (), "undetermined": (K,), "contact_probability": (F,), "flags": (K,),
             "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
-        leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
-        state = library.record(constants.state, leaves)
+        state = state_dtype(library, constants.state, self._template)
         estimate = library.record("estimate", shapes)
         if state is None or estimate is None:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
@@ -93,9 +93,9 @@ class NativeFilter:
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
-        record = np.zeros((), self._dtype)
-        self._functions.surefoot_init(self._addresses[0], record.ctypes.data)
-        return NativeState(record, self.constants.covariance)
+        state = self._empty()
+        self._functions.surefoot_init(self._addresses[0], state.address)
+        return state
 
     def put(self, state: NativeState, python: Any) -> None:
         """Go on from a Python state, or from before any sample if it is ``None``, in place.
@@ -105,7 +105,7 @@ class NativeFilter:
         """
         state.drop_published()
         if python is None:
-            state.record[...] = np.zeros((), self._dtype)
+            state.bytes[:] = 0
             self._functions.surefoot_init(self._addresses[0], state.address)
             return
         given, wanted = (
@@ -118,23 +118,16 @@ class NativeFilter:
                 f"A {kind} of a robot of {len(self.raw)} channels cannot go on from this {other}: its parts "
                 "have other shapes. Give a state of the same method and robot."
             )
-        for path, leaf in given.items():
-            state.record[_name(path)] = leaf
+        state.put(python)
 
     def pack(self, state: Any) -> NativeState:
         """Return a Python state as the library's; as :meth:`put`."""
-        found = NativeState(np.zeros((), self._dtype), self.constants.covariance)
+        found = self._empty()
         self.put(found, state)
         return found
 
-    def unpack(self, state: NativeState) -> Any:
-        """Return the library's state as a Python state, which shares nothing with it."""
-
-        def own(path: tuple[str, ...], like: Any) -> Any:
-            part = state.record[_name(path)]
-            return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
-
-        return rebuilt(self._template, own)
+    def _empty(self) -> NativeState:
+        return NativeState(self._dtype, self._template, self.constants.covariance)
 
     def takes(self, raw: Array, reference: Reference | MomentumReference | ReferenceRecord, dt: Any) -> bool:
         """Return whether arguments are as the library wants them; of others Python names the flaw."""
@@ -212,8 +205,3 @@ def _without_memory(path: tuple[str, ...], part: Any) -> Any:
     if not isinstance(part, np.ndarray):
         return part
     return np.broadcast_to(np.zeros((), part.dtype), part.shape)
-
-
-def _name(path: tuple[str, ...]) -> str:
-    """Return a part's name in the library: the way to it."""
-    return "_".join(path)

@@ -105,7 +105,7 @@ class NativeSensing:
         assert library is not None
         self._spec, self._view = python, python.view
         self.places: Places = python.places
-        self._states = {name: device.empty() for name, device in devices.items()}
+        self._devices, self._states = devices, {name: one.empty() for name, one in devices.items()}
         self._telemetry = telemetry
         self.telemetry_state: Any = python.telemetry_state
         if telemetry is not None:
@@ -134,9 +134,9 @@ class NativeSensing:
         """Return sizes, and places of what devices and telemetry hold, by the names in the record."""
         instruments, telemetry = python.fitted.instruments, self._telemetry
         numbers = _sizes(instruments, self.places, python.dt) | {"telemetry_stream": 0, "packets": 0}
-        for state in self._states.values():
-            kind = state.owner.kind.name
-            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
+        for name, device in self._devices.items():
+            kind = device.kind.name
+            numbers |= {f"{kind}_config": device.constants.ctypes.data, kind: self._states[name].address}
             numbers[f"{kind}_stream"] = 0
         if "cells" in self._states:
             numbers["readings"] = len(self.places.map[0])
@@ -163,7 +163,7 @@ class NativeSensing:
             arrays["map"], arrays["preload"] = self.places.map
             arrays["load"] = np.zeros((self.places.shape[0], self.places.map[0].shape[1]))
         if "ankles" in self._states:
-            arrays["wrench"] = np.zeros(6 * int(self._states["ankles"].owner.constants["sensors"]))
+            arrays["wrench"] = np.zeros(6 * int(self._devices["ankles"].constants["sensors"]))
         return arrays
 
     def __reduce__(self) -> Any:
@@ -173,8 +173,8 @@ class NativeSensing:
         """Let chance come from other streams."""
         self._spec.streams = streams
         self._records["telemetry_stream"] = streams["telemetry"].address
-        for name, state in self._states.items():
-            self._records[f"{state.owner.kind.name}_stream"] = streams[name].address
+        for name, device in self._devices.items():
+            self._records[f"{device.kind.name}_stream"] = streams[name].address
 
     def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
         """Keep what is shown in other arrays."""
@@ -184,7 +184,7 @@ class NativeSensing:
     def take(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
         for name, state in self._states.items():
-            state.take(hardware.faults if name == "faults" else getattr(hardware.instruments, name))
+            state.put(hardware.faults if name == "faults" else getattr(hardware.instruments, name))
         if self._telemetry is not None and hardware.telemetry is not None:
             self._telemetry.put(self.telemetry_state, hardware.telemetry)
 

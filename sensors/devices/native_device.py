@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import SENSORS, Library, leaves_of, rebuilt
+from surefoot.native import SENSORS, Library, StateRecord, state_dtype
 from surefoot.sensors.corruption import Corruption
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.errors import CODINGS
@@ -25,44 +25,21 @@ class Kind(NamedTuple):
     Attributes:
         name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
         build: Makes the Python of a configuration.
-        constants: Returns the values of the first record of a configuration, by its names there.
+        constants: Returns what has the values of the first record of a configuration, as
+            :meth:`~surefoot.native.Library.constants` takes it.
         blocks: Whether it reads blocks of substeps rather than an instant.
         loads: How many loads it reads; ``None`` for as many as its configuration says, or as it has channels.
     """
 
     name: str
     build: Callable[[Any], Corruption[Any]]
-    constants: Callable[[Any], dict[str, Any]]
+    constants: Callable[[Any], tuple[Any, ...]]
     blocks: bool = False
     loads: int | None = None
 
     def count_loads(self, config: Any) -> int:
         """Return how many loads a device of a configuration reads."""
         return int(self.loads or getattr(config, "loads", config.channels))
-
-
-class NativeState:
-    """A device's state as the library holds it; it goes on in place.
-
-    Args:
-        record: All numbers, shape ().
-        owner: Whose state it is.
-
-    Attributes:
-        owner: The same.
-    """
-
-    def __init__(self, record: NDArray[Any], owner: "NativeDevice") -> None:
-        self.record, self.address, self.owner = record, record.ctypes.data, owner
-
-    def take(self, state: Any) -> None:
-        """Go on from a state as the Python has it."""
-        for path, leaf in leaves_of(state):
-            self.record["_".join(path)] = leaf
-
-    def python(self) -> Any:
-        """Return the state as the Python has it, which shares nothing with it."""
-        return self.owner.unpack(self)
 
 
 class NativeDevice:
@@ -88,8 +65,7 @@ class NativeDevice:
         self.kind, self._config, self.constants, self.python = kind, config, constants, python
         self._felt = kind.count_loads(config)
         self._template = python.init((config.channels,), np.random.default_rng(0))
-        leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
-        dtype = library.record(kind.name, leaves)
+        dtype = state_dtype(library, kind.name, self._template)
         assert dtype is not None
         self.layout = dtype
         self._step: Any = getattr(library.functions, f"surefoot_{kind.name}_step", None)
@@ -103,21 +79,17 @@ class NativeDevice:
         # Where there is no library, nothing comes of it.
         return native_here, (self.kind, self._config)
 
-    def empty(self) -> NativeState:
+    def empty(self) -> StateRecord:
         """Return room for a state, before any was drawn."""
-        return NativeState(np.zeros((), self.layout), self)
+        return StateRecord(self.layout, self._template)
 
-    def pack(self, state: Any) -> NativeState:
+    def pack(self, state: Any) -> StateRecord:
         """Return a Python state as the library's."""
         native = self.empty()
-        native.take(state)
+        native.put(state)
         return native
 
-    def unpack(self, state: NativeState) -> Any:
-        """Return a state of the library's as the Python's, which shares nothing with it."""
-        return rebuilt(self._template, lambda path, _: state.record["_".join(path)].copy())
-
-    def step(self, state: NativeState, load: Floats, stream: Stream, dt: float) -> Floats:
+    def step(self, state: StateRecord, load: Floats, stream: Stream, dt: float) -> Floats:
         """Read loads; the state and the stream go on in place.
 
         Args:
@@ -153,7 +125,7 @@ def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDev
     if library is None:
         return None
     python = kind.build(config)
-    record = library.record_of(f"{kind.name}_config", kind.constants(config))
+    record = library.constants(f"{kind.name}_config", *kind.constants(config))
     fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
     if record is None or not fits(record.ctypes.data):
         return None
@@ -165,26 +137,14 @@ def native_here(kind: Kind, config: Any) -> NativeDevice | None:
     return native_device(SENSORS.installed(), kind, config)
 
 
-def wire_constants(
-    wire: Wire, rated: Any, code_range: tuple[Any, Any], bits: int, channels: int, coding: str = CODINGS[1]
-) -> dict[str, Any]:
-    """Return the constants of a wire in a device's record; arguments as of the Python's ``wire``."""
-    low, high = (np.broadcast_to(end, channels) for end in code_range)
+def wire_constants(config: Any, rated: Any, bits: int, coding: str = CODINGS[1]) -> dict[str, Any]:
+    """Return the constants of an instrument's wire that are not its own; arguments as of ``wire``."""
+    low, high = (np.broadcast_to(end, config.channels) for end in config.code_range)
     return {
         "wire_bits": bits,
         "wire_offset_binary": coding == CODINGS[0],
-        "wire_late": wire.late,
-        "wire_under_way": wire.under_way,
         "wire_lowest": low,
         "wire_highest": high,
-        "wire_spike_size": np.broadcast_to(wire.spike_size * np.abs(rated), channels),
-        "wire_spike_rate": wire.spike_rate,
-        "wire_wrong_words": wire.wrong_words,
-        "wire_stale_repeats": wire.stale_repeats,
-        "wire_packet_loss": wire.packet_loss,
+        "wire_spike_size": np.broadcast_to(config.wire.spike_size * np.abs(rated), config.channels),
         "wire_packet_loss_length": ALONE,
-        "wire_gap_share": wire.gap_share,
-        "wire_gap_length": wire.gap_length,
-        "wire_delay": wire.delay,
-        "wire_jitter": wire.jitter,
     }

@@ -40,30 +40,29 @@ def _build(broken: Broken) -> Corruption[FaultState]:
     return channel_faults(*broken)
 
 
-def _constants(broken: Broken) -> dict[str, Any]:
+def _constants(broken: Broken) -> tuple[Any, ...]:
     every, faults = channels_of(broken.converter), broken.faults
     own = [every[fault.channel] for fault in faults]
     ends = [
         channel.limits_at(fault.level) if fault.kind == "saturated" else (channel.low, channel.high)
         for fault, channel in zip(faults, own, strict=True)
     ]
+    of_faults = {
+        name: [getattr(fault, name) for fault in faults]
+        for name in ("channel", "start", "rate", "probability", "burst")
+    }
     return {
-        "channels": broken.channels,
+        **of_faults,
         "count": len(faults),
         "kind": [KINDS.index(fault.kind) for fault in faults],
-        "channel": [fault.channel for fault in faults],
         "other": [fault.other or 0 for fault in faults],
         "rounds": [channel.rounds for channel in own],
-        "start": [fault.start for fault in faults],
         "stop": [np.inf if fault.stop is None else fault.stop for fault in faults],
         "unloaded": [channel.unloaded for channel in own],
         "lowest": [low for low, _ in ends],
         "highest": [high for _, high in ends],
-        "rate": [fault.rate for fault in faults],
         "size": [abs(channel.slope) * fault.size for fault, channel in zip(faults, own, strict=True)],
-        "probability": [fault.probability for fault in faults],
-        "burst": [fault.burst for fault in faults],
-    }
+    }, broken
 
 
 FAULTS = Kind("faults", _build, _constants)

@@ -160,7 +160,7 @@ class Telemetry:
         self.before_start = max(PACKETS_BEFORE_START, ceil(latest / self.period) + 4)
         self._imu: Corruption[ImuState] = imu(imu_config)
         self._encoders: Corruption[Any] = encoders(encoder_config)
-        self._smoothing = velocity_smoothing(encoder_config, self.period)
+        self.smoothing = velocity_smoothing(encoder_config, self.period)
 
     def init(
         self,
@@ -256,7 +256,7 @@ class Telemetry:
         attitude = update(attitude, (wx, wy, wz), (fx, fy, fz), period)
         # After a simulation that blew up the filter begins anew.
         velocity = np.where(np.isnan(velocity), 0.0, velocity)
-        velocity = velocity + self._smoothing * ((angle - before) / period - velocity)
+        velocity = velocity + self.smoothing * ((angle - before) / period - velocity)
         inertial_part = (attitude.roll, attitude.pitch, wx, wy, wz, fx, fy, fz)
         values = np.concatenate((angle, velocity, inertial_part))
         return values, Computer(imu_state, encoder_state, attitude, angle, velocity)

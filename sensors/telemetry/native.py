@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import SENSORS, Library, require
+from surefoot.native import SENSORS, Library, Record, require
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.stages.affine import WalkState
@@ -17,20 +17,6 @@ Floats = NDArray[np.float64]
 
 LARGEST_NORMAL = 8.6
 """Standard deviations beyond which no normal number lies that is drawn of 53 bits."""
-
-
-class NativeTelemetryState:
-    """The robot's side of the link as the library holds it; it goes on in place.
-
-    Args:
-        record: All numbers, shape ().
-    """
-
-    def __init__(self, record: NDArray[Any]) -> None:
-        self.record, self.address = record, record.ctypes.data
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return NativeTelemetryState, (self.record.copy(),)
 
 
 class NativeTelemetry(Telemetry):
@@ -71,9 +57,11 @@ class NativeTelemetry(Telemetry):
         most = library.places["telemetry"]["arrival"][2] // 8
         if room > most:
             raise ValueError("More packets are under way than the library was compiled for.")
-        config = library.record_of(
-            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps) | {"room": room}
-        )
+        own = self._of_imu(imu_config)
+        self._skewed = bool(own["skewed"])
+        before_start = min(self.before_start, 2**30)
+        own |= {"joints": joints, "substeps": substeps, "before_start": before_start, "room": room}
+        config = library.constants("telemetry_config", own | {"encoders": encoder_config}, self, link)
         assert config is not None
         self.config = config
         shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
@@ -88,11 +76,10 @@ class NativeTelemetry(Telemetry):
         # Fields are views: what the robot's packets do not fill needs no memory.
         fields = dict(state.fields or {})
         ring, at = fields["ring"][:2]
-        self._record = np.dtype({
+        self.record = np.dtype({
             "names": list(fields), "formats": [field[0] for field in fields.values()],
             "offsets": [field[1] for field in fields.values()], "itemsize": at + ring.itemsize,
         })  # fmt: skip
-        self._skewed = bool(self.config["skewed"])
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
@@ -129,9 +116,9 @@ class NativeTelemetry(Telemetry):
             self._position, self._inertial = (np.zeros((substeps, part.shape[1])) for part in self.inputs)
             self._arrays[1:3] = self._position.ctypes.data, self._inertial.ctypes.data
 
-    def empty(self) -> NativeTelemetryState:
+    def empty(self) -> Record:
         """Return room for a state, before an episode."""
-        return NativeTelemetryState(np.zeros((), self._record))
+        return Record(self.record)
 
     def packets(self, count: int) -> Packets:
         """Return the packets that the last step has delivered, so many."""
@@ -151,25 +138,26 @@ class NativeTelemetry(Telemetry):
 
     def hardware(self, state: Any) -> Hardware:
         """Return the present state of IMU and encoders."""
-        record = state.record
+        record = state.now
         matrix = record["matrix"].copy() if self._skewed else ()
         return Hardware(ImuState(record["bias"].copy(), matrix), (WalkState(record["error"].copy()), (), ()))
 
     def with_hardware(self, state: Any, hardware: Hardware) -> Any:
         """Return a state that goes on with another IMU and other encoders."""
-        after = NativeTelemetryState(state.record.copy())
+        after = self.empty()
+        after.bytes[:] = state.bytes
         self.put(after, hardware)
         return after
 
-    def put(self, state: NativeTelemetryState, hardware: Hardware) -> None:
+    def put(self, state: Record, hardware: Hardware) -> None:
         """Go on with another IMU and other encoders, in place."""
-        state.record["bias"], matrix = hardware.imu
+        state.now["bias"], matrix = hardware.imu
         if self._skewed:
-            state.record["matrix"] = matrix
-        state.record["error"] = hardware.encoders[0].error
+            state.now["matrix"] = matrix
+        state.now["error"] = hardware.encoders[0].error
 
-    def _constants(self, joints: int, chip: Imu, coders: Encoders, substeps: int) -> dict[str, Any]:
-        """Return the constants by their names in ``sf_telemetry_config``."""
+    def _of_imu(self, chip: Imu) -> dict[str, Any]:
+        """Return the constants of an IMU by their names in ``sf_telemetry_config``."""
         axes, period = np.eye(3), self.period
         scales = np.array([chip.accelerometer_scale_std, chip.gyroscope_scale_std])[:, None, None]
         spread = scales * axes + chip.misalignment_std * (1.0 - axes)
@@ -180,21 +168,8 @@ class NativeTelemetry(Telemetry):
             )
 
         return {
-            "joints": joints,
-            "substeps": substeps,
-            "before_start": min(self.before_start, 2**30),
-            "averaged": self.averaged,
-            "skewed": bool(spread.any()),
-            "dt": self.dt,
-            "substep": self.substep,
-            "period": period,
-            "delay": self.link.delay,
-            "jitter": self.link.jitter,
+            "skewed": spread.any(),
             "interval": period,
-            "smoothing": self._smoothing,
-            "encoder_bias": coders.bias_std,
-            "encoder_noise": coders.noise_std,
-            "encoder_step": coders.resolution,
             "bias_std": both("bias_std"),
             "spread": spread.ravel(),
             "walk": both("walk") * period**0.5,

@@ -153,7 +153,7 @@ def feed_garbage(path):
             native.update(state, raw, row, DT * float(rng.choice([1.0, 1.0, 1.0, 0.01, 0.3, 1e-4, 3.0])))
             if rng.random() < 0.005:
                 native.retract(state)
-        assert np.isfinite(native.unpack(state).covariance).all()
+        assert np.isfinite(state.python().covariance).all()
 
 
 @pytest.mark.slow

@@ -206,7 +206,7 @@ def robot(library, layout="cells", lag=2, method="moment", age=0.0, **options):
 
 
 def same_state(stream, native, expected, state, **tolerance):
-    found = native.unpack(state)
+    found = state.python()
     assert type(found) is type(expected)
     for (path, a), (_, b) in zip(leaves_of(expected), leaves_of(found), strict=True):
         same(path[-1], a, b, **tolerance)
@@ -232,7 +232,7 @@ def play(stream, native, log, exchange=(), **tolerance):
         if k % 48 == 47 or k in exchange | log.retracted | log.begun:
             same_state(stream, native, expected, found, **tolerance)
         if k in exchange:
-            other = native.unpack(found)
+            other = found.python()
             found, expected = native.pack(expected), other
     return expected, one
 

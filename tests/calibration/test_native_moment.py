@@ -19,6 +19,7 @@ from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native import c_source
 from surefoot.calibration.native.config import moment_constants
 from surefoot.native import CALIBRATION, compiler
+from surefoot.native.library import _MISSING, _attribute
 
 SAMPLES, AT = 800, 320
 
@@ -178,9 +179,14 @@ def test_accelerations_are_added_up_alike(library, layout, event):
     play(*robot(library, layout, 2, "moment"), log, exchange=range(79, len(log.force), 80), **far)
 
 
-def test_c_has_no_constants_of_its_own(library):
-    given = moment_constants(MomentFilter(setup_of("cells"), Moment()))
-    assert set(given) == set(library.places["moment_config"]) - {""}
+def test_each_constant_has_one_home(library):
+    """None of them is found under its name in two parts of the filter, of which one would hide the other."""
+    own, *sources = moment_constants(MomentFilter(setup_of("cells"), Moment()))
+    for field in set(library.places["moment_config"]) - {"", *own}:
+        homes = [home for part in sources if (home := _attribute(part, field)) is not _MISSING]
+        assert all(np.array_equal(home, homes[0]) for home in homes), field
+    with pytest.raises(KeyError, match="Nobody has 'components' of .* 'moment_config'; looked in dict"):
+        library.constants("moment_config", own)
 
 
 def test_options_reach_the_library(library):

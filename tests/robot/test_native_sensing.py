@@ -11,13 +11,12 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.envs import Truth
-from surefoot.native import SENSORS, compiler
+from surefoot.native import SENSORS, Record, compiler
 from surefoot.robot import RobotSensors
 from surefoot.robot.sensing.native import NativeSensing
 from surefoot.robot.sensing.python import PythonSensing
 from surefoot.sensors import Fault, LoadCells, Wire
 from surefoot.sensors.randomness import Stream
-from surefoot.sensors.telemetry.native import NativeTelemetryState
 from surefoot.wrappers import FootSensors
 
 CLOSE, STEPS = 1e-9, 25
@@ -156,6 +155,6 @@ def test_telemetry_is_the_same_by_either(monkeypatch: pytest.MonkeyPatch) -> Non
             assert type(state) is kind
             packets, _ = telemetry.advance(*rows, 31 / 80, state, rng)
             seen.append([packet.values for packet in packets])
-    assert kind is NativeTelemetryState
+    assert kind is Record
     for one, two in zip(seen[:4], seen[4:], strict=True):
         np.testing.assert_allclose(two, one, rtol=1e-6 if one is seen[0] else CLOSE, atol=1e-12)

@@ -318,7 +318,7 @@ def test_garbage_stays_within_the_arrays(library: Library, tmp_path: Path, name:
     kind = KINDS[type(config)]
     state = native.pack(kind.build(config).init((config.channels,), Stream.of(1)))
     (tmp_path / "config").write_bytes(native.constants.tobytes())
-    (tmp_path / "state").write_bytes(state.record.tobytes())
+    (tmp_path / "state").write_bytes(state.now.tobytes())
     source = Path(__file__).parent / "fuzz_devices.c"
     compile_program(source, tmp_path / "fuzz", f"-D{kind.name.upper()}", *SANITIZED)
     done = subprocess.run(

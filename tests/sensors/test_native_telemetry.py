@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from _native import SANITIZED, compile_program, library_of
 
-from surefoot.native import SENSORS, compiler
+from surefoot.native import SENSORS, Record, compiler
 from surefoot.sensors import Encoders, Imu, Link, preset
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Hardware, Telemetry
-from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState, telemetry_of
+from surefoot.sensors.telemetry.native import NativeTelemetry, telemetry_of
 
 STEPS, BLOWN_UP, CLOSE = 2000, 1000, 1e-9
 
@@ -77,7 +77,7 @@ def same_packets(expected, found) -> None:
 
 
 def same_state(expected, found) -> None:
-    assert type(found) is NativeTelemetryState
+    assert type(found) is Record
     (imu, (walk, *_), attitude, position, velocity), inertial, substeps, due, number, under_way = expected
     parts = {
         "bias": imu.bias, "matrix": imu.matrix, "error": walk.error, "up": attitude.up,
@@ -86,7 +86,7 @@ def same_state(expected, found) -> None:
     }  # fmt: skip
     for name, part in parts.items():
         if not isinstance(part, tuple) or part:  # axes that are exact have no matrix
-            np.testing.assert_allclose(found.record[name], part, rtol=CLOSE, atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(found.now[name], part, rtol=CLOSE, atol=1e-12, err_msg=name)
 
 
 QUICK = ("usual", "axes that are off", "jitter that holds packets up")
@@ -115,8 +115,8 @@ def test_the_library_is_the_python(library, name: str) -> None:
         packets, expected = python.advance(*truth, time, expected, rngs[0])
         others, found = native.advance(*truth, time, found, rngs[1])
     same_state(expected, found)
-    assert np.isfinite(found.record["up"]).all()
-    assert np.isfinite(found.record["velocity"]).all()
+    assert np.isfinite(found.now["up"]).all()
+    assert np.isfinite(found.now["velocity"]).all()
     assert rngs[1].standard_normal() == pytest.approx(float(rngs[0].standard_normal()), rel=CLOSE)
     assert came > 0.9 * STEPS * dt / python.period
 

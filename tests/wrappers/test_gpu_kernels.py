@@ -168,7 +168,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
     library = library_of(CALIBRATION, tmp_path)
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
     native = native_filter(library, method, setup, {})
-    expected = of_robots([native.init().record] * ROBOTS)
+    expected = of_robots([native.init().now] * ROBOTS)
     state, beliefs = expected.copy(), np.zeros(ROBOTS, native.references[Reference].dtype)
     beliefs["known"] = True
     own, number = native.constants.own, native.constants.number
@@ -205,7 +205,7 @@ def test_a_device_in_a_kernel_is_that_of_the_library(module, tmp_path, name):
         native.pack(kind.build(config).init((config.channels,), Stream.of(1, robot)))
         for robot in range(ROBOTS)
     ]
-    state, drawn = of_robots([each.record for each in states]), streams.copy()
+    state, drawn = of_robots([each.now for each in states]), streams.copy()
     counts, wanted = np.zeros((ROBOTS, config.channels)), np.zeros((ROBOTS, config.channels))
     advance = getattr(library.functions, f"surefoot_{kind.name}_step")
     for _ in range(SAMPLES):
@@ -215,7 +215,7 @@ def test_a_device_in_a_kernel_is_that_of_the_library(module, tmp_path, name):
             places = (part.ctypes.data for part in (streams[robot : robot + 1], load[robot]))
             advance(native.constants.ctypes.data, one.address, *places, rows, DT, wanted[robot].ctypes.data)
         same(counts, wanted)
-    same(state, of_robots([each.record for each in states]))
+    same(state, of_robots([each.now for each in states]))
     assert (drawn == streams).all()
     assert len(np.unique(np.round(counts[:, 0]))) == ROBOTS
 

@@ -31,7 +31,7 @@ from surefoot.robot.streams import check_stream, device_streams
 from surefoot.sensors import LoadCells, scaled
 from surefoot.sensors.devices.load_cells import true_map
 from surefoot.sensors.devices.native_cells import CELLS
-from surefoot.sensors.devices.native_device import Kind, NativeDevice, NativeState, native_device
+from surefoot.sensors.devices.native_device import Kind, NativeDevice, native_device
 from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.faults.words import CELLS as CELL_NAMES
@@ -297,8 +297,11 @@ class FootSensorsModule(BatchModule):
         if not isinstance(self.config, LoadCells):
             raise TypeError("Only load cells have a map of their own for each channel.")
         cells = self._device(CELLS, self.config)
-        records = np.split(self._sensors.cpu().numpy().view(cells.layout), self.num_envs)
-        states = (cells.unpack(NativeState(one.reshape(()), cells)) for one in records)
+        states = []
+        for row in self._sensors.cpu().numpy():
+            state = cells.empty()
+            state.bytes[:] = row
+            states.append(state.python())
         severity = self._severity.tolist() if "config" in self._records else [self._usual[0].severity]
         configs: list[Any] = [scaled(self._drawn, one) for one in severity]
         configs *= self.num_envs // len(configs)
@@ -416,9 +419,9 @@ class FootSensorsModule(BatchModule):
                 known = not fresh or condition.severity == usual.severity
                 device, broken = self._parts(condition, device if known else None)
             if fresh:
-                found[0].append(device.pack(device.python.init((self.channels,), own)).record)
+                found[0].append(device.pack(device.python.init((self.channels,), own)).now)
                 found[3].append(device.constants)
-            found[1].append(broken.pack(broken.python.init((self.channels,), of_faults)).record)
+            found[1].append(broken.pack(broken.python.init((self.channels,), of_faults)).now)
             found[2].append(np.stack([stream.record for stream in (own, of_faults, of_condition)]))
             found[4].append(broken.constants)
             found[5].append(condition.severity)

@@ -218,7 +218,7 @@ class SelfCalibrationModule(BatchModule):
         """Make the records of all robots."""
         native = NativeFilter(self._kernel.library, constants)
         places, work = native.library.places, _STEPS[self.method].work
-        fresh, given, robots = native.pack(constants.like).record, native.references, self.num_envs
+        fresh, given, robots = native.pack(constants.like).now, native.references, self.num_envs
         self._config, self._fresh = self._record(constants.config), self._record(fresh)
         self._own = self._config if constants.own is None else self._record(constants.own)
         # Nothing is remembered in what they work in: robots that wait for a thread share it.
