@@ -183,9 +183,10 @@ def test_each_constant_has_one_home(library):
     """None of them is found under its name in two parts of the filter, of which one would hide the other."""
     own, *sources = moment_constants(MomentFilter(setup_of("cells"), Moment()))
     for field in set(library.places["moment_config"]) - {"", *own}:
-        homes = [home for part in sources if (home := _attribute(part, field)) is not _MISSING]
+        found = (_attribute(part, field) for part in sources)
+        homes = [home for home in found if home is not _MISSING and not callable(home)]
         assert all(np.array_equal(home, homes[0]) for home in homes), field
-    with pytest.raises(KeyError, match="Nobody has 'components' of .* 'moment_config'; looked in dict"):
+    with pytest.raises(KeyError, match="Nobody has 'components' of the record 'moment_config'"):
         library.constants("moment_config", own)
 
 
