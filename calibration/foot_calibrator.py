@@ -22,9 +22,10 @@ from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
 from surefoot.native import CALIBRATION, Library
+from surefoot.pickles import OfOneVersion
 
 
-class FootCalibrator:
+class FootCalibrator(OfOneVersion):
     """Calibrate the feet of a robot while it moves.
 
     A thin object over the pure functions of :mod:`surefoot.calibration.online`, which carries their state
@@ -116,12 +117,12 @@ class FootCalibrator:
         return PythonFilter(self._pure)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_backend")}
-        return {**kept, "state": self.state}
+        kept = {**super().__getstate__(), "state": self.state}
+        return {name: part for name, part in kept.items() if name not in ("_pure", "_backend")}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        state = kept.pop("state")
-        self.__dict__.update(kept)
+        state = kept.pop("state", None)
+        super().__setstate__(kept)
         self._begin()
         self.state = state
 

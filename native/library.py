@@ -61,6 +61,12 @@ class Library(NamedTuple):
     places: dict[str, dict[str, tuple[str, int, int]]]
     found: dict[Any, np.dtype[Any] | None]
 
+    @property
+    def source(self) -> str:
+        """The mark of the sources and the sizes that it was compiled from: records of others differ."""
+        mark: bytes = self.functions.surefoot_source()
+        return mark.decode()
+
     def record(self, name: str, shapes: Mapping[str, tuple[int, ...]]) -> np.dtype[Any] | None:
         """Return the dtype of a record whose fields are as large as here; ``None`` if one has no room.
 

@@ -17,6 +17,7 @@ from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
 from surefoot.robot.beliefs.lag import check_lag, packets_per_join, usual_lag, waiting_samples
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, Touching
@@ -157,7 +158,7 @@ class CalibrationSetup:
         return FootView(self.show, self.layout, self.mass, drawing.flaw, drawing.gravity, rolls)
 
 
-class RobotCalibration:
+class RobotCalibration(OfOneVersion):
     """One robot's beliefs and its calibrator.
 
     Args:
@@ -334,10 +335,10 @@ class RobotCalibration:
         # The library's record, of which an estimate is made, stays behind.
         if self.made:
             self._keep_estimate()
-        return {**vars(self), "_backend": None}
+        return {**super().__getstate__(), "_backend": None}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
+        super().__setstate__(kept)
         if self.made:
             self._choose()
 

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.equipment import Equipment
@@ -19,7 +20,7 @@ from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
 
 
-class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
     Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import MethodOptions
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import RAW, drop_counts
@@ -18,7 +19,7 @@ from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
 
 
-class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
     The observation gains, from the counts alone, the parts that ``show`` names, and loses ``"foot_raw"``

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.native import CALIBRATION, Library, c_header, require
+from surefoot.pickles import Made, refuse
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
@@ -176,8 +177,8 @@ class NativeBeliefs:
         return self._soles.astype(np.float64)
 
     def __reduce__(self) -> Any:
-        told = self.believed.now, self._planned
-        return _going_on, (self._spec, self._momentum, self._state.tobytes(), *map(np.copy, told))
+        made, told = Made("NativeBeliefs", self.library.source), (self.believed.now, self._planned)
+        return _going_on, (made, self._spec, self._momentum, self._state.tobytes(), *map(np.copy, told))
 
     def take(self, state: bytes, believed: NDArray[Any], planned: NDArray[np.bool_]) -> None:
         """Go on from another one's numbers."""
@@ -194,10 +195,13 @@ def _without_rows(beliefs: Any) -> Any:
     return bare
 
 
-def _going_on(spec: Any, momentum: bool, state: bytes, *told: NDArray[Any]) -> NativeBeliefs:
-    """Return a copy of beliefs, in the library that has such a record."""
-    rooms = [one for one in CALIBRATION.rooms() if _size(one, momentum) == len(state)]
-    native = NativeBeliefs(require(rooms[0] if rooms else None), spec)
+def _going_on(made: Made, spec: Any, momentum: bool, state: bytes, *told: NDArray[Any]) -> NativeBeliefs:
+    """Return a copy of beliefs, in the library whose records are those of these bytes."""
+    rooms = CALIBRATION.rooms() or (require(None),)
+    library = next((one for one in rooms if one.source == made.mark), None)
+    if library is None:
+        refuse(made.name, "a library of other sources, whose numbers lie elsewhere")
+    native = NativeBeliefs(require(library), spec)
     native.take(state, *told)
     return native
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.known_map import is_file_of_map, read_map
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.native import SensingBackend, native_sensing, places_in
@@ -27,7 +28,7 @@ _EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
 """Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
 
 
-class RobotSensors:
+class RobotSensors(OfOneVersion):
     """One robot's sensors, and the host's copies of their readings.
 
     Args:

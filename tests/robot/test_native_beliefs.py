@@ -188,6 +188,12 @@ def test_copies_go_on_alike(library, model, monkeypatch):
     monkeypatch.setattr(CALIBRATION, "installed", lambda: None)
     with pytest.raises(RuntimeError, match="The library is missing"):
         pickle.loads(pickle.dumps(native))
+    monkeypatch.undo()
+    monkeypatch.setattr(type(library), "source", "another")
+    other = pickle.dumps(native)
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="This NativeBeliefs was pickled by a library of other sources"):
+        pickle.loads(other)
     for other in others:
         same_info(native.info(), other.info())
     native.update(packets[60:])

@@ -21,7 +21,7 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import SyncVectorEnv
 from stable_baselines3.common import env_checker
 
-import surefoot  # noqa: F401
+from surefoot import pickles
 from surefoot.envs import InstrumentedEnv
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import (
@@ -390,3 +390,21 @@ def test_perfect_ankles_feel_what_is_told() -> None:
     assert not told["cop_valid"][1:].any()
     np.testing.assert_allclose(told["vgrf"], env.source.truth.vgrf())
     np.testing.assert_allclose(told["cop_world"], np.nan_to_num(env.source.truth.cop_world()), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [FootSensors, SelfCalibration])
+def test_pickles_of_another_version_are_refused(kind, monkeypatch) -> None:
+    """Before anything in them is looked at, which may be of classes that are gone."""
+    env = FootSensors(gym.make("surefoot/NaoBalance-v0", disable_env_checker=True))
+    env = SelfCalibration(env, "none") if kind is SelfCalibration else env
+    env.reset(seed=0)
+    kept = pickle.dumps(env).replace(b"envs.nao", b"envs.old")
+    with pytest.raises(ModuleNotFoundError):
+        pickle.loads(kept)
+    monkeypatch.setattr(pickles, "version", lambda: "99")
+    with pytest.raises(ValueError, match=f"This {kind.__name__} was pickled by surefoot"):
+        pickle.loads(kept)
+    state = env.__getstate__()
+    del state["_made"]
+    with pytest.raises(ValueError, match=f"This {kind.__name__} was pickled by an older surefoot"):
+        kind.__new__(kind).__setstate__(state)

@@ -9,6 +9,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.envs.batch import BatchVectorEnv
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
@@ -19,7 +20,7 @@ from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 Infos = dict[str, Any]
 
 
-class VectorFootSensors(SensorsFace, AnyVectorWrapper):
+class VectorFootSensors(OfOneVersion, SensorsFace, AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around

@@ -12,6 +12,7 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
+from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, severity_of_each
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment
@@ -53,7 +54,7 @@ class Listener(Protocol):
         """Take in robots that were reset, shape (N,), with their seeds and the choice."""
 
 
-class BatchSensors:
+class BatchSensors(OfOneVersion):
     """Feels N robots through load cells or ankle sensors, joint encoders and IMUs.
 
     Args:
@@ -257,7 +258,7 @@ class BatchSensors:
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         # Rows of copied arrays are arrays of their own.
-        self.__dict__.update(kept)
+        super().__setstate__(kept)
         self._put_side_by_side()
 
     def _look(self, rows: Rows) -> Floats:
