@@ -96,6 +96,12 @@ def check_value(name: str, value: Any, *, positive: bool) -> None:
         raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
 
 
+def check_flag(name: str, value: Any) -> None:
+    """Raise TypeError for a choice that is no boolean: "no" would be taken for yes."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"'{name}' must be True or False, got {value!r}.")
+
+
 def as_number(name: str, value: Any) -> float:
     """Return a number as a float; raise TypeError for a text, several numbers or anything else."""
     try:

@@ -127,7 +127,7 @@ class OnlineSetup:
                 f"'initial' must be Parameters(scale, offset), got {type(self.initial).__name__}."
             )
         if not is_whole(self.lag) or self.lag < 0:
-            raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag}.")
+            raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag!r}.")
         object.__setattr__(self, "lag", int(self.lag))
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)

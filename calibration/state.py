@@ -96,6 +96,9 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
         if saved != text:
             raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
     leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}
+    here, there = _robots(wanted), _robots(leaves)
+    if here != there:
+        raise ValueError(f"'{path}' is of {there} robot(s), and this is of {here}; load it into as many.")
     if set(wanted) != set(leaves):
         odd = sorted(set(wanted) ^ set(leaves))
         raise ValueError(
@@ -112,6 +115,11 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
             )
     check_leaves(leaves, limits, f"'{path}' is no state to go on with")
     return _rebuild(like, leaves, "")
+
+
+def _robots(leaves: Mapping[str, Any]) -> int:
+    """Return of how many robots leaves are, which have numbers in front if they are several."""
+    return max(1, len({name.partition(".")[0] for name in leaves if name[0].isdigit()}))
 
 
 def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:

@@ -7,7 +7,7 @@ one data; fields of the model in which robots differ, and MuJoCo's states, are t
 """
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +26,7 @@ from surefoot.envs.nao.carry import NaoCarryEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.observation import Look, Observation
-from surefoot.envs.options import check_render_mode
+from surefoot.envs.options import check_count, check_render_mode
 from surefoot.native import cores
 
 PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -61,6 +61,7 @@ class BatchVectorEnv(SyncVectorEnv):
         ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
 
     Raises:
+        ValueError: If there is no robot, or an option is out of its range.
         ImportError: If this MuJoCo has no ``mujoco.batch``, which came with 3.17.
     """
 
@@ -86,6 +87,12 @@ class BatchVectorEnv(SyncVectorEnv):
                 "MuJoCo 3.17 or later, or make the environments with vectorization_mode='sync'."
             ) from error
         check_render_mode(options.get("render_mode"), ["rgb_array"])
+        num_envs, threads = check_count("num_envs", num_envs, 1), check_count("threads", threads, 0)
+        try:
+            autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = [mode.value for mode in AutoresetMode]
+            raise ValueError(f"'autoreset_mode' must be one of {modes}, got {autoreset_mode!r}.") from None
         made: list[BipedEnv] = []
 
         def one() -> BipedEnv:
@@ -146,37 +153,12 @@ class BatchVectorEnv(SyncVectorEnv):
             gymnasium.error.ResetNeeded: If the environment has not been reset, or, in the mode ``DISABLED``,
                 robots whose episode is over have not.
         """
-        task, state, over, mode = self._task, self.state, self._autoreset_envs, self.autoreset_mode
-        if state is None:
-            raise ResetNeeded("Call reset() before the first step().")
-        if mode is AutoresetMode.DISABLED and over.any():
-            raise ResetNeeded(
-                f"The episodes of robots {np.flatnonzero(over).tolist()} are over, and autoreset_mode is "
-                'DISABLED; call reset(options={"reset_mask": terminations | truncations}) first.'
-            )
-        starting = over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+        task, mode = self._task, self.autoreset_mode
+        starting = self._starting()
         stepping = ~starting
         residual = task.check_action(actions, (self.num_envs,))
-        prepares = np.zeros(self.num_envs, dtype=bool)
-        if self._task.prelude.duration:
-            prepares[:] = [env.prelude.playing for env in self.envs]
-        residual[(state.tick < task.quiet_ticks) & ~prepares] = 0.0
-        state.tick[...] += ~prepares
-        self._set_commands(..., task.command_at(state.plan, state.tick))
-        for i in np.flatnonzero(prepares & stepping).tolist():
-            self._set_commands(i, self.envs[i].prelude.next())
-        targets = task.targets(state, residual)
-        self._disturb(stepping, prepares)
-        state.target[...] = targets[:, -1]
-        who = None if stepping.all() else np.flatnonzero(stepping)
-        if who is None:
-            out = {"sensordata": self._rows, "qvel": self._qvel}
-            self._batch.rollout(task.substeps, targets, record=RECORD, out=out)
-        else:
-            recorded = self._batch.rollout(task.substeps, targets[who], record=RECORD, ids=who)
-            self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
-
-        if who is not None:
+        self._act(residual, stepping)
+        if starting.any():
             self._restart(starting)
         look = self._look()
         judged = [task.judge(seen) for seen in np.c_[look.seen, effort(residual)].tolist()]
@@ -188,17 +170,55 @@ class BatchVectorEnv(SyncVectorEnv):
         infos: dict[str, Any] = {}
         self.ended = {}
         if mode is AutoresetMode.SAME_STEP and done.any():
-            finals = np.full(self.num_envs, None)
-            for i in np.flatnonzero(done).tolist():
-                finals[i] = {key: part[i].copy() for key, part in look.observation.items()}
-                self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
-            told = _gather_infos(self.mean_truth, terms, done, done)
-            infos, stepping = _add_masks({"final_obs": finals, "final_info": told}, done), ~done
-            self._restart(done)
+            infos, stepping = self._end(done, look, terms), ~done
             look = self._look()
         everyone = np.ones(self.num_envs, dtype=bool)
         infos |= _gather_infos(self.mean_truth, terms, everyone, stepping)
         return look.observation, rewards, terminated, truncated, infos
+
+    def _starting(self) -> NDArray[np.bool_]:
+        """Return the robots that are reset in this step instead, shape (N,); errors as of :meth:`step`."""
+        over, mode = self._autoreset_envs, self.autoreset_mode
+        if self.state is None:
+            raise ResetNeeded("Call reset() before the first step().")
+        if mode is AutoresetMode.DISABLED and over.any():
+            raise ResetNeeded(
+                f"The episodes of robots {np.flatnonzero(over).tolist()} are over, and autoreset_mode is "
+                'DISABLED; call reset(options={"reset_mask": terminations | truncations}) first.'
+            )
+        return over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+
+    def _act(self, residual: NDArray[np.float64], stepping: NDArray[np.bool_]) -> None:
+        """Let robots plan a control step, and simulate it."""
+        task, state = self._task, self._present
+        prepares = np.zeros(self.num_envs, dtype=bool)
+        if task.prelude.duration:
+            prepares[:] = [env.prelude.playing for env in self.envs]
+        residual[(state.tick < task.quiet_ticks) & ~prepares] = 0.0
+        state.tick[...] += ~prepares
+        self._set_commands(..., task.command_at(state.plan, state.tick))
+        for i in np.flatnonzero(prepares & stepping).tolist():
+            self._set_commands(i, self.envs[i].prelude.next())
+        targets = task.targets(state, residual)
+        self._disturb(stepping, prepares)
+        state.target[...] = targets[:, -1]
+        if stepping.all():
+            out = {"sensordata": self._rows, "qvel": self._qvel}
+            self._batch.rollout(task.substeps, targets, record=RECORD, out=out)
+        else:
+            who = np.flatnonzero(stepping)
+            recorded = self._batch.rollout(task.substeps, targets[who], record=RECORD, ids=who)
+            self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
+
+    def _end(self, done: NDArray[np.bool_], look: Look, terms: Mapping[str, Any]) -> dict[str, Any]:
+        """Reset robots in the step in which their episodes end; return the infos of their last moments."""
+        finals = np.full(self.num_envs, None)
+        for i in np.flatnonzero(done).tolist():
+            finals[i] = {key: part[i].copy() for key, part in look.observation.items()}
+            self.ended[i] = SimpleNamespace(truth=self._truth_of(i), command=self._command_of(i))
+        told = _gather_infos(self.mean_truth, terms, done, done)
+        self._restart(done)
+        return _add_masks({"final_obs": finals, "final_info": told}, done)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of the robots' own environments, or get an attribute, as they are now."""

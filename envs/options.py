@@ -62,7 +62,10 @@ def check_action(
     Raises:
         ValueError: If it has another shape or is not finite.
     """
-    numbers = np.asarray(action, dtype=np.float64)
+    try:
+        numbers = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"An action holds numbers, {each} {names}; got {action!r}.") from None
     if numbers.shape != (shape := (*robots, len(names))):
         raise ValueError(f"An action has shape {shape}, {each} {names}; got shape {numbers.shape}.")
     if not np.isfinite(numbers).all():
@@ -82,6 +85,20 @@ def number_of(value: Any) -> float:
         return float(value)
     except (TypeError, ValueError):
         return nan
+
+
+def check_number(name: str, value: Any) -> float:
+    """Return a finite number as a float, or raise ValueError for other values."""
+    if not isfinite(number := number_of(value)):
+        raise ValueError(f"'{name}' must be finite, got {value!r}.")
+    return number
+
+
+def check_count(name: str, value: Any, least: int) -> int:
+    """Return a whole number, or raise ValueError for other values and for less than the least."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
+    return int(value)
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:

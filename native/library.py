@@ -97,7 +97,7 @@ class Library(NamedTuple):
 
         Args:
             name: The record.
-            sources: What has its values, the first that has a field: mappings, objects by the names of their
+            sources: Where values are found, the first that has a field: mappings, objects by the names of their
                 attributes, and modules by those of their constants, in capitals. A part of an object has the
                 fields that begin with its name: ``wire_delay`` is ``wire.delay``.
 
@@ -127,7 +127,7 @@ class Library(NamedTuple):
 
 
 def _value_of(field: str, record: str, sources: Sequence[Any]) -> Any:
-    """Return what sources have under the name of a field; as of :meth:`Library.constants`."""
+    """Look a field up in sources; as of :meth:`Library.constants`."""
     for search in (_attribute, _part):
         for source in sources:
             value = search(source, field)

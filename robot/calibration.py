@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
+from surefoot.calibration.checks import check_flag
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import ReferenceRecord
@@ -121,6 +122,7 @@ class CalibrationSetup:
         names = instruments.layout.channel_names
         self.start = StartingMap(initial, instruments.nominal, self.errors, names)
         check_stream(owner, stream)
+        check_flag("fresh", fresh)
         show = default_parts(flaw_of(instruments.layout, drawing.flaw)) if show is None else show
         check_parts(show)
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age

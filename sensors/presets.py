@@ -298,8 +298,13 @@ def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore
     return found[name]  # type: ignore[no-any-return]
 
 
-def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config]) -> Config:
+def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config], name: str = "config") -> Config:
     """Make a configuration of a preset's name, a mapping or a configuration.
+
+    Args:
+        config: One of the three.
+        kind: The class of the configuration.
+        name: Name of the argument, for messages.
 
     Raises:
         ValueError: If the name or a key of the mapping is unknown, or a value is refused.
@@ -311,9 +316,14 @@ def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config]) -> Con
         return preset(config, kind)
     if isinstance(config, Mapping):
         return from_mapping(kind, config)
-    raise TypeError(
-        f"Give the name of a preset, a mapping or a {kind.__name__}, got {type(config).__name__}."
-    )
+    raise refuse_config(config, name, kind.__name__)
+
+
+def refuse_config(config: Any, name: str, kinds: str) -> TypeError:
+    """Return the error for an argument that is no configuration, nor anything that one is made of."""
+    way_out = f"; call it: {config.__name__}(...)" if isinstance(config, type) else ""
+    wanted = f"the name of a preset, a mapping or a configuration ({kinds})"
+    return TypeError(f"'{name}' must be {wanted}, got {config!r}{way_out}.")
 
 
 def sized(config: LoadCells, weight: float) -> LoadCells:

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration.checks import check_flag
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice
@@ -84,6 +85,7 @@ class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.Recor
         soles: bool | Mapping[str, Sequence[float]] | None = None,
         **options: Unpack[FootOptions],
     ) -> None:
+        check_flag("measure_state", measure_state)
         given = equip(config, **options)
         # Where the sensors are is recorded by InstrumentedEnv, which a spec brings back first.
         gym.utils.RecordConstructorArgs.__init__(self, measure_state=measure_state, **given.options)

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.calibration.checks import as_number
 from surefoot.wrappers.source import find_source
 
 
@@ -50,7 +51,7 @@ class SampleHistory(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
             raise ValueError(f"'keys' must name parts of {list(space.spaces)}, got {list(keys)}.")
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
             raise ValueError(f"'samples' must be a whole number from 2 on, got {samples!r}.")
-        dt = float(source.dt)
+        dt, period = float(source.dt), as_number("period", period)
         if not dt * (1.0 - 1e-9) <= period < float("inf"):
             raise ValueError(f"'period' must be at least a control step, {dt:g} s here, got {period}.")
         self.keys = tuple(keys)

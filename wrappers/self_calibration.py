@@ -8,6 +8,7 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.calibration.checks import check_flag
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import MethodOptions
 from surefoot.pickles import OfOneVersion
@@ -168,14 +169,21 @@ class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.R
         return observation, reward, terminated, truncated, info
 
     @property
+    def _robot(self) -> RobotCalibration:
+        """The robot, which has a calibrator and beliefs once it was reset."""
+        if not self.robot.made:
+            raise gym.error.ResetNeeded("There are no calibrator and no beliefs before the first reset().")
+        return self.robot
+
+    @property
     def calibrator(self) -> FootCalibrator:
         """The calibrator, from the first reset on."""
-        return self.robot.calibrator
+        return self._robot.calibrator
 
     @property
     def beliefs(self) -> Any:
         """The robot's beliefs, of the kind that the method takes, from the first reset on."""
-        return self.robot.beliefs
+        return self._robot.beliefs
 
     @property
     def estimate(self) -> Estimate:
@@ -203,6 +211,7 @@ class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.R
         Samples that were measured by now still count, so that estimates may move for another fraction of a
         second.
         """
+        check_flag("frozen", frozen)
         self.robot.frozen = frozen
 
     def save(self, path: str | PathLike[str]) -> None:

@@ -103,6 +103,11 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
         TypeError: If the environment is not built on MuJoCo.
         ValueError: If its feet cannot be found or have no place for the sensors.
     """
+    if not isinstance(env, gym.Env):
+        raise TypeError(
+            f"FootSensors and TruthRow go around one environment, as gym.make(...) makes it, got {env!r}; "
+            "for those that gym.make_vec(...) makes there is VectorFootSensors."
+        )
     given = {name: value for name, value in options.items() if value is not None}
     if find_source(env) is None:
         return InstrumentedEnv(env, **given)
@@ -182,8 +187,11 @@ def split_options(
         The environment's options, and ``"fresh"`` or ``"keep"`` by kind.
 
     Raises:
+        TypeError: If they are no mapping.
         ValueError: If a kind or a choice does not exist.
     """
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"'options' of a reset must be a mapping, got {options!r}.")
     if options is None or OPTIONS not in options:
         return options, {}
     rest = {key: value for key, value in options.items() if key != OPTIONS}

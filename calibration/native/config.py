@@ -142,7 +142,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
 
 
 def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
-    """Return what has the constants of a moment filter, by their names in ``sf_moment_config``."""
+    """List the sources of a moment filter's constants, by their names in ``sf_moment_config``."""
     own = {
         **{f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields},
         "held": modes.MODES.index(modes.HELD),
@@ -159,7 +159,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
 
 
 def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:
-    """Return what has a robot's constants, by their names in ``sf_config``."""
+    """List the sources of a robot's constants, by their names in ``sf_config``."""
     setup, (lowest, highest) = front.setup, front.plausible
     own = {"feet": len(setup.layout.feet), "lowest": lowest, "highest": highest}
     without: dict[str, Any] = dict.fromkeys(("leap", "landing_kept", "renewal"), 0.0)
@@ -169,7 +169,7 @@ def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:
 
 
 def _window(window: SlidingWindow) -> tuple[Any, ...]:
-    """Return what has the constants of a sliding window, by their names in ``sf_window_config``."""
+    """List the sources of a sliding window's constants, by their names in ``sf_window_config``."""
     config, setup, standing = window.config, window.setup, window.standing
     transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
     if config.cutoff is not None:

@@ -11,7 +11,7 @@ from surefoot.envs.gait.route import parse_route
 from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.nao.env import COP_SCALE, NaoEnv
 from surefoot.envs.observation import Seen, closeness
-from surefoot.envs.options import number_of
+from surefoot.envs.options import check_number
 
 VELOCITY_SCALE = 0.1
 """Error of the velocity of the centre of mass in m/s at which its reward has fallen to 1/e."""
@@ -124,13 +124,13 @@ class NaoWalkEnv(NaoPatternEnv):
         push_impulse: Sequence[float] = (0.1, 0.5),
         **options: Any,
     ) -> None:
-        timing = GaitTiming(stand_time=number_of(stand_time))
+        timing = GaitTiming(stand_time=check_number("stand_time", stand_time))
         roll = check_roll(foot_roll)
+        duration = check_number("duration", duration)
         if route is None:
-            self.pattern = plan_walk(
-                number_of(speed), number_of(turn_rate), number_of(duration), timing=timing, foot_roll=roll
-            )
+            speed, turn_rate = check_number("speed", speed), check_number("turn_rate", turn_rate)
+            self.pattern = plan_walk(speed, turn_rate, duration, timing=timing, foot_roll=roll)
         else:
             legs = parse_route(route)
-            self.pattern = plan_route(legs, number_of(duration), timing=timing, foot_roll=roll)
+            self.pattern = plan_route(legs, duration, timing=timing, foot_roll=roll)
         super().__init__(duration=duration, push_impulse=push_impulse, **options)

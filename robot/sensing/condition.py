@@ -136,9 +136,11 @@ def faults_of(
     if isinstance(faults, Mapping) and "kind" not in faults:
         return (), parse_chances(faults)
     if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
-        raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
+        alone = isinstance(faults, str | Mapping)
+        got = f"; got one alone, give [{faults!r}]" if alone else f", got {faults!r}"
+        raise TypeError(f"'faults' must be a sequence of faults or a mapping of their probabilities{got}.")
     found = (
-        parse_fault(fault, feet, cells) if isinstance(fault, str) else resolve(fault, Fault)
+        parse_fault(fault, feet, cells) if isinstance(fault, str) else resolve(fault, Fault, "faults")
         for fault in faults
     )
     return tuple(found), ()

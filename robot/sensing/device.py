@@ -8,24 +8,27 @@ from typing import Any
 from surefoot.names import plain_name
 from surefoot.sensors import PRESETS, ForceTorque, LoadCells, preset
 from surefoot.sensors.configuration import current_names, from_mapping
-from surefoot.sensors.presets import resolve
+from surefoot.sensors.presets import refuse_config, resolve
 from surefoot.sensors.transport.link import JITTER_BOUND
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
 
 
-def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
+def foot_device(config: str | Mapping[str, Any] | FootDevice, name: str = "config") -> FootDevice:
     """Make a configuration of a preset's name, a mapping or a configuration, of either kind.
 
-    A mapping is of load cells, or of six-axis sensors if only those have all of its keys.
+    A mapping is of load cells, or of six-axis sensors if only those have all of its keys. Messages call the
+    argument by its name.
 
     Raises:
         ValueError: If the name or a key of the mapping is unknown, or a value is refused.
         TypeError: If it is none of the three.
     """
-    if isinstance(config, ForceTorque):
+    if isinstance(config, FootDevice):
         return config
+    if not isinstance(config, str | Mapping):
+        raise refuse_config(config, name, "LoadCells or ForceTorque")
     if isinstance(config, str) and plain_name(config) not in PRESETS[LoadCells]:
         if plain_name(config) in PRESETS[ForceTorque]:
             return preset(config, ForceTorque)
@@ -38,9 +41,9 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     return resolve(config, LoadCells)
 
 
-def device_for_feet(config: str | Mapping[str, Any] | FootDevice, feet: int) -> FootDevice:
+def device_for_feet(config: str | Mapping[str, Any] | FootDevice, feet: int, name: str) -> FootDevice:
     """Make a configuration as :func:`foot_device` does; presets have a six-axis sensor a foot."""
-    device = foot_device(config)
+    device = foot_device(config, name)
     return (
         replace(device, sensors=feet)
         if isinstance(config, str) and isinstance(device, ForceTorque)

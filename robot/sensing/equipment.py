@@ -93,7 +93,8 @@ class Equipment:
         self.drawing, self._joint_names, self.packet = drawing, joint_names, TelemetryLayout(len(joint_names))
         config = usual_cells(drawing) if given.config is None else given.config
         feet = len(drawing.feet)
-        self._devices = [device_for_feet(part, feet) for part in (config, given.ankles) if part is not None]
+        devices = {"config": config, "ankles": given.ankles}.items()
+        self._devices = [device_for_feet(part, feet, name) for name, part in devices if part is not None]
         self._dt = dt
         lowest, highest = severity_range(given.severity)
         # Of both ends, so that a severity that a device cannot have is refused here.
@@ -108,7 +109,11 @@ class Equipment:
         imu = names[0] if given.imu is None else given.imu
         encoders = names[1] if given.encoders is None else given.encoders
         link = names[2] if given.link is None else given.link
-        self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
+        self._configs = (
+            resolve(imu, Imu, "imu"),
+            resolve(encoders, Encoders, "encoders"),
+            timely_link(link),
+        )
         self._link_by_name = isinstance(link, str)
         self.computer = tuple(part if isinstance(part, str) else "custom" for part in (imu, encoders, link))
         self.fresh, self._stream = given.fresh, given.stream

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict, Unpack
 
+from surefoot.calibration.checks import check_flag
 from surefoot.robot.sensing.condition import Faults, Severity, severity_range
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.streams import SENSOR_STREAM
@@ -30,7 +31,7 @@ class FootEquipment:
     A device is the name of a preset, a configuration, or a mapping of a configuration's fields.
 
     Raises:
-        TypeError: If ``severity`` is neither a number nor a pair of them.
+        TypeError: If ``severity`` is neither a number nor a pair of them, or ``fresh`` no boolean.
         ValueError: If ``severity`` is negative or not finite. Wrappers check the rest against their robot.
 
     >>> FootEquipment("icub-force-torque", severity=(0.0, 2.0)).severity
@@ -76,6 +77,7 @@ class FootEquipment:
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
         severity_range(self.severity)
+        check_flag("fresh", self.fresh)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -89,14 +91,17 @@ def equip(
     """Make equipment of a wrapper's arguments: a value, keywords, or both.
 
     Raises:
+        TypeError: If there is no such option.
         ValueError: If an option is given twice.
 
     >>> equip(FootEquipment(severity=0.5), fresh=True) == FootEquipment(severity=0.5, fresh=True)
     True
     """
+    usual = FootEquipment().options
+    if unknown := sorted(set(options) - set(usual)):
+        raise TypeError(f"Sensors of feet have no option {unknown[0]!r}; they have {list(usual)}.")
     if not isinstance(config, FootEquipment):
         return FootEquipment(config, **options)
-    usual = FootEquipment().options
     if twice := sorted(name for name in options if getattr(config, name) is not usual[name]):
         raise ValueError(
             f"{twice[0]!r} is given twice, in FootEquipment(...) and as a keyword; leave one out."

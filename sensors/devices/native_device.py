@@ -25,8 +25,8 @@ class Kind(NamedTuple):
     Attributes:
         name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
         build: Makes the Python of a configuration.
-        constants: Returns what has the values of the first record of a configuration, as
-            :meth:`~surefoot.native.Library.constants` takes it.
+        constants: Lists the sources of the first record of a configuration, as
+            :meth:`~surefoot.native.Library.constants` takes them.
         blocks: Whether it reads blocks of substeps rather than an instant.
         loads: How many loads it reads; ``None`` for as many as its configuration says, or as it has channels.
     """

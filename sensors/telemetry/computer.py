@@ -38,7 +38,7 @@ def timely_link(link: str | Mapping[str, Any] | Link) -> Link:
     Raises:
         ValueError: If the name is unknown, a value is refused, or telemetry would come too late over it.
     """
-    chosen = resolve(link, Link)
+    chosen = resolve(link, Link, "link")
     require(
         chosen.delay <= LONGEST_DELAY,
         chosen,

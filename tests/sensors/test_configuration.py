@@ -77,7 +77,7 @@ def test_names_of_version_0_1_are_read_and_answered_with_the_new_ones() -> None:
 
 
 def test_anything_else_is_refused() -> None:
-    with pytest.raises(TypeError, match="name of a preset, a mapping or a LoadCells, got int"):
+    with pytest.raises(TypeError, match="name of a preset, a mapping or a configuration"):
         resolve(3, LoadCells)
     with pytest.raises(TypeError, match="got Imu"):
         resolve(Imu(), LoadCells)

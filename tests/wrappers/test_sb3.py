@@ -140,7 +140,7 @@ def test_files_and_freezing_are_those_of_gymnasiums_vectors(method: str, tmp_pat
     three = VecSelfCalibration(VecFootSensors(DummyVecEnv([*_functions(), _functions()[0]])), method)
     three.reset()
     for env, file in ((three, "learnt"), (three.venv, "sensors")):
-        with pytest.raises(ValueError, match=r"not in both|needs"):
+        with pytest.raises(ValueError, match=r"load it into as many"):
             env.load(tmp_path / f"{file}.npz")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.checks import check_flag
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
@@ -133,6 +134,7 @@ class CalibrationFace:
 
     def freeze(self, frozen: bool = True) -> None:
         """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
+        check_flag("frozen", frozen)
         for robot in self.calibration.robots:
             robot.frozen = frozen
 

@@ -63,6 +63,11 @@ class VectorFootSensors(OfOneVersion, SensorsFace, AnyVectorWrapper):
         measure_state: bool = True,
         **options: Unpack[FootOptions],
     ) -> None:
+        if not isinstance(env, VectorEnv):
+            raise TypeError(
+                f"VectorFootSensors goes around many robots, as gym.make_vec(...) makes them, got {env!r}; "
+                "for the one that gym.make(...) makes there is FootSensors."
+            )
         if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
             env = VectorTruthRow(env, lends=True)
         super().__init__(env)

@@ -43,7 +43,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
         seeds: The seed of each robot at the last reset; ``None`` without a seed.
 
     Raises:
-        TypeError: If copies have no row of truth, or show readings already.
+        TypeError: If it is no ``VecEnv``, or copies have no row of truth, or show readings already.
         ValueError: If copies differ, a preset is unknown, a value is refused, or the sensors do not fit.
     """
 
@@ -55,6 +55,11 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
         measure_state: bool = True,
         **options: Unpack[FootOptions],
     ) -> None:
+        if not isinstance(venv, VecEnv):
+            raise TypeError(
+                "VecFootSensors goes around a vector environment of Stable-Baselines3, such as "
+                f"DummyVecEnv([lambda: TruthRow(gym.make(...))]), got {venv!r}."
+            )
         self.sensors = BatchSensors(
             "VecFootSensors",
             venv.num_envs,
@@ -75,9 +80,12 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
                 :meth:`VectorFootSensors.reset` and the same for all; the rest is handed to the environments.
 
         Raises:
-            ValueError: If a choice does not exist, or robots are to differ in it.
+            ValueError: If a choice does not exist, robots are to differ in it, or options are of more or
+                fewer robots.
         """
         each = options if isinstance(options, list) else [options] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ValueError(f"'options' must be of each of {self.num_envs} robots, got {len(each)}.")
         rest, asked = zip(*(split_options(own, "sensors", "calibration") for own in each), strict=True)
         if any(own != asked[0] for own in asked):
             raise ValueError(f"options['{OPTIONS}'] must be the same for all robots, got {list(asked)}.")

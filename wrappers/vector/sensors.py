@@ -9,6 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.calibration.checks import check_flag
 from surefoot.envs import RobotDrawing
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
@@ -90,6 +91,7 @@ class BatchSensors(OfOneVersion):
         given: FootEquipment,
         measure_state: bool = True,
     ) -> None:
+        check_flag("measure_state", measure_state)
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
         meaning = self._meaning
@@ -378,10 +380,11 @@ def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDr
         ValueError: If copies differ.
     """
     if not isinstance(space, spaces.Dict) or TRUTH_KEY not in space.spaces:
+        shown = list(space.spaces) if isinstance(space, spaces.Dict) else space
         raise TypeError(
-            f"{owner} reads a row of truth beside each copy's observation, found none in {space}; wrap "
-            f"each copy: gym.make_vec(..., vectorization_mode='sync', wrappers=[TruthRow]), and {owner} "
-            "right around what it makes."
+            f"{owner} reads a row of truth beside each copy's observation, found none in {shown}; wrap "
+            "each copy: gym.make_vec(..., vectorization_mode='sync', wrappers=[TruthRow]), or for SB3 "
+            f"DummyVecEnv([lambda: TruthRow(gym.make(...))]), and {owner} right around them."
         )
     shown = attribute("observation_space")
     odd = [i for i, own in enumerate(shown) if own != shown[0]]

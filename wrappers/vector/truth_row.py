@@ -106,7 +106,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     def __init__(self, env: gym.Env[Any, Any], *, keep_info: bool = False) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, keep_info=keep_info)
-        if isinstance(env.observation_space, spaces.Dict) and TRUTH_KEY in env.observation_space.spaces:
+        if TRUTH_KEY in getattr(getattr(env, "observation_space", None), "spaces", ()):
             raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
         gym.Wrapper.__init__(self, with_source(env))
         source = find_source(self.env)

@@ -1,0 +1,81 @@
+"""What a user may get wrong: each message names the thing, the rule, what was given and the way out."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from surefoot.sensors import LoadCells
+from surefoot.wrappers import FootSensors, SampleHistory, SelfCalibration, TruthRow, VectorFootSensors
+from surefoot.wrappers.vector.sb3 import VecFootSensors
+
+NAME = "surefoot/NaoBalance-v0"
+
+
+def one(**options):
+    return gym.make(NAME, disable_env_checker=True, **options)
+
+
+def many(count=2, **options):
+    return gym.make_vec(NAME, count, **options)
+
+
+def sensed(**options):
+    return FootSensors(one(), **options)
+
+
+def sb3():
+    return VecFootSensors(DummyVecEnv([lambda: TruthRow(one())] * 2))
+
+
+@pytest.mark.parametrize(
+    ("attempt", "error", "words"),
+    [
+        (lambda: FootSensors(NAME), TypeError, f"go around one environment, .* got '{NAME}'"),
+        (lambda: FootSensors(many()), TypeError, "for those that gym.make_vec.* there is VectorFootSensors"),
+        (lambda: FootSensors(one(), 5), TypeError, "'config' must be .* or ForceTorque.*, got 5"),
+        (lambda: FootSensors(one(), LoadCells), TypeError, r"call it: LoadCells\(\.\.\.\)"),
+        (lambda: sensed(ankles=True), TypeError, "'ankles' must be the name of a preset, .* got True"),
+        (lambda: sensed(imu=False), TypeError, r"'imu' must be the name of a preset, .* \(Imu\), got False"),
+        (lambda: sensed(faults=3), TypeError, "'faults' must be a sequence of faults or a mapping .* got 3"),
+        (lambda: sensed(fresh="no"), TypeError, "'fresh' must be True or False, got 'no'"),
+        (lambda: sensed(measure_state="no"), TypeError, "'measure_state' must be True or False, got 'no'"),
+        (lambda: sensed(noise=2), TypeError, r"have no option 'noise'; they have \['config', 'ankles'"),
+        (lambda: SelfCalibration(sensed()).calibrator, ResetNeeded, "no calibrator .* before the first"),
+        (lambda: SelfCalibration(sensed()).freeze("no"), TypeError, "'frozen' must be True or False"),
+        (lambda: SelfCalibration(sensed(), fresh=3), TypeError, "'fresh' must be True or False, got 3"),
+        (lambda: SampleHistory(sensed(), ["foot_raw"], period="a"), TypeError, "'period' must be a number"),
+        (lambda: TruthRow(NAME), TypeError, "go around one environment"),
+        (lambda: many(0), ValueError, "'num_envs' must be a whole number from 1 on, got 0"),
+        (lambda: many(threads="all"), ValueError, "'threads' must be a whole number from 0 on, got 'all'"),
+        (lambda: many(autoreset_mode="never"), ValueError, r"'autoreset_mode' must be one of \['NextStep', "),
+        (lambda: VectorFootSensors(one()), TypeError, r"goes around many robots, .* there is FootSensors"),
+        (lambda: VectorFootSensors(many()).reset(options=["fresh"]), TypeError, "must be a mapping, got"),
+        (lambda: VecFootSensors(many()), TypeError, "goes around a vector environment of Stable-Baselines3"),
+        (lambda: VecFootSensors(DummyVecEnv([one])), TypeError, r"DummyVecEnv\(\[lambda: TruthRow"),
+        (lambda: sb3().set_options([{}]), ValueError, "'options' must be of each of 2 robots, got 1"),
+        (lambda: gym.make("surefoot/NaoWalk-v0", speed="fast"), ValueError, "'speed' must be finite, got 'fast'"),
+    ],
+)  # fmt: skip
+def test_messages_of_odd_arguments(attempt, error, words) -> None:
+    with pytest.raises(error, match=words):
+        attempt()
+
+
+def test_an_action_that_is_no_number_is_refused() -> None:
+    env = one()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"An action holds numbers, .* got 'left'"):
+        env.step("left")
+
+
+def test_hardware_of_more_robots_is_refused(tmp_path) -> None:
+    robots, alone = VectorFootSensors(many(3)), sensed()
+    robots.reset(seed=0)
+    alone.reset(seed=0)
+    robots.save(tmp_path / "three.npz")
+    with pytest.raises(ValueError, match=r"three.npz' is of 3 robot\(s\), and this is of 1; load it into"):
+        alone.load(tmp_path / "three.npz")
+    robots.load(tmp_path / "three.npz")
+    assert np.isfinite(robots.true_parameters().scale).all()
