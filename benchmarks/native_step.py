@@ -186,8 +186,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     sensing = sensors.backend
     rows, forces = [], []
     for _ in range(steps):
-        arrays = sensing._arrays
-        parts = arrays["load"], *sensing._telemetry.inputs, beliefs._planned
+        parts = sensing.records.parts["load"], *sensing._telemetry.inputs, beliefs._planned
         rows.append(np.concatenate([*map(np.ravel, parts), [env.reference_time, sensors.time]]))
         forces.append(env.estimate.force)
         if env.step(np.zeros(env.action_space.shape))[2]:
@@ -203,11 +202,11 @@ def constants(env: Any, sensors: Any) -> str:
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)
     first, *more = equipment.instruments.first_steps(telemetry.dt)
-    channels, joints = len(drawn.record["period"]), len(telemetry.inputs[0][0])
+    channels, joints = len(drawn.now["period"]), len(telemetry.inputs[0][0])
     sizes = dict.fromkeys(("LOAD_CELLS", "ON_WIRE"), channels)
     of_cells = {"PLAYS": "plays", "CREEPS": "creeps", "SETTLING": "settling", "UNDER_WAY": "wire_under_way"}
     sizes |= {name: max(1, int(cells.constants[field])) for name, field in of_cells.items()}
-    records = {"sf_cells_config cells_config": cells.constants, "sf_cells drawn": drawn.record}
+    records = {"sf_cells_config cells_config": cells.constants, "sf_cells drawn": drawn.now}
     records |= {f"sf_random {name}_stream": streams[name].record for name in ("cells", "telemetry")}
     of_telemetry = {"sf_telemetry_config telemetry_config": telemetry.config}
     parts = (

@@ -16,7 +16,7 @@ from surefoot.envs.command import Command, command_state, rotate_level
 from surefoot.envs.instrumentation.means import FootPlaces, places_record
 from surefoot.envs.instrumentation.robot import RowColumns
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
-from surefoot.native import ENVS, Call, Library, record_at
+from surefoot.native import ENVS, Call, Library, PointerRecord
 
 Floats = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
@@ -287,12 +287,11 @@ class _Observe:
 
     def __init__(self, library: Library, places: Places, shape: tuple[int, ...]) -> None:
         *robots, substeps, columns, speeds = shape
-        feet, kept = places_record(library, places.feet, substeps, columns)
-        at, own = record_at(
+        at = PointerRecord(
             library,
             "places",
             {
-                "feet": feet,
+                "feet": places_record(library, places.feet, substeps, columns),
                 "joint_dofs": places.joint_dofs.astype(np.int32),
                 "cop_bound": COP_BOUND,
                 "joint_position": places.joints.start,
@@ -315,7 +314,7 @@ class _Observe:
             | {"position_sole": (2, 2), "phase": ()},
         )
         assert planned is not None
-        self._kept, self._planned, self._front = (kept, own), planned, tuple(robots)
+        self._planned, self._front = planned, tuple(robots)
 
     def __call__(
         self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int

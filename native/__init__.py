@@ -5,10 +5,18 @@ Here lies all of the C: headers, and a source a library. What goes into records 
 """
 
 from surefoot.native.build import FOLDER, Sources, compiler
-from surefoot.native.calls import Call, record_at
+from surefoot.native.calls import Call
 from surefoot.native.libraries import CALIBRATION, ENVS, SENSORS
 from surefoot.native.library import ADDRESS, Library, Native, places_at, require
-from surefoot.native.records import Record, StateRecord, c_header, leaves_of, rebuilt, state_dtype
+from surefoot.native.records import (
+    PointerRecord,
+    Record,
+    StateRecord,
+    c_header,
+    leaves_of,
+    rebuilt,
+    state_dtype,
+)
 from surefoot.native.threads import call_for_many, cores
 
 __all__ = [
@@ -20,6 +28,7 @@ __all__ = [
     "Call",
     "Library",
     "Native",
+    "PointerRecord",
     "Record",
     "Sources",
     "StateRecord",
@@ -30,7 +39,6 @@ __all__ = [
     "leaves_of",
     "places_at",
     "rebuilt",
-    "record_at",
     "require",
     "state_dtype",
 ]

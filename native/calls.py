@@ -8,21 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.native.library import Library
+from surefoot.native.records import PointerRecord
 from surefoot.native.threads import call_for_many
-
-
-def record_at(library: Library, name: str, values: Mapping[str, Any]) -> tuple[int, Any]:
-    """Make one of the library's constant records, in which arrays stand by their addresses.
-
-    Returns:
-        Where it lies, and all that must be kept as long as it is used.
-    """
-    arrays = {field: value for field, value in values.items() if isinstance(value, np.ndarray)}
-    record = library.record_of(
-        name, {**values, **{field: array.ctypes.data for field, array in arrays.items()}}
-    )
-    assert record is not None
-    return record.ctypes.data, (record, arrays)
 
 
 class Call:
@@ -32,7 +19,7 @@ class Call:
         library: The library.
         function: The function's name.
         room: The record that says where in the results each array begins.
-        constants: Address of the record that it takes first.
+        constants: The record that it takes first.
         fields: The results: dtype and shape of one robot's.
         robots: Number of robots N, which arrays have in front; ``None`` for a single one.
     """
@@ -42,7 +29,7 @@ class Call:
         library: Library,
         function: str,
         room: str,
-        constants: int,
+        constants: PointerRecord,
         fields: Mapping[str, tuple[Any, tuple[int, ...]]],
         robots: int | None,
     ) -> None:
@@ -50,8 +37,9 @@ class Call:
         self._results = np.dtype([(name, dtype, (*front, *shape)) for name, (dtype, shape) in fields.items()])
         places = self._results.fields
         assert places is not None
-        at, self._kept = record_at(library, room, {name: places[name][1] for name in fields})
-        self._function = partial(getattr(library.functions, function), constants, at)
+        at = PointerRecord(library, room, {name: places[name][1] for name in fields})
+        self._kept = constants, at
+        self._function = partial(getattr(library.functions, function), constants.address, at.address)
         self._robots = np.arange(robots or 1, dtype=np.int32)
         self._first = self._robots.ctypes.data
 

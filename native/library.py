@@ -97,9 +97,9 @@ class Library(NamedTuple):
 
         Args:
             name: The record.
-            sources: Where values are found, the first that has a field: mappings, objects by the names of their
-                attributes, and modules by those of their constants, in capitals. A part of an object has the
-                fields that begin with its name: ``wire_delay`` is ``wire.delay``.
+            sources: Where values are found, the first that has a field: mappings, objects by the names of
+                their attributes, and modules by those of their constants, in capitals. A part of an object
+                has the fields that begin with its name: ``wire_delay`` is ``wire.delay``.
 
         Raises:
             KeyError: If nobody has a field.

@@ -37,6 +37,33 @@ class Record:
         return _record, (self.now.dtype, self.bytes.tobytes())
 
 
+class PointerRecord(Record):
+    """A record that tells a library where others are, which it keeps alive, and some numbers.
+
+    Args:
+        library: The library.
+        name: The record, of single numbers and addresses alone.
+        parts: Its fields, as of :meth:`__setitem__`; others are 0.
+
+    Attributes:
+        parts: The same.
+    """
+
+    def __init__(self, library: Library, name: str, parts: Mapping[str, Any]) -> None:
+        dtype = library.record(name, {field: () for field in library.places[name] if field})
+        assert dtype is not None
+        super().__init__(dtype)
+        self.parts: dict[str, Any] = {}
+        for field, part in parts.items():
+            self[field] = part
+
+    def __setitem__(self, field: str, part: Any) -> None:
+        """Set a field: to a number, or to the address of an array or of what has one."""
+        self.parts[field] = part
+        at = part.ctypes.data if isinstance(part, np.ndarray) else getattr(part, "address", part)
+        self.now[field] = at
+
+
 class StateRecord(Record):
     """A state of Python's as a library holds it, each part under the way to it; it goes on in place.
 

@@ -11,7 +11,7 @@ from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
-from surefoot.native import Library, call_for_many
+from surefoot.native import Library, PointerRecord, call_for_many
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.chances import Chances
@@ -81,27 +81,14 @@ class NativeSample:
         library = beliefs.library
         self._beliefs, self._state = beliefs, state
         self._filter, self._raw, self.sampled = native, native.raw, False
-        config = view_record(library, view)
         told = _output_dtype(library, beliefs, native, view)
         self._dtype, self.memory = told, np.zeros(library.places["told"][""][2], np.uint8)
         self._parts, self._believed = view.parts, ("known", *beliefs.believed.kind._fields)
         self._fields = itemgetter(*(told.names or ()))
-        records = library.record_of(
-            "sample_records",
-            {
-                **beliefs.addresses(),
-                **native.addresses,
-                "state": state.address,
-                "view": config.ctypes.data,
-                "held": view.held.ctypes.data,
-                "told": self.memory.ctypes.data,
-                "counts": chances.counts.ctypes.data,
-                "dt": dt,
-            },
-        )
-        assert records is not None
-        self._kept, self._records = (config, view.held, chances), records
-        self._sample, self.address = library.functions.surefoot_sample, records.ctypes.data
+        shown = {"view": view_record(library, view), "held": view.held, "told": self.memory}
+        own = {**shown, "state": state, "counts": chances.counts, "dt": dt}
+        self._records = PointerRecord(library, "sample_records", beliefs.parts() | native.parts | own)
+        self._sample, self.address = library.functions.surefoot_sample, self._records.address
         self.many = library.functions.surefoot_sample_many
 
     def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
@@ -124,7 +111,7 @@ class NativeSample:
     def keep_in(self, memory: NDArray[np.uint8]) -> None:
         """Keep :attr:`memory` elsewhere from here on."""
         memory[...] = self.memory
-        self.memory, self._records["told"] = memory, memory.ctypes.data
+        self.memory = self._records["told"] = memory
 
     def outputs(self) -> Told:
         """Return the observation of the last sample, and the ``info`` of the estimate.

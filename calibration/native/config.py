@@ -20,7 +20,7 @@ from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
 from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
-from surefoot.native import CALIBRATION, Library, c_header, require
+from surefoot.native import CALIBRATION, Library, PointerRecord, c_header, require
 
 _METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
 """Numbers of methods in ``native/calibration.c``."""
@@ -53,14 +53,10 @@ class Constants(NamedTuple):
     covariance: str | None = None
     contact: bool = False
 
-    def filter(self, library: Library) -> NDArray[Any]:
-        """Return the record that the library is called with; it holds addresses of these."""
-        own = 0 if self.own is None else self.own.ctypes.data
-        record = library.record_of(
-            "filter", {"config": self.config.ctypes.data, "own": own, "method": self.number}
-        )
-        assert record is not None
-        return record
+    def filter(self, library: Library) -> PointerRecord:
+        """Return the record that the library is called with."""
+        own = 0 if self.own is None else self.own
+        return PointerRecord(library, "filter", {"config": self.config, "own": own, "method": self.number})
 
 
 def constants_of(
@@ -102,7 +98,7 @@ def constants_of(
         return None
     contact = method == "moment"
     found = Constants(number, record, of_method, _STATES[number], like, front, covariance, contact)
-    return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
+    return found if library.functions.surefoot_fits(found.filter(library).address) else None
 
 
 def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:

@@ -54,7 +54,7 @@ class NativeFilter:
         raw: Its readings, shape (K,).
         references: Records that references are put in, one for each kind that is taken.
         estimate: The record of the last estimate.
-        addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
+        parts: Its constants and these two, by the names in ``sf_sample_records``.
     """
 
     def __init__(self, library: Library, constants: Constants) -> None:
@@ -82,14 +82,9 @@ class NativeFilter:
             kind: ReferenceRecord(library, kind, F) for kind in taken
         }
         self.estimate = Record(estimate)
-        self._filter = constants.filter(library)
-        self.addresses = {
-            "filter": self._filter.ctypes.data,
-            "raw": self.raw.ctypes.data,
-            "estimate": self.estimate.address,
-        }
-        filter_at, raw_at, out_at = self.addresses.values()
-        self._addresses = filter_at, raw_at, out_at
+        filter_ = constants.filter(library)
+        self.parts = {"filter": filter_, "raw": self.raw, "estimate": self.estimate}
+        self._addresses = filter_.address, self.raw.ctypes.data, self.estimate.address
 
     def init(self) -> NativeState:
         """Return the state before any sample."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import rotate_level
 from surefoot.envs.instrumentation.robot import MeasuredRobot, RowColumns
 from surefoot.envs.instrumentation.truth import centres
-from surefoot.native import ENVS, Call, Library, record_at
+from surefoot.native import ENVS, Call, Library, PointerRecord
 
 Array = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ class MeanTruth:
 
     def __init__(self, places: FootPlaces) -> None:
         self._places = places
-        self._calls: dict[tuple[int, ...], tuple[Call, Any] | None] = {}
+        self._calls: dict[tuple[int, ...], Call | None] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Addresses are of no use elsewhere.
@@ -170,7 +170,7 @@ class MeanTruth:
         found = self._calls[rows.shape]
         if found is None:
             return mean_truth(rows, self._places) if rows.ndim == 2 else self._of_each(rows)
-        results = found[0](np.ascontiguousarray(rows), threads=threads)
+        results = found(np.ascontiguousarray(rows), threads=threads)
         truth = {name: results[name] for name in _TOLD}
         if self._places.force_cell is not None:
             wrench = results["wrench_sole"].reshape(*rows.shape[:-2], -1)
@@ -181,11 +181,11 @@ class MeanTruth:
         each = [mean_truth(own, self._places) for own in rows]
         return {name: np.array([truth[name] for truth in each]) for name in each[0]}
 
-    def _call(self, library: Library, *shape: int) -> tuple[Call, Any]:
-        """Return the library's function for rows of a shape, and what it needs to be kept."""
+    def _call(self, library: Library, *shape: int) -> Call:
+        """Return the library's function for rows of a shape."""
         *robots, substeps, columns = shape
         feet = len(self._places.contact)
-        at, kept = places_record(library, self._places, substeps, columns)
+        at = places_record(library, self._places, substeps, columns)
         real = np.float64
         fields = {
             "row": (real, (columns,)), "vgrf": (real, (feet,)), "cop_world": (real, (2,)),
@@ -194,19 +194,19 @@ class MeanTruth:
             "cop_valid": (np.bool_, (1 + feet,)),
         }  # fmt: skip
         many = robots[0] if robots else None
-        return Call(library, "surefoot_mean_truth", "truth_room", at, fields, many), kept
+        return Call(library, "surefoot_mean_truth", "truth_room", at, fields, many)
 
 
 _TOLD = ("vgrf", "cop_world", "cop", "cop_foot", "cop_valid", "com", "wrench_sole", "wrench_ankle")
 """The library's results that are told; of the mean row only what is made of it."""
 
 
-def places_record(library: Library, places: FootPlaces, substeps: int, columns: int) -> tuple[int, Any]:
-    """Make the library's record of places in rows; results as of :func:`record_at`."""
+def places_record(library: Library, places: FootPlaces, substeps: int, columns: int) -> PointerRecord:
+    """Make the library's record of places in rows."""
     whole = ("ankle", "contact", "position_sole", "axes_sole", "flat")
     arrays = {name: np.array(getattr(places, name), dtype=np.int32) for name in whole}
     sizes = {"feet": len(places.contact), "rows": substeps, "columns": columns}
-    return record_at(library, "foot_places", {**arrays, **sizes, "up": places.up, "com": places.com})
+    return PointerRecord(library, "foot_places", {**arrays, **sizes, "up": places.up, "com": places.com})
 
 
 def _force_of_wrench(shares: Array, row: Array, wrench: Array) -> Array:

@@ -122,18 +122,11 @@ class NativeBeliefs:
         )
         return bool(found & 1)
 
-    def addresses(self) -> dict[str, int]:
-        """Return where the library finds its records now, by their names in ``sf_sample_records``."""
+    def parts(self) -> dict[str, Any]:
+        """Return its records by their names in ``sf_sample_records``."""
         self.keep_up()
-        timing, state, _, planned, _ = self._addresses
-        return {
-            "model": self._tree,
-            "timing": timing,
-            "momentum": int(self._momentum),
-            "beliefs": state,
-            "belief": self.believed.address,
-            "planned": planned,
-        }
+        records = {**self.constants, "beliefs": self._state, "planned": self._planned}
+        return {**records, "momentum": self._momentum, "belief": self.believed}
 
     def plan(self, command: Any) -> bool:
         """Put a plan where the library finds it; return whether there is one."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.robot import SensedColumns
-from surefoot.native import SENSORS, Record, call_for_many
+from surefoot.native import SENSORS, PointerRecord, Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
 from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
@@ -90,7 +90,8 @@ class NativeSensing:
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
         places: Where loads are found.
-        address: Where the library finds its records.
+        records: Its records and arrays, as the library finds them.
+        address: Where these are.
         raw_address: Where the last reading lies.
         rows_address: Where rows of packets lie.
     """
@@ -115,13 +116,10 @@ class NativeSensing:
         self._observed = observed if len(observed) else None
         self._seen = Record(_reading_dtype(python.fitted.instruments.channels, len(observed)))
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
-        self._arrays = self._arrays_of(python, observed) | {"from": taken, "to": to}
-        addresses = {name: array.ctypes.data for name, array in self._arrays.items()}
-        sizes = {"shares": len(to), "numbers": len(observed)}
-        records = library.record_of("sense_records", self._numbers(python) | sizes | addresses)
-        assert records is not None
-        self._records = records
-        self._sense, self.address = library.functions.surefoot_sense, records.ctypes.data
+        measured = {"from": taken, "to": to, "shares": len(to), "numbers": len(observed)}
+        parts = self._parts_of(python) | self._arrays_of(python, observed) | measured
+        self.records = PointerRecord(library, "sense_records", parts)
+        self._sense, self.address = library.functions.surefoot_sense, self.records.address
         self.raw_address = self._raw.ctypes.data
         self.rows_address = 0 if telemetry is None else telemetry.arrived_address
         self.take(python.hardware())
@@ -130,22 +128,21 @@ class NativeSensing:
         python.telemetry_state, python.arrived = None, ()
         del python.state
 
-    def _numbers(self, python: PythonSensing) -> dict[str, Any]:
-        """Return sizes, and places of what devices and telemetry hold, by the names in the record."""
+    def _parts_of(self, python: PythonSensing) -> dict[str, Any]:
+        """Return sizes, and what devices and telemetry hold, by the names in the record."""
         instruments, telemetry = python.fitted.instruments, self._telemetry
-        numbers = _sizes(instruments, self.places, python.dt) | {"telemetry_stream": 0, "packets": 0}
+        numbers = _sizes(instruments, self.places, python.dt)
         for name, device in self._devices.items():
             kind = device.kind.name
-            numbers |= {f"{kind}_config": device.constants.ctypes.data, kind: self._states[name].address}
-            numbers[f"{kind}_stream"] = 0
+            numbers |= {f"{kind}_config": device.constants, kind: self._states[name]}
         if "cells" in self._states:
             numbers["readings"] = len(self.places.map[0])
         if "ankles" in self._states:
             numbers["averaged"] = any(getattr(part.config, "averaged", False) for part in instruments.parts)
         if telemetry is not None:
             numbers |= {
-                "telemetry": telemetry.address,
-                "telemetry_state": self.telemetry_state.address,
+                "telemetry": telemetry,
+                "telemetry_state": self.telemetry_state,
                 "values": telemetry.layout.size,
                 "packets": telemetry.put_packets(python.arrived),
             }
@@ -172,14 +169,14 @@ class NativeSensing:
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
         """Let chance come from other streams."""
         self._spec.streams = streams
-        self._records["telemetry_stream"] = streams["telemetry"].address
+        self.records["telemetry_stream"] = streams["telemetry"]
         for name, device in self._devices.items():
-            self._records[f"{device.kind.name}_stream"] = streams[name].address
+            self.records[f"{device.kind.name}_stream"] = streams[name]
 
     def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
         """Keep what is shown in other arrays."""
         self._spec.kept = newest, held
-        self._records["newest"], self._records["held"] = newest.ctypes.data, held.ctypes.data
+        self.records["newest"], self.records["held"] = newest, held
 
     def take(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
@@ -226,10 +223,9 @@ class NativeSensing:
         """Take control steps of so many substeps from here on."""
         if shape == self.places.shape:
             return
-        self.places, self._records["rows"] = self.places._replace(shape=shape), shape[0]
-        if "load" in self._arrays:
-            self._arrays["load"] = load = np.zeros((shape[0], self._arrays["load"].shape[1]))
-            self._records["load"] = load.ctypes.data
+        self.places, self.records["rows"] = self.places._replace(shape=shape), shape[0]
+        if "cells" in self._states:
+            self.records["load"] = np.zeros((shape[0], self.places.map[0].shape[1]))
         if self._telemetry is not None:
             self._telemetry.expect(shape[0])
 
@@ -246,11 +242,11 @@ class NativeSensing:
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
-        return None if self._telemetry is None else (self.rows_address, int(self._records["packets"]))
+        return None if self._telemetry is None else (self.rows_address, int(self.records.now["packets"]))
 
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
-        return () if self._telemetry is None else self._telemetry.packets(int(self._records["packets"]))
+        return () if self._telemetry is None else self._telemetry.packets(int(self.records.now["packets"]))
 
 
 SensingBackend = PythonSensing | NativeSensing

@@ -227,7 +227,7 @@ def play(stream, native, log, exchange=(), **tolerance):
             native.retract(found)
         if k in log.begun:
             expected = begin_episode(stream.init(log.force[0]), expected)
-            native._functions.surefoot_begin(native.addresses["filter"], found.address)
+            native._functions.surefoot_begin(native.parts["filter"].address, found.address)
         same_estimate(one, two, **tolerance)
         if k % 48 == 47 or k in exchange | log.retracted | log.begun:
             same_state(stream, native, expected, found, **tolerance)

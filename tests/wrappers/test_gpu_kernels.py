@@ -183,7 +183,7 @@ def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, metho
         launch(0, number, np.concatenate(constants), state, work, raw[k], beliefs, estimate)
         for robot in range(ROBOTS):
             records = expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]
-            at, out = native.addresses["filter"], wanted[robot : robot + 1].ctypes.data
+            at, out = native.parts["filter"].address, wanted[robot : robot + 1].ctypes.data
             library.functions.surefoot_step(at, *(part.ctypes.data for part in records), DT, out)
         same(estimate, wanted)
     same(state, expected)

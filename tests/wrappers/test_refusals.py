@@ -55,7 +55,7 @@ def sb3():
         (lambda: VecFootSensors(many()), TypeError, "goes around a vector environment of Stable-Baselines3"),
         (lambda: VecFootSensors(DummyVecEnv([one])), TypeError, r"DummyVecEnv\(\[lambda: TruthRow"),
         (lambda: sb3().set_options([{}]), ValueError, "'options' must be of each of 2 robots, got 1"),
-        (lambda: gym.make("surefoot/NaoWalk-v0", speed="fast"), ValueError, "'speed' must be finite, got 'fast'"),
+        (lambda: gym.make("surefoot/NaoWalk-v0", speed="fast"), ValueError, "'speed' must be finite, got"),
     ],
 )  # fmt: skip
 def test_messages_of_odd_arguments(attempt, error, words) -> None:
