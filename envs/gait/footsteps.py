@@ -25,6 +25,9 @@ MAX_STEP_LENGTH = 0.09
 MAX_STEP_TURN = 0.16
 """Largest turn a step in rad; the inner foot turns by twice as much."""
 
+HALF_WIDTH = 0.05
+"""Distance of either ankle from the middle in m: legs vertical below the hips."""
+
 _HEEL = 0.062
 """How far the shoe reaches behind the ankle in m: a foot that opens swings its heel inwards by this much."""
 
@@ -94,14 +97,12 @@ class GaitTiming:
         return max(free // self.step_ticks, 0)
 
 
-def stance_of_stand(half_width: float) -> tuple[Footstep, Footstep]:
-    """Place the feet side by side about the origin, ``half_width`` m to either side."""
-    return Footstep(LEFT, (0.0, half_width), 0.0), Footstep(RIGHT, (0.0, -half_width), 0.0)
+def stance_of_stand() -> tuple[Footstep, Footstep]:
+    """Place the feet side by side about the origin."""
+    return Footstep(LEFT, (0.0, HALF_WIDTH), 0.0), Footstep(RIGHT, (0.0, -HALF_WIDTH), 0.0)
 
 
-def plan_footsteps(
-    speed: float, turn_rate: float, steps: int, step_time: float, half_width: float
-) -> tuple[Footstep, ...]:
+def plan_footsteps(speed: float, turn_rate: float, steps: int, step_time: float) -> tuple[Footstep, ...]:
     """Place the footsteps of a walk that starts from, and ends in, a stand with the feet side by side.
 
     Args:
@@ -109,7 +110,6 @@ def plan_footsteps(
         turn_rate: Change of heading in rad/s, positive to the left.
         steps: Number of footsteps, the closing one included; at least 2.
         step_time: Duration of a step in s.
-        half_width: Distance of either sole's origin from the path in m.
 
     Returns:
         The footsteps in order. The first is by the foot on the inside of the turn, the left when straight.
@@ -118,16 +118,14 @@ def plan_footsteps(
         ValueError: If a step would be longer, or turn further, than the legs allow, if fewer than two
             steps are asked for, or if an argument is not finite.
 
-    >>> [step.foot for step in plan_footsteps(0.04, 0.0, 4, 0.8, 0.05)]
+    >>> [step.foot for step in plan_footsteps(0.04, 0.0, 4, 0.8)]
     [0, 1, 0, 1]
     """
     check_gait(speed, turn_rate, step_time)
     if steps < 2:
         raise ValueError(f"A walk needs at least two steps, one out and one to close the feet, got {steps}.")
     moves = steps - 1
-    return place_footsteps(
-        np.full(moves, speed * step_time), np.full(moves, turn_rate * step_time), half_width
-    )
+    return place_footsteps(np.full(moves, speed * step_time), np.full(moves, turn_rate * step_time))
 
 
 def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
@@ -158,7 +156,6 @@ def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
 def place_footsteps(
     length: NDArray[np.float64],
     turn: NDArray[np.float64],
-    half_width: float,
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Footstep, ...]:
     """Place footsteps beside a path of moves, one move a step and then a step that closes the feet.
@@ -166,17 +163,11 @@ def place_footsteps(
     Args:
         length: Length of each move in m, shape (moves,); the first and the last are walked by half.
         turn: Change of heading in each in rad, shape (moves,); likewise.
-        half_width: Distance of either sole's origin from the path in m.
         start: Where the path begins: (x, y) in m and the heading in rad, midway between the feet.
 
     Returns:
         The moves + 1 footsteps in order.
-
-    Raises:
-        ValueError: If the half width is not positive.
     """
-    if half_width <= 0.0:
-        raise ValueError(f"'half_width' must be positive, got {half_width} m.")
     pose = _path(length, turn, start)
     steps = len(pose)
     first = RIGHT if turn[0] < 0 else LEFT
@@ -189,7 +180,7 @@ def place_footsteps(
         opens = ahead >= other if foot == LEFT else ahead <= other
         yaw_foot[foot] = ahead if opens else other
         turned_out = abs(yaw_foot[foot] - yaw_foot[1 - foot])
-        aside = half_width + (_HEEL * math.sin(turned_out) if opens else 0.0)
+        aside = HALF_WIDTH + (_HEEL * math.sin(turned_out) if opens else 0.0)
         side = aside if foot == LEFT else -aside
         position = (x - side * math.sin(heading), y + side * math.cos(heading))
         placed.append(Footstep(foot, position, yaw_foot[foot]))

@@ -56,74 +56,67 @@ class Ground:
         return np.where(self.stance, np.stack([1.0 - right, right], axis=1), 0.0)
 
 
-def lay_out(
-    walks: Sequence[Walk],
-    timing: GaitTiming,
-    ticks: int,
-    lift_height: float,
-    half_width: float,
-    foot_roll: float = 0.0,
-) -> Ground:
+def lay_out(walks: Sequence[Walk], timing: GaitTiming, ticks: int, foot_roll: float = 0.0) -> Ground:
     """Return, tick by tick, where the soles and the centre of pressure are to be.
 
     Args:
         walks: Walks in the order of time, each with room for the last shift of the weight before the next.
         timing: Duration of a step and of its parts.
         ticks: Control steps of all of it.
-        lift_height: How high a foot is lifted, in m.
-        half_width: Distance of either sole's origin from the middle at the start, in m.
         foot_roll: Pitch at lift-off and touch-down in rad.
     """
-    stand = stance_of_stand(half_width)
-    position = np.tile(np.array([[*foot.position, 0.0] for foot in stand]), (ticks, 1, 1))
-    yaw = np.zeros((ticks, 2))
-    pitch = np.zeros((ticks, 2))
-    stance = np.ones((ticks, 2), dtype=bool)
-    phase = np.zeros(ticks)
-    cop = np.empty((ticks, 2))
-    cop_foot = np.tile(np.array([_cop_of(foot) for foot in stand]), (ticks, 1, 1))
-
-    feet = list(stand)
-    tick = 0
+    feet = list(stance_of_stand())
+    ground = Ground(
+        position_sole=np.tile(np.array([[*foot.position, 0.0] for foot in feet]), (ticks, 1, 1)),
+        yaw_sole=np.zeros((ticks, 2)),
+        pitch_sole=np.zeros((ticks, 2)),
+        cop=np.empty((ticks, 2)),
+        cop_foot=np.tile(np.array([_cop_of(foot) for foot in feet]), (ticks, 1, 1)),
+        stance=np.ones((ticks, 2), dtype=bool),
+        phase=np.zeros(ticks),
+    )
+    cop, double, tick = ground.cop, timing.double_ticks, 0
     cop_now = np.mean([_cop_of(foot) for foot in feet], axis=0)
-    double, single = timing.double_ticks, timing.step_ticks - timing.double_ticks
-    # In the air throughout the swing, the foot stands on the ground a tick before it and a tick after.
-    air = (np.arange(single) + 1.0) / (single + 1.0)
     for walk in walks:
         cop[tick : walk.start] = cop_now
         tick = walk.start
         for step in walk.footsteps:
-            support, old = feet[1 - step.foot], feet[step.foot]
-            cop_next = _cop_of(support)
+            cop_next = _cop_of(feet[1 - step.foot])
             _shift(cop[tick : tick + double], cop_now, cop_next)
-            swing = slice(tick + double, tick + double + single)
-            cop[swing] = cop_now = cop_next
-            way = minimum_jerk(air)[:, None]
-            position[swing, step.foot, :2] = np.add(
-                old.position, way * np.subtract(step.position, old.position)
-            )
-            position[swing, step.foot, 2] = lift(air, lift_height)
-            yaw[swing, step.foot] = old.yaw + way[:, 0] * (step.yaw - old.yaw)
-            position[swing.stop :, step.foot, :2] = step.position
-            yaw[swing.stop :, step.foot] = step.yaw
-            stance[swing, step.foot] = False
-            cop_foot[tick + double :, step.foot] = _cop_of(step)
-            if foot_roll:
-                rolled = roll_of_step(foot_roll * _direction(old, step), double, single)
-                pitch[tick : swing.stop + double, step.foot] += np.concatenate(rolled)
-            phase[tick : swing.stop] = (
-                0.5 * (step.foot + np.arange(timing.step_ticks) / timing.step_ticks)
-            ) % 1.0
+            cop[tick + double : tick + timing.step_ticks] = cop_now = cop_next
+            _step(ground, tick, feet[step.foot], step, timing, foot_roll)
             feet[step.foot] = step
-            tick = swing.stop
+            tick += timing.step_ticks
         cop_last = np.mean([_cop_of(foot) for foot in feet], axis=0)
         _shift(cop[tick : tick + double], cop_now, cop_last)
         tick, cop_now = tick + double, cop_last
     cop[tick:] = cop_now
-    ground = Ground(position, yaw, pitch, cop, cop_foot, stance, phase)
     if foot_roll:
         _roll(ground, foot_roll)
     return ground
+
+
+def _step(
+    ground: Ground, tick: int, old: Footstep, step: Footstep, timing: GaitTiming, foot_roll: float
+) -> None:
+    """Move a foot from an old footstep to a new one, from the control step at which the step begins."""
+    foot, double, single = step.foot, timing.double_ticks, timing.step_ticks - timing.double_ticks
+    # In the air throughout the swing, the foot stands on the ground a tick before it and a tick after.
+    air = (np.arange(single) + 1.0) / (single + 1.0)
+    way = minimum_jerk(air)[:, None]
+    swing = slice(tick + double, tick + timing.step_ticks)
+    position, yaw = ground.position_sole, ground.yaw_sole
+    position[swing, foot, :2] = np.add(old.position, way * np.subtract(step.position, old.position))
+    position[swing, foot, 2] = lift(air)
+    yaw[swing, foot] = old.yaw + way[:, 0] * (step.yaw - old.yaw)
+    position[swing.stop :, foot, :2] = step.position
+    yaw[swing.stop :, foot] = step.yaw
+    ground.stance[swing, foot] = False
+    ground.cop_foot[tick + double :, foot] = _cop_of(step)
+    if foot_roll:
+        rolled = roll_of_step(foot_roll * _direction(old, step), double, single)
+        ground.pitch_sole[tick : swing.stop + double, foot] += np.concatenate(rolled)
+    ground.phase[tick : swing.stop] = (0.5 * (foot + np.arange(timing.step_ticks) / timing.step_ticks)) % 1.0
 
 
 def _roll(ground: Ground, foot_roll: float) -> None:

@@ -31,17 +31,11 @@ from surefoot.envs.gait.route import Leg, plan_legs
 from surefoot.envs.gait.swing import check_roll
 from surefoot.envs.robots.nao import nao_model
 
-LIFT_HEIGHT = 0.015
-"""How high a foot is lifted, in m."""
-
 COM_HEIGHT = 0.266
 """Height of the centre of mass above the soles in m: knees bent by about 0.8 rad in a stand."""
 
 COM_LOWERING = 0.12
 """By how many m the centre of mass is lowered for each m of a step beyond 0.02 m, for the legs to reach."""
-
-HALF_WIDTH = 0.05
-"""Distance of either ankle from the middle in m: legs vertical below the hips."""
 
 GROUND_GIVE = 0.7e-3
 """How far a foot that carries the whole robot is pressed down, in m.
@@ -134,9 +128,6 @@ def plan_walk(
     duration: float = 60.0,
     *,
     timing: GaitTiming | None = None,
-    lift_height: float = LIFT_HEIGHT,
-    com_height: float | None = None,
-    half_width: float = HALF_WIDTH,
     foot_roll: float = 0.0,
 ) -> Pattern:
     """Plan a walk on the flat from standing to standing.
@@ -148,9 +139,6 @@ def plan_walk(
         turn_rate: Change of heading in rad/s, positive to the left.
         duration: Duration of all of it, standing included, in s.
         timing: Duration of a step and of its parts.
-        lift_height: How high a foot is lifted, in m.
-        com_height: Height of the centre of mass in m; the longer the steps, the lower, when not given.
-        half_width: Distance of either ankle from the path in m.
         foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
 
     Raises:
@@ -168,11 +156,8 @@ def plan_walk(
             f"'duration' {duration} s leaves no room for two steps between {timing.stand_time} s of standing "
             f"at either end; walk for at least {least + 0.05:.2f} s."
         )
-    footsteps = plan_footsteps(speed, turn_rate, steps, timing.step_time, half_width)
-    if com_height is None:
-        com_height = _com_height(speed, timing)
-    walks = (Walk(timing.stand_ticks, footsteps),)
-    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
+    walks = (Walk(timing.stand_ticks, plan_footsteps(speed, turn_rate, steps, timing.step_time)),)
+    return _plan(walks, timing, ticks, check_roll(foot_roll), _com_height(speed, timing))
 
 
 def plan_route(
@@ -180,9 +165,6 @@ def plan_route(
     duration: float | None = None,
     *,
     timing: GaitTiming | None = None,
-    lift_height: float = LIFT_HEIGHT,
-    com_height: float | None = None,
-    half_width: float = HALF_WIDTH,
     foot_roll: float = 0.0,
 ) -> Pattern:
     """Plan walking, turning and standing one after another, from standing to standing.
@@ -195,9 +177,6 @@ def plan_route(
         duration: Duration of all of it in s, the stands before and after the route included; the time that
             the route leaves over is stood. ``None`` for as long as it takes.
         timing: Duration of a step and of its parts.
-        lift_height: How high a foot is lifted, in m.
-        com_height: Height of the centre of mass in m; as low as the longest steps need, when not given.
-        half_width: Distance of either ankle from the path in m.
         foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
 
     Raises:
@@ -207,7 +186,7 @@ def plan_route(
     960
     """
     timing = GaitTiming() if timing is None else timing
-    walks, end = plan_legs(legs, timing, half_width)
+    walks, end = plan_legs(legs, timing)
     least = end + timing.stand_ticks
     ticks = least if duration is None else _ticks_of(duration)
     if ticks < least:
@@ -215,9 +194,8 @@ def plan_route(
             f"'route' takes {least / CONTROL_RATE} s with {timing.stand_time} s of standing at either end, "
             f"longer than its 'duration' of {duration} s; give it that time or leave out a leg."
         )
-    if com_height is None:
-        com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
-    return _plan(walks, timing, ticks, lift_height, half_width, check_roll(foot_roll), com_height)
+    fastest = max(abs(leg.speed) for leg in legs)
+    return _plan(walks, timing, ticks, check_roll(foot_roll), _com_height(fastest, timing))
 
 
 def _ticks_of(duration: float) -> int:
@@ -227,6 +205,7 @@ def _ticks_of(duration: float) -> int:
 
 
 def _com_height(speed: float, timing: GaitTiming) -> float:
+    """Height of the centre of mass in m: the longer the steps, the lower."""
     return COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
 
 
@@ -235,12 +214,10 @@ def _plan(
     walks: tuple[Walk, ...],
     timing: GaitTiming,
     ticks: int,
-    lift_height: float,
-    half_width: float,
     foot_roll: float,
     com_height: float,
 ) -> Pattern:
-    ground = lay_out(walks, timing, ticks, lift_height, half_width, foot_roll)
+    ground = lay_out(walks, timing, ticks, foot_roll)
     model = nao_model()
     kinematics = WholeBodyKinematics(model)
     table = CartTable(com_height, 1.0 / CONTROL_RATE)

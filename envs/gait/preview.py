@@ -29,6 +29,15 @@ from scipy.linalg import solve_discrete_are
 GRAVITY = 9.81
 """Acceleration of free fall in m/s²."""
 
+HORIZON = 2.0
+"""How far ahead the reference is known, in s."""
+
+ERROR_WEIGHT = 1.0
+""":math:`Q_e`, per m² of zero-moment point error."""
+
+INPUT_WEIGHT = 1e-6
+""":math:`R`, per (m/s³)² of jerk increment."""
+
 
 @dataclass(frozen=True)
 class CartTable:
@@ -41,13 +50,6 @@ class CartTable:
 
     height: float
     dt: float
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if the height or the sample period is not positive."""
-        if not (np.isfinite(self.height) and self.height > 0):
-            raise ValueError(f"'height' of the centre of mass must be positive, got {self.height} m.")
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise ValueError(f"'dt' must be positive, got {self.dt} s.")
 
     @property
     def A(self) -> NDArray[np.float64]:  # noqa: N802
@@ -97,41 +99,22 @@ class PreviewTrack(NamedTuple):
     zmp: NDArray[np.float64]
 
 
-def preview_gains(
-    model: CartTable, horizon: float = 2.0, error_weight: float = 1.0, input_weight: float = 1e-6
-) -> PreviewGains:
-    """Solve the Riccati equation of the cart-table augmented by the summed error.
-
-    Args:
-        model: The cart-table.
-        horizon: How far ahead the reference is known, in s.
-        error_weight: :math:`Q_e`, per m² of zero-moment point error.
-        input_weight: :math:`R`, per (m/s³)² of jerk increment.
-
-    Raises:
-        ValueError: If the horizon or a weight is not positive.
-    """
-    for name, value in {
-        "horizon": horizon,
-        "error_weight": error_weight,
-        "input_weight": input_weight,
-    }.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"'{name}' must be positive, got {value}.")
+def preview_gains(model: CartTable) -> PreviewGains:
+    """Solve the Riccati equation of the cart-table augmented by the summed error."""
     A, B, C = model.A, model.B, model.C
     # The augmented state is (e, dx): the error and the change of the cart's state.
     A_augmented = np.block([[np.ones((1, 1)), (C @ A)[None]], [np.zeros((3, 1)), A]])
     B_augmented = np.concatenate([[C @ B], B])[:, None]
     Q = np.zeros((4, 4))
-    Q[0, 0] = error_weight
-    P = solve_discrete_are(A_augmented, B_augmented, Q, np.array([[input_weight]]))
-    inverse = 1.0 / (input_weight + float(B_augmented[:, 0] @ P @ B_augmented[:, 0]))
+    Q[0, 0] = ERROR_WEIGHT
+    P = solve_discrete_are(A_augmented, B_augmented, Q, np.array([[INPUT_WEIGHT]]))
+    inverse = 1.0 / (INPUT_WEIGHT + float(B_augmented[:, 0] @ P @ B_augmented[:, 0]))
     gain = inverse * (B_augmented[:, 0] @ P @ A_augmented)
     closed = A_augmented - np.outer(B_augmented[:, 0], gain)
-    samples = round(horizon / model.dt)
+    samples = round(HORIZON / model.dt)
     preview = np.empty(samples)
     # The reference enters the augmented system through the error alone.
-    X = -closed.T @ P[:, 0] * error_weight
+    X = -closed.T @ P[:, 0] * ERROR_WEIGHT
     preview[0] = -gain[0]
     for j in range(1, samples):
         preview[j] = inverse * float(B_augmented[:, 0] @ X)
@@ -139,9 +122,7 @@ def preview_gains(
     return PreviewGains(float(gain[0]), gain[1:], preview)
 
 
-def track_zmp(
-    reference: NDArray[np.float64], model: CartTable, gains: PreviewGains | None = None
-) -> PreviewTrack:
+def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
     """Move the cart so that its zero-moment point follows a reference, from rest above its start.
 
     Beyond its end the reference stays where it ended.
@@ -149,7 +130,6 @@ def track_zmp(
     Args:
         reference: Zero-moment point, shape (ticks, axes), m.
         model: The cart-table.
-        gains: Gains for this model; solved for when not given.
 
     Raises:
         ValueError: If the reference is not finite or not of that shape.
@@ -159,7 +139,7 @@ def track_zmp(
         raise ValueError(f"'reference' must have shape (ticks, axes), got {reference.shape}.")
     if not np.isfinite(reference).all():
         raise ValueError("'reference' holds values that are not finite.")
-    gains = preview_gains(model) if gains is None else gains
+    gains = preview_gains(model)
     ticks, axes = reference.shape
     ahead = len(gains.preview)
     # Measured from where it starts, the reference is zero before the walk, and so is every sum.

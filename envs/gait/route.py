@@ -77,13 +77,12 @@ def parse_route(route: Any) -> tuple[Leg, ...]:
     return tuple(legs)
 
 
-def plan_legs(legs: Sequence[Leg], timing: GaitTiming, half_width: float) -> tuple[tuple[Walk, ...], int]:
+def plan_legs(legs: Sequence[Leg], timing: GaitTiming) -> tuple[tuple[Walk, ...], int]:
     """Place the footsteps of a route that begins after the first stand of a pattern.
 
     Args:
         legs: The legs.
         timing: Duration of a step and of its parts.
-        half_width: Distance of either sole's origin from the path in m.
 
     Returns:
         The walks, legs without a stand between them being one, and the control step at which the route ends.
@@ -104,7 +103,7 @@ def plan_legs(legs: Sequence[Leg], timing: GaitTiming, half_width: float) -> tup
                     f"{LEAST_STAND} s, in which the weight can settle."
                 )
             continue
-        footsteps, where = _walk(numbers, run, timing, half_width, where)
+        footsteps, where = _walk(numbers, run, timing, where)
         walks.append(Walk(start, footsteps))
     return tuple(walks), tick
 
@@ -113,7 +112,6 @@ def _walk(
     numbers: Sequence[int],
     run: Sequence[Leg],
     timing: GaitTiming,
-    half_width: float,
     where: tuple[float, float, float],
 ) -> tuple[tuple[Footstep, ...], tuple[float, float, float]]:
     """Footsteps of legs that flow into each other, and where they lead."""
@@ -137,4 +135,4 @@ def _walk(
         turn += [leg.turn_rate * timing.step_time] * int(count)
     # The last step makes no move: it closes the feet.
     moves = np.array(length[:-1]), np.array(turn[:-1])
-    return place_footsteps(*moves, half_width, where), end_of_path(*moves, where)
+    return place_footsteps(*moves, where), end_of_path(*moves, where)

@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 TOE_AND_HEEL = (0.10897, -0.06103)
 """How far ahead of the sole's origin the sole's front and rear edges lie, in m."""
 
+LIFT_HEIGHT = 0.015
+"""How high a foot is lifted, in m."""
+
 MAX_ROLL = 0.2
 """Largest pitch in rad: the rear of the sole is then 34 mm above the ground."""
 
@@ -49,25 +52,19 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def lift(phase: ArrayLike, height: float) -> NDArray[np.float64]:
-    """Rise from the ground to ``height`` m at half the swing and come down again, never below the ground.
+def lift(phase: ArrayLike) -> NDArray[np.float64]:
+    """Rise from the ground to :data:`LIFT_HEIGHT` at half the swing and come down again, never below it.
 
     Zero velocity and acceleration at both ends: ``64 s³ (1 - s)³`` of the height.
 
     Args:
         phase: Phase of the swing, any shape; held at the ends outside [0, 1].
-        height: Height at the middle of the swing in m.
 
-    Raises:
-        ValueError: If the height is negative or not finite.
-
-    >>> lift([0.0, 0.5, 1.0], 0.015)
+    >>> lift([0.0, 0.5, 1.0])
     array([0.   , 0.015, 0.   ])
     """
-    if not (math.isfinite(height) and height >= 0):
-        raise ValueError(f"'height' of the lift must not be negative, got {height} m.")
     s = np.clip(np.asarray(phase, dtype=np.float64), 0.0, 1.0)
-    return height * 64.0 * (s * (1.0 - s)) ** 3
+    return LIFT_HEIGHT * 64.0 * (s * (1.0 - s)) ** 3
 
 
 def check_roll(angle: float) -> float:

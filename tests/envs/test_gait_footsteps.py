@@ -46,8 +46,8 @@ turns = st.floats(-MAX_STEP_TURN / STEP_TIME, MAX_STEP_TURN / STEP_TIME)
 @settings(max_examples=60, deadline=None)
 @given(speed=speeds, turn_rate=turns, steps=st.integers(2, 12))
 def test_shoes_never_touch(speed, turn_rate, steps):
-    feet = list(stance_of_stand(0.05))
-    for step in plan_footsteps(speed, turn_rate, steps, STEP_TIME, 0.05):
+    feet = list(stance_of_stand())
+    for step in plan_footsteps(speed, turn_rate, steps, STEP_TIME):
         feet[step.foot] = step
         assert gap(shoe_corners(feet[0]), shoe_corners(feet[1])) > 0.005
 
@@ -55,7 +55,7 @@ def test_shoes_never_touch(speed, turn_rate, steps):
 @settings(max_examples=60, deadline=None)
 @given(speed=speeds, turn_rate=turns, steps=st.integers(2, 12))
 def test_feet_alternate_and_end_side_by_side(speed, turn_rate, steps):
-    footsteps = plan_footsteps(speed, turn_rate, steps, STEP_TIME, 0.05)
+    footsteps = plan_footsteps(speed, turn_rate, steps, STEP_TIME)
     assert len(footsteps) == steps
     assert all(a.foot != b.foot for a, b in pairwise(footsteps))
     last, other = footsteps[-1], footsteps[-2]
@@ -70,8 +70,8 @@ def test_feet_alternate_and_end_side_by_side(speed, turn_rate, steps):
 def test_the_mirror_image_of_a_walk_is_the_walk_of_the_mirrored_turn(speed, turn_rate):
     if turn_rate == 0.0:
         return
-    walk = plan_footsteps(speed, turn_rate, 7, STEP_TIME, 0.05)
-    mirrored = plan_footsteps(speed, -turn_rate, 7, STEP_TIME, 0.05)
+    walk = plan_footsteps(speed, turn_rate, 7, STEP_TIME)
+    mirrored = plan_footsteps(speed, -turn_rate, 7, STEP_TIME)
     for a, b in zip(walk, mirrored, strict=True):
         assert a.foot == 1 - b.foot
         assert a.position == pytest.approx((b.position[0], -b.position[1]), abs=1e-12)
@@ -81,7 +81,7 @@ def test_the_mirror_image_of_a_walk_is_the_walk_of_the_mirrored_turn(speed, turn
 @pytest.mark.parametrize("speed", [0.02, 0.04, 0.1, -0.04])
 def test_a_straight_walk_goes_as_far_as_its_speed_says(speed):
     steps = 20
-    footsteps = plan_footsteps(speed, 0.0, steps, STEP_TIME, 0.05)
+    footsteps = plan_footsteps(speed, 0.0, steps, STEP_TIME)
     # The first and the last of the moves are half as long.
     assert footsteps[-1].position[0] == pytest.approx(speed * STEP_TIME * (steps - 2))
     assert {step.yaw for step in footsteps} == {0.0}
@@ -89,7 +89,7 @@ def test_a_straight_walk_goes_as_far_as_its_speed_says(speed):
 
 def test_an_arc_turns_as_far_as_its_rate_says():
     steps, turn_rate = 12, 0.15
-    footsteps = plan_footsteps(0.04, turn_rate, steps, STEP_TIME, 0.05)
+    footsteps = plan_footsteps(0.04, turn_rate, steps, STEP_TIME)
     assert footsteps[-1].yaw == pytest.approx(turn_rate * STEP_TIME * (steps - 2))
 
 
@@ -101,11 +101,10 @@ def test_an_arc_turns_as_far_as_its_rate_says():
         ({"turn_rate": 1.0}, r"'turn_rate' 1\.0 rad/s.*turn at most 0\.200 rad/s"),
         ({"turn_rate": float("inf")}, "'turn_rate' must be finite"),
         ({"steps": 1}, "at least two steps"),
-        ({"half_width": 0.0}, "'half_width' must be positive"),
     ],
 )
 def test_impossible_walks_are_refused(change, message):
-    arguments = {"speed": 0.04, "turn_rate": 0.0, "steps": 6, "step_time": STEP_TIME, "half_width": 0.05}
+    arguments = {"speed": 0.04, "turn_rate": 0.0, "steps": 6, "step_time": STEP_TIME}
     with pytest.raises(ValueError, match=message):
         plan_footsteps(**(arguments | change))
 

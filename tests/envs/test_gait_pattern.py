@@ -178,8 +178,6 @@ def test_outside_its_time_a_pattern_stands():
         ({"duration": 2.0}, r"no room for two steps.*walk for at least 3\.9"),
         ({"speed": 0.5}, "walk at most"),
         ({"speed": float("nan")}, "'speed' must be finite"),
-        ({"com_height": 0.31}, "lower the centre of mass"),
-        ({"lift_height": -0.01}, "'height' of the lift"),
     ],
 )
 def test_impossible_plans_are_refused(arguments, message):

@@ -23,8 +23,8 @@ ARRAYS = [name for name, kind in Pattern.__annotations__.items() if "NDArray" in
 
 def ground_of(*legs):
     """What a route means on the ground, without the inverse kinematics, and its footsteps."""
-    walks, end = plan_legs(legs, TIMING, 0.05)
-    ground = lay_out(walks, TIMING, end + TIMING.stand_ticks, 0.015, 0.05)
+    walks, end = plan_legs(legs, TIMING)
+    ground = lay_out(walks, TIMING, end + TIMING.stand_ticks)
     return ground, [step for walk in walks for step in walk.footsteps]
 
 
@@ -145,5 +145,5 @@ def test_impossible_routes_are_refused(route, message):
 def test_the_time_named_is_enough_for_a_leg_anywhere_in_a_route():
     for before in np.arange(4.0, 5.0, 0.05):
         legs = (Leg(float(before), 0.04, 0.0), Leg(2.72, 0.02, 0.1))
-        walks, _ = plan_legs(legs, GaitTiming(), 0.05)
+        walks, _ = plan_legs(legs, GaitTiming())
         assert len(walks) == 1

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surefoot.envs.gait.pattern import plan_walk
-from surefoot.envs.gait.swing import TOE_AND_HEEL, lift, minimum_jerk, pivot_of, roll_of_step
+from surefoot.envs.gait.swing import LIFT_HEIGHT, TOE_AND_HEEL, lift, minimum_jerk, pivot_of, roll_of_step
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.robots.nao import FEET, cell_positions, load_nao_spec
 
@@ -24,20 +24,20 @@ def pattern():
     return plan_walk(0.04, 0.0, 8.0, foot_roll=ANGLE)
 
 
-@given(st.floats(-1.0, 2.0), st.floats(0.0, 0.1))
-def test_the_foot_is_never_below_the_ground_nor_above_its_height(phase, height):
-    assert 0.0 <= lift(phase, height) <= height + 1e-12
+@given(st.floats(-1.0, 2.0))
+def test_the_foot_is_never_below_the_ground_nor_above_its_height(phase):
+    assert 0.0 <= lift(phase) <= LIFT_HEIGHT + 1e-12
 
 
 @given(st.floats(0.0, 1.0))
 def test_the_way_is_symmetric(phase):
     assert minimum_jerk(phase) + minimum_jerk(1.0 - phase) == pytest.approx(1.0, abs=1e-12)
-    assert lift(phase, 0.015) == pytest.approx(lift(1.0 - phase, 0.015), abs=1e-12)
+    assert lift(phase) == pytest.approx(lift(1.0 - phase), abs=1e-12)
 
 
 def test_it_leaves_and_lands_without_velocity_or_acceleration():
     h = 1e-4
-    for way in (minimum_jerk, lambda s: lift(s, 1.0)):
+    for way in (minimum_jerk, lambda s: lift(s) / LIFT_HEIGHT):
         for end, inward in ((0.0, h), (1.0, -h)):
             gone = way(end + inward) - way(end)
             assert abs(gone / h) < 1e-6
@@ -49,14 +49,8 @@ def test_the_way_only_goes_forward():
 
 
 def test_half_way_is_the_top():
-    assert lift(0.5, 0.015) == pytest.approx(0.015)
+    assert lift(0.5) == pytest.approx(LIFT_HEIGHT)
     assert minimum_jerk(0.5) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("height", [-0.01, float("nan"), float("inf")])
-def test_a_lift_below_ground_is_refused(height):
-    with pytest.raises(ValueError, match="'height' of the lift"):
-        lift(0.5, height)
 
 
 def corners(pattern):
