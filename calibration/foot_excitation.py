@@ -117,11 +117,7 @@ def plan_foot_excitation(
     Raises:
         ValueError: If an argument has no meaning, there is no such motion, or none fits into the budget.
     """
-    check_value("budget", budget, positive=True)
-    if goal not in GOALS:
-        raise ValueError(f"'goal' must be one of {GOALS}, got '{goal}'.")
-    if unknown := [name for name in motions or () if name not in robot.motions]:
-        raise ValueError(f"The robot cannot do '{unknown[0]}'. It can do: {', '.join(robot.motions)}.")
+    _check_plan(robot, budget, goal, motions)
     setup, rest = setup_from_options(
         layout, mass=robot.mass, initial=None, dt=robot.dt, lag=robot.lag, options=options
     )
@@ -154,6 +150,15 @@ def plan_foot_excitation(
         covariance_before=first.of_parameters(first.start, 0),
         covariance=first.of_parameters(choice.covariance(chosen), 0),
     )
+
+
+def _check_plan(robot: MovingRobot, budget: float, goal: str, motions: Sequence[str] | None) -> None:
+    """Raise ValueError if arguments of :func:`plan_foot_excitation` have no meaning."""
+    check_value("budget", budget, positive=True)
+    if goal not in GOALS:
+        raise ValueError(f"'goal' must be one of {GOALS}, got '{goal}'.")
+    if unknown := [name for name in motions or () if name not in robot.motions]:
+        raise ValueError(f"The robot cannot do '{unknown[0]}'. It can do: {', '.join(robot.motions)}.")
 
 
 def _passages_of(setup: OnlineSetup, motion: FootMotion, config: Moment) -> LogPassages:

@@ -77,18 +77,10 @@ def replay(
     learnt_from: NDArray[np.float64] = readings
     learnt_with: Reference | MomentumReference = log
     if cutoff is not None:
-        if not isinstance(log, Reference):
-            raise ValueError(
-                "'zero_phase' filters accelerations, which a MomentumReference has none of: give a Reference."
-            )
         front_end = FrontEnd(calibrator.setup)
         front = front_end.init(readings[0])
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
-        limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
-        learnt_with = log._replace(
-            com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, nominal),
-            angular_momentum_rate=_filter_plausible(log.angular_momentum_rate, *limits, cutoff, nominal),
-        )
+        learnt_with = _filter_accelerations(log, cutoff, nominal)
     estimates = []
     for k in watch(range(len(readings))):
         step = float(steps[k])
@@ -140,6 +132,19 @@ def _in_float64(values: Any) -> NDArray[Any]:
 def _row(reference: Any, k: int) -> Any:
     """Return one sample of a log's beliefs."""
     return type(reference)(*(part[k] for part in reference))
+
+
+def _filter_accelerations(log: Reference | MomentumReference, cutoff: float, dt: float) -> Reference:
+    """Return a log whose accelerations are filtered; raise ValueError if it has none."""
+    if not isinstance(log, Reference):
+        raise ValueError(
+            "'zero_phase' filters accelerations, which a MomentumReference has none of: give a Reference."
+        )
+    limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
+    return log._replace(
+        com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, dt),
+        angular_momentum_rate=_filter_plausible(log.angular_momentum_rate, *limits, cutoff, dt),
+    )
 
 
 def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:

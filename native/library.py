@@ -107,14 +107,6 @@ class Library(NamedTuple):
         fields = (field for field in self.places[name] if field)
         return self.record_of(name, {field: _value_of(field, name, sources) for field in fields})
 
-    def zeros(self, name: str) -> dict[str, Any]:
-        """Return a zero for each field of one of its records, and for each array one without a number."""
-        zeros = {}
-        for field, (kind, _, size) in self.places[name].items():
-            if field:
-                zeros[field] = 0 if size == _KINDS.get(kind, self.real).itemsize else ()
-        return zeros
-
     def record_of(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
         """Return one of its records with these values, shape (); ``None`` if it has no room for one."""
         dtype = self.record(name, {field: np.shape(value) for field, value in values.items()})

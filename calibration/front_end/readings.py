@@ -13,7 +13,7 @@
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -184,18 +184,12 @@ class FrontEnd:
             ValueError: If an array does not fit.
         """
         self.check(raw, reference)
-        K = self._channels
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
-        low, high = self.plausible
-        read = (raw >= low) & (raw <= high)
-        held = np.where(read, raw, state.raw)
-        force, sure = self._scale * held + self._offset, read
-        if repair is not None:
-            force, sure = repair(force, read)
+        read, held, force, sure = self._read(state, raw, repair)
         history = np.vstack([state.history[1:], np.concatenate([force, sure])])
-        described = history[self.kept - self.setup.lag]
-        past, past_read = described[:K], described[K:] > 0.5
+        past, past_read = np.split(history[self.kept - self.setup.lag], 2)
+        past_read = past_read > 0.5
 
         flat = self.motions.flatten(reference)
         sound = bool((np.abs(flat) <= LARGEST_REFERENCE).all())
@@ -209,6 +203,7 @@ class FrontEnd:
 
         flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
         flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)
+        contacts = {"stance": reference.stance & sound, "swing": reference.swing & sound}
         sample = Sample(
             force=force,
             ahead=ahead,
@@ -219,13 +214,20 @@ class FrontEnd:
             good=good,
             clean=clean,
             motion=motion,
-            stance=reference.stance & sound,
-            swing=reference.swing & sound,
             known=known,
             flags=flags,
             gap=gap,
+            **contacts,
         )
         return FrontState(held, history, motion, known, clean), sample
+
+    def _read(self, state: FrontState, raw: Array, repair: Any) -> tuple[Array, Array, Array, Array]:
+        """Return which readings are plausible, the last ones that were, and the forces and which are sure."""
+        low, high = self.plausible
+        read = (raw >= low) & (raw <= high)
+        held = np.where(read, raw, state.raw)
+        force = self._scale * held + self._offset
+        return read, held, *((force, read) if repair is None else repair(force, read))
 
     def estimate(
         self,

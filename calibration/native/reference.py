@@ -1,6 +1,5 @@
 """A reference as the library holds it, which a calibrator takes as it is."""
 
-from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any
 
@@ -18,30 +17,7 @@ _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
 """Names of the records of both kinds, and fields that they have besides."""
 
 
-def reference_dtype(
-    library: Library, kind: type[Any], shapes: Mapping[str, tuple[int, ...]]
-) -> np.dtype[Any] | None:
-    """Return the layout of a reference; ``None`` if the library has no room for one.
-
-    Args:
-        library: The library.
-        kind: :class:`Reference` or :class:`MomentumReference`.
-        shapes: The shape of each field.
-    """
-    name, besides = _RECORDS[kind]
-    return library.record(name, {field: shapes[field] for field in kind._fields} | dict.fromkeys(besides, ()))
-
-
-def feet_beyond(library: Library, feet: int) -> str:
-    """Say that a library has no room for so many feet, and the way out."""
-    most = library.places["reference"]["stance"][2]
-    return (
-        f"The library was compiled for at most {most} feet, and the robot has {feet}; compile it with "
-        f"-DSF_FEET={feet}, or let Python do the work."
-    )
-
-
-class ReferenceRecord:
+class ReferenceRecord(Record):
     """One moment of a robot, overwritten by the next.
 
     Args:
@@ -53,9 +29,7 @@ class ReferenceRecord:
         library: The same.
         kind: The same.
         feet: The same.
-        address: Where the library finds it.
         dtype: Its layout.
-        now: Its values, shape ().
         real: The dtype of its numbers.
 
     Raises:
@@ -63,13 +37,19 @@ class ReferenceRecord:
     """
 
     def __init__(self, library: Library, kind: type[Reference] | type[MomentumReference], feet: int) -> None:
-        dtype = reference_dtype(library, kind, reference_shapes(feet))
+        shapes, (name, besides) = reference_shapes(feet), _RECORDS[kind]
+        own = {field: shapes[field] for field in kind._fields}
+        dtype = library.record(name, own | dict.fromkeys(besides, ()))
         if dtype is None:
-            raise ValueError(feet_beyond(library, feet))
-        self.library, self.real = library, library.real
-        self.kind, self.feet, self.dtype = kind, feet, dtype
-        self._record, self._nothing = Record(dtype), Record(dtype)
-        self.address, self.now = self._record.address, self._record.now
+            most = library.places["reference"]["stance"][2]
+            raise ValueError(
+                f"The library was compiled for at most {most} feet, and the robot has {feet}; compile it "
+                f"with -DSF_FEET={feet}, or let Python do the work."
+            )
+        super().__init__(dtype)
+        self.library, self.kind, self.feet = library, kind, feet
+        self.dtype, self.real = dtype, library.real
+        self._nothing = Record(dtype)
         self._places = [self.now[name] for name in kind._fields]
         self._dtypes, self._shapes = list(map(_DTYPE, self._places)), list(map(_SHAPE, self._places))
         if kind is MomentumReference:
@@ -105,7 +85,7 @@ class ReferenceRecord:
 
     def mapping(self, known: bool = True) -> dict[str, np.ndarray]:
         """Return a copy of each field by its name; zeros where nothing is known, contacts excepted."""
-        one = self._record.copy()
+        one = self.copy()
         if not known:
             zeros = self._nothing.copy()
             zeros["stance"], zeros["swing"] = one["stance"], one["swing"]

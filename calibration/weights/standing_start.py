@@ -4,6 +4,7 @@ The weight that is known is the robot's own; the mathematics is that of :mod:`su
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,26 @@ class StandingFit:
     duration: float
 
 
+def _check_lengths(code: NDArray[np.float64], reference: Reference) -> None:
+    """Raise ValueError if readings and references are not of as many samples."""
+    if code.ndim != 2:
+        raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
+    lengths = {name: len(field) for name, field in reference._asdict().items() if len(field) != len(code)}
+    if lengths:
+        raise ValueError(f"'raw' holds {len(code)} samples, but fields of the reference hold {lengths}.")
+
+
+def _too_few(standing: QuietStanding, state: Any, code: NDArray[np.float64]) -> CalibrationRefused:
+    """Return the refusal of a recording with too few usable samples."""
+    warm = state.samples + state.dropped + state.gated
+    return CalibrationRefused(
+        f"Only {state.samples} of the {standing.minimum_samples} samples that are needed were usable: of "
+        f"{warm} after {standing.warm_up:g} s of warming up, {state.dropped} held values that are "
+        f"not finite{_silent_channels(code, standing.layout)} and {state.gated} lacked contact or moved.",
+        "Stand still for longer, or check the IMU, its thresholds and the cells.",
+    )
+
+
 def standing_start(
     standing: QuietStanding,
     raw: ArrayLike,
@@ -68,29 +89,18 @@ def standing_start(
     """
     check_value("dt", dt, positive=True)
     code = np.asarray(raw, dtype=np.float64)
-    if code.ndim != 2:
-        raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
-    lengths = {name: len(field) for name, field in reference._asdict().items() if len(field) != len(code)}
-    if lengths:
-        raise ValueError(f"'raw' holds {len(code)} samples, but fields of the reference hold {lengths}.")
+    _check_lengths(code, reference)
     log = Reference(*(np.asarray(field) for field in reference))
     state, end = standing.init(np.zeros(standing.layout.channels)), 0
     while end < len(code) and not standing.ready(state):
         state = standing.update(state, code[end], Reference(*(field[end] for field in log)), dt)
         end += 1
     if state.samples < standing.minimum_samples:
-        warm = state.samples + state.dropped + state.gated
+        raise _too_few(standing, state, code)
+    estimate, unknowns = standing.solve(state), 2 * standing.layout.channels
+    if strict and estimate.rank < unknowns:
         raise CalibrationRefused(
-            f"Only {state.samples} of the {standing.minimum_samples} samples that are needed were usable: of "
-            f"{warm} after {standing.warm_up:g} s of warming up, {state.dropped} held values that are "
-            f"not finite{_silent_channels(code, standing.layout)} and {state.gated} lacked contact or moved.",
-            "Stand still for longer, or check the IMU, its thresholds and the cells.",
-        )
-    estimate = standing.solve(state)
-    rank, unknowns = estimate.rank, 2 * standing.layout.channels
-    if strict and rank < unknowns:
-        raise CalibrationRefused(
-            f"The recording determines {rank} of {unknowns} directions of the scales and offsets: a robot at "
+            f"The recording determines {estimate.rank} of {unknowns} directions of the scales and offsets: a robot at "
             "rest shows its weight and the place of its centre of mass, over and over.",
             "Shift the weight over all cells for the scales and tare each foot in the air for the offsets, "
             "or pass strict=False to change only what the recording determines.",
@@ -99,13 +109,13 @@ def standing_start(
         value=estimate.parameters,
         correction=estimate.correction,
         covariance=estimate.covariance,
-        result=FitResult.DETERMINED if rank == unknowns else FitResult.PARTLY_DETERMINED,
+        result=FitResult.DETERMINED if estimate.rank == unknowns else FitResult.PARTLY_DETERMINED,
         stats=FitStats(
             samples=state.samples,
             dropped=state.dropped,
             gated=state.gated,
             residual_rms=estimate.residual_rms,
-            rank=rank,
+            rank=estimate.rank,
             unknowns=unknowns,
             condition=estimate.condition,
         ),

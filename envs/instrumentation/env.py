@@ -90,9 +90,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         visuals: bool | None = None,
         prefix: str = "surefoot/",
     ) -> None:
-        if feet is not None:
-            check_names(feet)
-        _check_types(cells, soles)
+        _check_types(feet, cells, soles)
         # An MjSpec cannot be copied deeply; everything else is recorded as a copy.
         gym.utils.RecordConstructorArgs.__init__(
             self,
@@ -107,15 +105,14 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             prefix=prefix,
         )
         gym.Wrapper.__init__(self, env)
-        self._base = cast(Any, _holder(env))
-        _refuse(env, self._base, prefix)
-        foreign = isinstance(self._base, _Physics)
-        description = _describe(self._base, foreign, soles, spec, in_place)
+        self._base = base = cast(Any, _holder(env))
+        _refuse(env, base, prefix)
+        foreign = isinstance(base, _Physics)
+        description = _describe(base, foreign, soles, spec, in_place)
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
         self.untouched = (
             "dm_control's physics holds it" if foreign else "there is no description of it: give 'spec'"
         )
-        base = self._base
         self.instrumentation: Instrumentation | None = None
         samples = count_substeps(base)
         if in_place is False:
@@ -125,16 +122,14 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             made = make(description, base.model, feet, soles=soles, boxes=boxes, samples=samples, **given)
             self._instrument(made, named=spec is not None, forced=bool(soles or in_place))
         self._reader: SensorReader | FeetReader
-        self.seldom = False
         if self.instrumentation is not None:
             self._reader = SensorReader(base.model, base.data, self.instrumentation, samples)
-            self.drawing: RobotDrawing = self.instrumentation.drawing
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
-            self.drawing = self._reader.drawing
-            self.seldom = samples > 1
-            if self.seldom and in_place is not False:
-                warnings.warn(_warn_of_aliasing(env, self.untouched, samples), stacklevel=2)
+        self.drawing: RobotDrawing = (self.instrumentation or self._reader).drawing
+        self.seldom = self.instrumentation is None and samples > 1
+        if self.seldom and in_place is not False:
+            warnings.warn(_warn_of_aliasing(env, self.untouched, samples), stacklevel=2)
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
@@ -265,8 +260,10 @@ def _describe(
     return description
 
 
-def _check_types(cells: Any, soles: Any) -> None:
+def _check_types(feet: Any, cells: Any, soles: Any) -> None:
     """Raise TypeError if options do not name feet."""
+    if feet is not None:
+        check_names(feet)
     if cells is not None and not isinstance(cells, Mapping):
         raise TypeError(
             "'cells' must map the bodies of feet to places of four cells, {'left_foot': [(x, y), ...], ...}; "

@@ -6,6 +6,7 @@ motion and wrenches of a sample belong to the same instant, and minutes are reco
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -147,13 +148,9 @@ def record_rig(
         else:
             phase = float(rng.uniform(0.0, 2.0 * np.pi))
             motion = sweep(duration, rate, speed_deg, range_deg=range_deg, phase=phase)
-        if at_rest:
-            motion = motion.at_rest()
-        if icub:
-            spec = load_icub_leg_spec(configuration)
-        else:
-            spec = load_leg_rig_spec(configuration, knee_slack=knee_slack, floor=floor)
-        recordings.append(_record(spec.compile(), configuration, motion))
+        rig: dict[str, Any] = {"knee_slack": knee_slack, "floor": floor}
+        spec = load_icub_leg_spec(configuration) if icub else load_leg_rig_spec(configuration, **rig)
+        recordings.append(_record(spec.compile(), configuration, motion.at_rest() if at_rest else motion))
     return recordings
 
 
