@@ -34,6 +34,8 @@ class Record:
         return np.ndarray((), self.now.dtype, self.bytes.copy())
 
     def __reduce__(self) -> Any:
+        if type(self) is not Record:
+            raise TypeError(f"A {type(self).__name__} is of one process: it has no copies and no pickles.")
         return _record, (self.now.dtype, self.bytes.tobytes())
 
 

@@ -100,8 +100,8 @@ def standing_start(
     estimate, unknowns = standing.solve(state), 2 * standing.layout.channels
     if strict and estimate.rank < unknowns:
         raise CalibrationRefused(
-            f"The recording determines {estimate.rank} of {unknowns} directions of the scales and offsets: a robot at "
-            "rest shows its weight and the place of its centre of mass, over and over.",
+            f"The recording determines {estimate.rank} of {unknowns} directions of the scales and offsets: a "
+            "robot at rest shows its weight and the place of its centre of mass, over and over.",
             "Shift the weight over all cells for the scales and tare each foot in the air for the offsets, "
             "or pass strict=False to change only what the recording determines.",
         )
