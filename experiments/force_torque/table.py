@@ -82,8 +82,6 @@ def read_samples(
     found = _find_columns(
         table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH
     )
-    if len(table) == 0:
-        raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
     units = {name: SI[unit] for name, unit in config.units if name != "raw"}
 
     def values(names: str | Sequence[str] | None, factor: float = 1.0) -> Any:

@@ -74,7 +74,7 @@ def draw_channels(path: Path, checked: Checked) -> Path:
 
 def draw_allan(path: Path, checked: Checked) -> Path | None:
     """Draw Allan deviations; ``None`` where no channel rests."""
-    curves = [one for one in checked.facts if len(one.curve.tau) > 1]
+    curves = [one for one in checked.facts if len(one.curve.tau) > 1 and one.curve.deviation.any()]
     if not curves:
         return None
     with figure_at(path, 7.0, 4.2) as figure:

@@ -168,6 +168,11 @@ def read_log(
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
+    if len(time) <= facts["lag"]:
+        raise LogError(
+            f"{path.name}: {len(time)} rows are too few where references come lag_samples = {facts['lag']} "
+            "rows late; record some seconds."
+        )
     curves = description.straightening
     raw = curves.straighten(stack(values, counts[1:]))
     if alone:
@@ -308,19 +313,15 @@ def _make_beliefs(
 
 
 def _description(path: Path, metadata: Any) -> Any:
-    """Read the description in the metadata of a Parquet file, or beside a CSV file."""
+    """Read the description in the metadata of a Parquet file, or beside the file."""
     side, text = path, (metadata or {}).get(METADATA_KEY)
-    if path.suffix != ".parquet":
+    if text is None:
         side = path.with_suffix(".json")
         if not side.is_file():
+            within = ", nor within it under the key 'surefoot'" if path.suffix == ".parquet" else ""
             raise LogError(
-                f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
-                f"calibrations; {page('log-format')} shows one."
+                f"{path.name}: the description {side.name} is not beside it{within}; it holds layout, mass "
+                f"and calibrations; {page('log-format')} shows one."
             )
         text = read_text(side, LogError)
-    elif text is None:
-        raise LogError(
-            f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
-            f"write the log with surefoot.experiments.write_log, or as {page('log-format')} says."
-        )
     return parse_json(text, f"{side.name}: the description", LogError)

@@ -92,7 +92,7 @@ def test_names_on_the_command_line_go_before_those_of_the_file(tmp_path: Path) -
     )
     log = read_in_situ_log(path, config)
     np.testing.assert_array_equal(log.sets[0].gravity, frame.loc[:39, ["gx", "gy", "gz"]])
-    with pytest.raises(LogError, match=r"the command line: gravity\.1: Field required"):
+    with pytest.raises(LogError, match=r"the command line: gravity\.1: is missing"):
         config.override(gravity=("gx",))
 
 

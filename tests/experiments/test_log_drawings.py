@@ -121,7 +121,7 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "one sole": (
         {"soles": ["left_sole"]},
-        "the description: motion.soles.1: Field required, got ['left_sole'].",
+        "the description: motion.soles.1: is missing, got ['left_sole'].",
     ),
     "an unknown key": (
         {"delay": 0.02},
