@@ -22,7 +22,7 @@ app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=Tr
 def walk(
     log: Annotated[Path, Argument(help="A log: .parquet, .csv or a ROS bag.")],
     method: Annotated[
-        str, Option(help="momentum, moment, window, quasi-static, tare, none, or module:name")
+        str, Option(help="moment, window, quasi-static, tare, none, or module:name")
     ] = "moment",
     start: Annotated[
         str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
