@@ -179,7 +179,7 @@ def _wrong(recording: Recording, row: int, finding: Finding, kind: str = "") -> 
     if row == 0:
         since = "all along"
     else:
-        since = f"{recording.time[row]:.6g} s" if np.isfinite(recording.time[row]) else f"row {row}"
+        since = f"{recording.time[row]:.12g} s" if np.isfinite(recording.time[row]) else f"row {row}"
     return Wrong(finding, since, settling_motion(kind or finding.name))
 
 

@@ -113,7 +113,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
         row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
-    since = f"about {log.time[row]:.3g} s" if row else "all along"
+    since = f"about {log.time[row]:.12g} s" if row else "all along"
     for one in clear.findings:
         yield Wrong(one, since, settling_motion(one.name))
 
@@ -238,7 +238,7 @@ def facts_table(one: Recording) -> Table:
         ("channels", decimal(len(one.names), "d")),
     ]
     if one.has_times:
-        rows.append(("time", f"{one.time[0]:.9g} to {one.time[-1]:.9g} s"))
+        rows.append(("time", f"{one.time[0]:.12g} to {one.time[-1]:.12g} s"))
         steps = np.diff(one.time)
         step = float(np.median(steps))
         if step > 0.0:

@@ -293,8 +293,9 @@ def _make_beliefs(
     reference, momentum = make_beliefs(time, motion, *known)
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(
-            f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
-            f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
+            f"{moved.file}: joints and IMU reach from {motion.time[0]:.12g} to {motion.time[-1]:.12g} s, "
+            f"and the feet from {time[0]:.12g} to {time[-1]:.12g} s; give both on one clock, and "
+            "motion.delay_s."
         )
     names = feet[0].name, feet[1].name
     stance, swing, source = contacts(table, names, reference, dt)

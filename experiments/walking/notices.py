@@ -113,13 +113,13 @@ def motion_notices(log: Log) -> Iterator[str]:
             f"mass_kg = {log.mass:.4g} is not the model's {model:.4g} kg; its centre of mass and angular "
             "momentum are the model's. Weigh the robot, and correct the model."
         )
-    swing = np.asarray(log.reference.swing)
+    swing, source = np.asarray(log.reference.swing), log.about.get("contacts", "")
     for i, foot in enumerate(log.layout.feet if len(log.layout.feet) == 2 else ()):
         if not swing[:, i].any():
+            seen = f"'reference_{foot.name}_swing' is 0 in all {len(log)} rows"
             yield (
-                f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in all "
-                f"{len(log)} rows), so that its offsets cannot be separated from its scales; let it swing, "
-                "or lift it for a second."
+                f"the {foot.name} foot is never surely in the air ({source or seen}), so that its offsets "
+                "cannot be separated from its scales; let it swing, or lift it for a second."
             )
     alone = bool(log.about.get("feet_alone", False))
     spread = np.inf if alone else _spread(log)

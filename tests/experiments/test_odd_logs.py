@@ -67,6 +67,10 @@ ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
         channels().drop(columns="time_s"),
         ("all along", "Rows have no times: rate, noise and drift are not seen.", False),
     ),
+    "a leap, in seconds since 1970": (
+        channels(time_s=1.7e9 + TIME + 5.0 * (TIME > 12.5)),
+        ("1700000017.51 s", "The clock leaps 1 times, by 5.01 s at most.", False),
+    ),
     "milliseconds": (
         channels(time_s=1e3 * TIME),
         ("all along", "Rows come 12.5 s apart, as times in another unit than seconds do.", False),
@@ -199,6 +203,19 @@ def test_rows_and_words_that_are_too_few(log: Log, tmp_path: Path) -> None:
         with pytest.raises(LogError) as refused:
             read_log(path)
         assert str(refused.value) == f"walk.csv: the description: {expected}"
+
+
+def test_sets_whose_settings_name_columns_alone_are_sets(tmp_path: Path) -> None:
+    """A robot's arm: a driver's newtons, and an accelerometer, under names of their own."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame(rng.normal(0.0, 1.0, (40, 9)), columns=["t", *"abcdef", "x", "y"])
+    table["z"] = 9.81
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    settings = (
+        '[columns]\ntime = ""\nraw = ["a", "b", "c", "d", "e", "f"]\nspecific_force = ["x", "y", "z"]\n'
+    )
+    (tmp_path / "arm.toml").write_text(settings)
+    assert read_recording(tmp_path / "arm.csv").kind == "six-axis sensor"
 
 
 def test_columns_with_units_in_their_names_are_listed(log: Log, tmp_path: Path) -> None:
