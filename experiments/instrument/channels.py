@@ -33,6 +33,7 @@ RAILED, LOST = (
     0.01,
     0.5,
 )  # shares of readings at a converter's end, and of missing ones, that are worth a word
+EPOCH = 1e8  # s, three years: a longer time is one since 1970
 SLOWEST = 1.0  # s between two rows of a log of feet from which on it is worth a word
 ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
@@ -179,8 +180,13 @@ def _wrong(recording: Recording, row: int, finding: Finding, kind: str = "") -> 
     if row == 0:
         since = "all along"
     else:
-        since = f"{recording.time[row]:.12g} s" if np.isfinite(recording.time[row]) else f"row {row}"
+        since = say_time(recording.time[row]) if np.isfinite(recording.time[row]) else f"row {row}"
     return Wrong(finding, since, settling_motion(kind or finding.name))
+
+
+def say_time(time: float) -> str:
+    """Return a time in s as text, to 10 ms where it is one since 1970."""
+    return f"{time:.6g} s" if abs(time) < EPOCH else f"{time:.2f} s"
 
 
 def settling_motion(kind: str) -> str:

@@ -16,6 +16,7 @@ from surefoot.experiments.instrument.channels import (
     Wrong,
     facts_of,
     find_wrong,
+    say_time,
     settling_motion,
 )
 from surefoot.experiments.instrument.recording import Recording, read_recording
@@ -113,7 +114,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
         row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
-    since = f"about {log.time[row]:.12g} s" if row else "all along"
+    since = f"about {say_time(round(log.time[row], 2))}" if row else "all along"
     for one in clear.findings:
         yield Wrong(one, since, settling_motion(one.name))
 
@@ -238,7 +239,7 @@ def facts_table(one: Recording) -> Table:
         ("channels", decimal(len(one.names), "d")),
     ]
     if one.has_times:
-        rows.append(("time", f"{one.time[0]:.12g} to {one.time[-1]:.12g} s"))
+        rows.append(("time", f"{say_time(one.time[0])} to {say_time(one.time[-1])}"))
         steps = np.diff(one.time)
         step = float(np.median(steps))
         if step > 0.0:

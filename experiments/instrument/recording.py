@@ -141,10 +141,11 @@ def _six_axis(path: Path) -> Recording:
 def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
     names = tuple(name for name in table.names if CHANNEL.fullmatch(name))
     if not names:
-        raise LogError(
-            f"{table.file}: holds no column 'raw_<channel>_count'; there are {join_names(table.names)}. Name "
-            f"yours under [columns] in {Path(table.file).stem}.toml."
+        cure = f"Name yours under [columns] in {Path(table.file).stem}.toml."
+        there = (
+            f"there are {join_names(table.names)}. {cure}" if table.names else "no topic is mapped to one."
         )
+        raise LogError(f"{table.file}: holds no column 'raw_<channel>_count'; {there}")
     raw = table.stack_columns(names)
     time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
     load: Floats | None = None

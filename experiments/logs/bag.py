@@ -179,10 +179,11 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
             kept = np.unique(time, return_index=True)[1]
             one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
             series.append(one)
-            rate = f"{1.0 / one.period:.4g} a second" if len(kept) > 1 else "one alone"
+            rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""
+            count = f"{len(time)} message{'s' * (len(time) != 1)}{rate}"
             repeats = len(time) - len(kept)
             more = f" {repeats} messages repeat a time and were left out." if repeats else ""
-            notices.append(f"{path.name}: '{topic}': {len(time)} messages, {rate}; {clock}.{more}")
+            notices.append(f"{path.name}: '{topic}': {count}; {clock}.{more}")
     return Bag(path.name, tuple(series), tuple(notices))
 
 

@@ -252,3 +252,11 @@ def test_a_twin_needs_channels_that_follow_their_loads(tmp_path: Path) -> None:
     channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
     with pytest.raises(CalibrationRefused, match=r"rig\.csv: column 'raw_a_count' does not follow its load"):
         identify(read_recording(tmp_path / "rig.csv"))
+
+
+def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surefoot.experiments.weights.weighing.weigh_after_walk", lambda seed: None)
+    monkeypatch.setattr("surefoot.experiments.weights.paper.weight_tables", lambda report: ())
+    (tmp_path / "file").write_text("")
+    result = run("compare", "weights", "--out", tmp_path / "file" / "tables", code=2)
+    assert result.stderr.startswith(f"surefoot: cannot write to '{tmp_path / 'file' / 'tables'}': Not a dir")
