@@ -203,6 +203,10 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
     if is_bag(path):
         mapping, tables = TableMapping(), list[LogTable]()
         bag: Bag | None = read_bag(path, topics)
+    elif topics is not None:
+        raise LogError(
+            f"{path.name}: is a table; --topics names columns of bags, and {path.stem}.toml those of tables."
+        )
     else:
         mapping = TableMapping.beside(path)
         tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")

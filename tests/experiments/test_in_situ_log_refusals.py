@@ -179,7 +179,7 @@ BAD_CONFIGS = {
         '[columns]\nangular_velocity = ["a"]\n',
         "columns.angular_velocity.1: is missing",
     ),
-    "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: Tuple should have at least 6 items"),
+    "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: needs at least 6, and has 5"),
     "no rotation": (
         "[accelerometer]\nR_sensor_accelerometer = [[2,0,0],[0,1,0],[0,0,1]]\n",
         "must be a rotation",

@@ -254,6 +254,24 @@ def test_a_twin_needs_channels_that_follow_their_loads(tmp_path: Path) -> None:
         identify(read_recording(tmp_path / "rig.csv"))
 
 
+def test_options_that_no_log_has_are_refused(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    for options, message in (
+        (
+            ["--stand", "9", "--method", "window"],
+            "--stand must be shorter than the log's 0.7375 s and positive",
+        ),
+        (
+            ["--topics", "no.toml"],
+            "walk.csv: is a table; --topics names columns of bags, and walk.toml those of",
+        ),
+        (["--out", path], f"'{path}': File exists."),
+    ):
+        assert run("calibrate", "walk", path, *options, code=2).stderr.startswith(f"surefoot: {message}")
+    channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
+    assert "no cell of 1 N bears them" in run("twin", tmp_path / "rig.csv", "--capacity", 1, code=2).stderr
+
+
 def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("surefoot.experiments.weights.weighing.weigh_after_walk", lambda seed: None)
     monkeypatch.setattr("surefoot.experiments.weights.paper.weight_tables", lambda report: ())
