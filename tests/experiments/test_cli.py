@@ -209,8 +209,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--settle", "99"],
-        "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
-        "walk longer or settle for less.",
+        "--settle must be a time of the log, 0 to 0.7375 s, got 99.",
     )
     fails(
         ["calibrate", "ft", "--sample", "--accept", " "],
