@@ -1,6 +1,5 @@
 """Any log as counts over time: a walk, sets of a six-axis sensor, weighings, a bag, or bare channels."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +19,6 @@ from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
 from surefoot.experiments.logs.mapping import TableMapping
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.files import read_toml
-
-CHANNEL = re.compile(r"raw_(.+)_count")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,7 @@ def _six_axis(path: Path) -> Recording:
 
 
 def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
-    names = tuple(name for name in table.names if CHANNEL.fullmatch(name))
+    names = table.channels
     if not names:
         cure = f"Name yours under [columns] in {Path(table.file).stem}.toml."
         there = (

@@ -63,6 +63,11 @@ class LogTable:
         return list(self.data.column_names)
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the columns of counts, ``raw_<channel>_count``."""
+        return tuple(name for name in self.names if re.fullmatch("raw_.+_count", name))
+
+    @property
     def step(self) -> float:
         """Median time between two rows in s."""
         return float(np.median(np.diff(self.numbers("time_s"))))

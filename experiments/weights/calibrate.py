@@ -132,14 +132,15 @@ def read_weighings(path: Path) -> Weighings:
             f"{'both' if given else 'neither'}; there are {join_names(table.names)}. "
             f"{NAMED} {path.stem}.toml."
         )
-    cells = [name for name in table.names if name.startswith("raw_") and name.endswith("_count")]
-    if not cells:
+    if not table.channels:
         raise LogError(
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
             f"'raw_left_front_left_count'. {NAMED} {path.stem}.toml."
         )
     unit = LOADS[given[0]]
-    return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
+    return Weighings(
+        table.numbers(given[0]) * unit, table.stack_columns(table.channels), table.channels, given[0], unit
+    )
 
 
 def _deviations(fit: ChannelFit, code: Floats) -> Floats:
