@@ -226,7 +226,10 @@ def words_of(checked: Checked) -> str:
         kind = "Wrong" if one.finding.refuses else "Note"
         settle = f" What would settle it: {one.settle}" if one.settle else ""
         lines.append(f"{kind} ({one.since}): {one.finding.reason} {one.finding.cure}".rstrip() + settle)
-    lines.append("Sound, as far as can be seen." if checked.sound else "Not sound.")
+    sound = "Sound, as far as can be seen."
+    if checked.recording.kind == "channels" and not checked.recording.has_loads:
+        sound = "Clock and channels are sound; nothing says what they carry."
+    lines.append(sound if checked.sound else "Not sound.")
     return "\n".join(lines)
 
 
