@@ -97,7 +97,7 @@ def _fit_line(
     code, load = code[kept], load[kept]
     without = f" ({dropped} samples without a finite value left out)" if dropped else ""
     if len(load) < 2 or np.ptp(load) <= _SAME * np.max(np.abs(load)):
-        seen = f"only the load {load[0]:g}" if len(load) else "no load"
+        seen = f"only the load {load[0]:g} N" if len(load) else "no load"
         raise CalibrationRefused(
             f"The cell '{name}' saw {seen}{without}, and a line needs two.",
             "Add a reading of this cell without load and one under another known weight.",

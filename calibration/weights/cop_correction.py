@@ -16,8 +16,7 @@ though the paper names nonlinear least squares. Three things that the paper leav
   move it by centimetres. They are counted as gated and take no part here; they serve the channels' fit.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,26 +25,7 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["CopCorrectionFit", "PlacementScore", "fit_cop_correction"]
-
-
-@dataclass(frozen=True)
-class PlacementScore:
-    """Root-mean-square errors over placements of weights at holes (as in the paper's Table 3).
-
-    Attributes:
-        placements: How many bore more than the threshold, and so had a centre of pressure.
-        weighings: How many there were, light weights included.
-        cop_raw: Length of the error of the cells' own centre of pressure (Eq. 8) in m, over the placements.
-        cop: Length of the error of the corrected one (Eq. 3) in m, over the placements.
-        vgrf: Error of the sum of the cells' forces in N, over the weighings.
-    """
-
-    placements: int
-    weighings: int
-    cop_raw: float
-    cop: float
-    vgrf: float
+__all__ = ["CopCorrectionFit", "fit_cop_correction"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +38,6 @@ class CopCorrectionFit:
             zero along the directions that were left at zero.
         result: Whether all coefficients were determined.
         stats: Of the fit; the residual is the length of the error of the centre of pressure in m.
-        score_fitted: Errors on the placements that were fitted.
-        score_held_out: Errors on the placements that were held out.
         position_cell_sole: Places of the cells in m, shape (k, 2).
         threshold: Force in N at or below which there is no centre of pressure.
     """
@@ -68,8 +46,6 @@ class CopCorrectionFit:
     covariance: NDArray[np.float64]
     result: FitResult
     stats: FitStats
-    score_fitted: "PlacementScore"
-    score_held_out: "PlacementScore"
     position_cell_sole: NDArray[np.float64]
     threshold: float
 
@@ -89,34 +65,6 @@ class CopCorrectionFit:
         basis = _correction_basis(raw_cop, known_force)
         return raw_cop + (basis[..., None, :] @ self.value.T)[..., 0, :]
 
-    def score(self, force: ArrayLike, load: ArrayLike, position_weight: ArrayLike) -> PlacementScore:
-        """Score the correction on placements, such as ones that it was not fitted to.
-
-        Args:
-            force: Forces of the foot's cells in N, shape (n, k).
-            load: The weights in N, shape (n,).
-            position_weight: Where they stood in the sole frame in m, shape (n, 2).
-
-        Returns:
-            The errors; those that are not finite are left out.
-        """
-        cell_force, hole = np.asarray(force, dtype=np.float64), np.asarray(position_weight, dtype=np.float64)
-        raw_cop = cop_of_cells(cell_force, self.position_cell_sole, self.threshold)
-        valid = np.isfinite(raw_cop - hole).all(axis=1)
-        vgrf_error = np.sum(cell_force, axis=1) - np.asarray(load, dtype=np.float64)
-        vgrf_error = vgrf_error[np.isfinite(vgrf_error)]
-        return PlacementScore(
-            placements=int(np.sum(valid)),
-            weighings=len(vgrf_error),
-            cop_raw=_rms(np.linalg.norm(raw_cop - hole, axis=1)[valid]),
-            cop=_rms(np.linalg.norm(self.cop(cell_force) - hole, axis=1)[valid]),
-            vgrf=_rms(vgrf_error),
-        )
-
-
-def _rms(error: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(error**2))) if len(error) else np.nan
-
 
 def _correction_basis(cop: Array, force: Array) -> Array:
     """Evaluate (1, x, y, x^2, x y, y^2, F_1, ..., F_k) of CoP paper, Eq. 4, shape (..., 6 + k)."""
@@ -131,7 +79,6 @@ def fit_cop_correction(
     position_weight: ArrayLike,
     position_cell: ArrayLike,
     *,
-    held_out: ArrayLike | None = None,
     threshold: float = FORCE_THRESHOLD,
     tolerance: float = 1e-4,
 ) -> CopCorrectionFit:
@@ -142,13 +89,12 @@ def fit_cop_correction(
         load: The weights in N, shape (n,).
         position_weight: Where they stood in the sole frame in m, shape (n, 2).
         position_cell: Where the cells are in the sole frame in m, shape (k, 2) or (k, 3).
-        held_out: Placements to keep from the fit and score it on (bool), shape (n,).
         threshold: Sum of forces in N that a placement must exceed to take part.
         tolerance: Singular values below this share of the largest, with columns scaled to one length, count
             as not excited; it should lie above the noise's share of the forces.
 
     Returns:
-        The correction and its errors.
+        The correction.
 
     Raises:
         ValueError: If the shapes do not belong together.
@@ -157,16 +103,14 @@ def fit_cop_correction(
     every_force, every_load = np.asarray(force, dtype=np.float64), np.asarray(load, dtype=np.float64)
     every_hole = np.asarray(position_weight, dtype=np.float64)
     cell = np.asarray(position_cell, dtype=np.float64)[..., :2]
-    out = np.zeros(len(every_load), dtype=bool) if held_out is None else np.asarray(held_out, dtype=bool)
-    _check_shapes(every_force, every_load, every_hole, cell, out)
+    _check_shapes(every_force, every_load, every_hole, cell)
 
     finite = np.isfinite(np.column_stack([every_force, every_load, every_hole])).all(axis=1)
-    cell_force, weight, hole, out = every_force[finite], every_load[finite], every_hole[finite], out[finite]
+    cell_force, weight, hole = every_force[finite], every_load[finite], every_hole[finite]
     cop = cop_of_cells(cell_force, cell, threshold)
-    valid = np.isfinite(cop).all(axis=1)
-    kept = valid & ~out
-    unknowns = 6 + len(cell)
-    _check_placements(weight[kept], hole[kept], unknowns, int(np.sum(~valid)), threshold)
+    kept = np.isfinite(cop).all(axis=1)
+    unknowns, gated = 6 + len(cell), int(np.sum(~kept))
+    _check_placements(weight[kept], hole[kept], unknowns, gated, threshold)
 
     basis = _correction_basis(cop[kept], cell_force[kept])
     target = hole[kept] - cop[kept]
@@ -174,29 +118,21 @@ def fit_cop_correction(
     residual = target - basis @ coefficients
     free = len(target) - rank
     variance = np.sum(residual**2, axis=0) / free if free else np.full(2, np.nan)
-    empty = PlacementScore(0, 0, np.nan, np.nan, np.nan)
-    fit = CopCorrectionFit(
+    return CopCorrectionFit(
         value=coefficients.T,
         covariance=variance[:, None, None] * (to_coefficients @ to_coefficients.T),
         result=FitResult.DETERMINED if rank == unknowns else FitResult.PARTLY_DETERMINED,
         stats=FitStats(
             samples=int(np.sum(kept)),
             dropped=int(np.sum(~finite)),
-            gated=int(np.sum(~valid)),
-            residual_rms=_rms(np.linalg.norm(residual, axis=1)),
+            gated=gated,
+            residual_rms=float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))),
             rank=rank,
             unknowns=unknowns,
             condition=condition,
         ),
-        score_fitted=empty,
-        score_held_out=empty,
         position_cell_sole=cell,
         threshold=threshold,
-    )
-    return replace(
-        fit,
-        score_fitted=fit.score(cell_force[~out], weight[~out], hole[~out]),
-        score_held_out=fit.score(cell_force[out], weight[out], hole[out]),
     )
 
 
@@ -228,7 +164,6 @@ def _check_shapes(
     load: NDArray[np.float64],
     hole: NDArray[np.float64],
     cell: NDArray[np.float64],
-    out: NDArray[np.bool_],
 ) -> None:
     """Raise ValueError if arrays are not of the same placements and cells."""
     if cell.ndim != 2 or cell.shape[1] != 2:
@@ -237,11 +172,7 @@ def _check_shapes(
         raise ValueError(
             f"'force' must have shape (placements, {len(cell)}) for {len(cell)} cells, got {force.shape}."
         )
-    wanted: tuple[tuple[str, NDArray[Any], tuple[int, ...]], ...] = (
-        ("load", load, (len(force),)),
-        ("position_weight", hole, (len(force), 2)),
-        ("held_out", out, (len(force),)),
-    )
+    wanted = (("load", load, (len(force),)), ("position_weight", hole, (len(force), 2)))
     for what, array, shape in wanted:
         if array.shape != shape:
             raise ValueError(f"'{what}' must have shape {shape} like 'force', got {array.shape}.")

@@ -72,15 +72,6 @@ class Window:
     that, because the constant error of a believed centre of mass looks like offsets and should not be
     learnt as fast."""
 
-    force_weight: float = 1.0
-    """Factor on w_F, for studies of sensitivity."""
-
-    cop_weight: float = 1.0
-    """Factor on w_P, for studies of sensitivity."""
-
-    smoothness_weight: float = 1.0
-    """Factor on w_S, for studies of sensitivity."""
-
     scale_step_bound: float = 0.02
     """Largest change of a scale in one iteration."""
 
@@ -144,15 +135,13 @@ class Window:
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
         check_positive(
-            self, "window", "delta_force", "delta_cop", "scale_step", "offset_step", "smoothness_weight",
+            self, "window", "delta_force", "delta_cop", "scale_step", "offset_step",
             "scale_step_bound", "offset_step_bound", "scale_rate", "offset_rate", "offset_range",
             "outlier_threshold", "gross_error", "minimum_share", "standing_scale_std", "standing_offset_std",
             "standing_patience",
         )  # fmt: skip
         check_not_negative(
             self,
-            "force_weight",
-            "cop_weight",
             "transition",
             "settle",
             "standing_warm_up",

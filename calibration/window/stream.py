@@ -103,8 +103,8 @@ class SlidingWindow:
         self.settle = round(config.settle / setup.dt)
         self.transition = round(config.transition / setup.dt)
         self.weights = Weights(
-            force=float(np.sqrt(config.force_weight)) / config.delta_force / setup.weight,
-            cop=float(np.sqrt(config.cop_weight)) / config.delta_cop / setup.length,
+            force=1.0 / config.delta_force / setup.weight,
+            cop=1.0 / config.delta_cop / setup.length,
             threshold=setup.force_threshold,
         )
         K, feet = setup.layout.channels, len(setup.layout.feet)
@@ -115,9 +115,8 @@ class SlidingWindow:
         def per_channel(scale: float, offset: float) -> NDArray[np.float64]:
             return np.repeat([scale, offset], K)
 
-        rigidity = 1.0 / np.sqrt(config.smoothness_weight)
         period = config.every * setup.dt
-        self.spread = per_channel(config.scale_step, config.offset_step) * rigidity
+        self.spread = per_channel(config.scale_step, config.offset_step)
         self.step_bound = per_channel(config.scale_step_bound, config.offset_step_bound)
         self.rate_bound = per_channel(config.scale_rate, config.offset_rate) * period
         self.lowest = per_channel(config.scale_range[0], -config.offset_range)

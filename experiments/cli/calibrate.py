@@ -22,7 +22,7 @@ app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=Tr
 def walk(
     log: Annotated[Path, Argument(help="A log: .parquet, .csv or a ROS bag.")],
     method: Annotated[
-        str, Option(help="momentum, moment, window, quasi-static, tare, none, or module:name")
+        str, Option(help="moment, window, quasi-static, tare, none, or module:name")
     ] = "moment",
     start: Annotated[
         str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
@@ -52,6 +52,11 @@ def walk(
         with working("reading the log"):
             gap = float("inf") if split_gaps else MAX_GAP
             read = read_log(log, gap, topics, feet_alone=method in ("tare", "none"))
+        first, last = read.time[0], read.time[-1]
+        if settle and not first <= settle < last:
+            fail(f"--settle must be a time of the log, {first:.12g} to {last:.12g} s, got {settle:g}.")
+        if stand and not 0.0 < stand < last - first:
+            fail(f"--stand must be shorter than the log's {last - first:.4g} s and positive, got {stand:g}.")
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
         where |= {"accept": accept or "", "ros2": ros2}
         result = calibrate_log(

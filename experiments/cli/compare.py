@@ -85,9 +85,10 @@ def weights(
     from surefoot.experiments.weights.paper import weight_tables
     from surefoot.experiments.weights.weighing import weigh_after_walk
 
-    tables = weight_tables(weigh_after_walk(seed))
-    if out is not None:
-        save_tables(out, tables)
+    with one_line_errors(out):
+        tables = weight_tables(weigh_after_walk(seed))
+        if out is not None:
+            save_tables(out, tables)
     show(tables, {} if out is None else {"tables": out}, as_json=as_json)
 
 

@@ -57,7 +57,9 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
 
         fail(str(error), REFUSED if isinstance(error, CalibrationRefused) else 2)
     except OSError as error:
-        fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
+        if out is None:
+            fail(f"'{error.filename}': {error.strerror}." if error.filename else str(error))
+        fail(f"cannot write to '{out}': {error.strerror or error}; {cure}")
 
 
 def show(

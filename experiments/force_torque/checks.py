@@ -59,7 +59,7 @@ def _check_values(samples: Samples, notices: list[str]) -> Samples:
             continue
         for name, column in zip(names, values.reshape(len(keep), -1).T, strict=True):
             at, missing = f"{samples}: column '{name}'", np.isnan(column)
-            share = f"{missing.sum()} of {len(column)} rows ({100 * missing.mean():.2g} %)"
+            share = f"{missing.sum()} of {len(column)} rows ({100 * missing.mean():.3g} %)"
             if np.isinf(column).any():
                 row = samples.rows[np.argmax(np.isinf(column))]
                 raise LogError(

@@ -1,6 +1,5 @@
 """One table of in-situ samples as arrays in SI units."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -79,11 +78,7 @@ def read_samples(
     else:
         table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
     notices += table.notices
-    found = _find_columns(
-        table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH
-    )
-    if len(table) == 0:
-        raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
+    found = _find_columns(table, config.columns, _channels(table) if config.units.raw == "count" else WRENCH)
     units = {name: SI[unit] for name, unit in config.units if name != "raw"}
 
     def values(names: str | Sequence[str] | None, factor: float = 1.0) -> Any:
@@ -141,12 +136,13 @@ def _find_columns(table: LogTable, columns: Columns, channels: tuple[str, ...]) 
     return Columns(**found)
 
 
-def _channels(names: Sequence[str]) -> tuple[str, ...]:
+def _channels(table: LogTable) -> tuple[str, ...]:
     """Return the columns that are named as channels, by number where they are numbered; at least six."""
-    found = [(match[1], name) for name in names if (match := re.fullmatch(r"raw_(.+)_count", name))]
-    if found and all(key.isdigit() for key, _ in found):
-        found.sort(key=lambda pair: int(pair[0]))
-    return tuple(name for _, name in found) if len(found) >= 6 else tuple(f"raw_{i}_count" for i in range(6))
+    found = table.channels
+    numbers = [name.removeprefix("raw_").removesuffix("_count") for name in found]
+    if all(number.isdigit() for number in numbers):
+        found = tuple(sorted(found, key=lambda name: int(name.split("_")[1])))
+    return found if len(found) >= 6 else tuple(f"raw_{i}_count" for i in range(6))
 
 
 def _labels(table: LogTable, name: str) -> NDArray[np.object_]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,12 @@ from surefoot.experiments.instrument.noise import (
     Stretch,
     allan,
     conversions,
+    find_leaps,
     noise_of,
     rests,
     step_of,
 )
 from surefoot.experiments.instrument.recording import Recording
-from surefoot.experiments.logs.format import MAX_GAP
 from surefoot.experiments.study.page import Words
 
 _settle = Words("instrument", "settle")
@@ -32,6 +33,8 @@ RAILED, LOST = (
     0.01,
     0.5,
 )  # shares of readings at a converter's end, and of missing ones, that are worth a word
+EPOCH = 1e8  # s, three years: a longer time is one since 1970
+SLOWEST = 1.0  # s between two rows of a log of feet from which on it is worth a word
 ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
 
@@ -101,9 +104,21 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
     """Yield the flaws of the clock and of single channels."""
     if recording.kind == "weighings":
         return  # their own judge looks at single readings
-    if recording.has_times:
+    if recording.kind != "six-axis sensor" and "'time_s'" not in recording.refusal:
         yield from _check_clock(recording)
-    constant = _stuck(recording)
+    constant, read = _stuck(recording), np.isfinite(recording.raw)
+    nothing = ""
+    if len(read) < FEWEST:
+        nothing = f"{len(read)} row{'s show' if len(read) != 1 else ' shows'} nothing of a channel."
+    elif not read.any():
+        nothing = "No column holds a reading."
+    elif all(np.ptp(raw[at]) == 0.0 for raw, at in zip(recording.raw.T, read.T, strict=True) if at.any()):
+        nothing = "No channel ever changes."
+    if nothing:
+        cure = "Look at the cables, and log some seconds of a load that changes."
+        finding = Finding("no reading", nothing, cure)
+        yield Wrong(finding, settle=settling_motion(finding.name))
+        return
     for i, one in enumerate(facts):
         raw = recording.raw[:, i]
         there = np.isfinite(raw)
@@ -134,27 +149,44 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
 
 
 def _check_clock(recording: Recording) -> Iterator[Wrong]:
-    steps = np.diff(recording.time)
-    forward = steps[steps > 0]
-    if (steps <= 0).any() and recording.kind != "six-axis sensor":
-        row = int(np.argmax(steps <= 0)) + 1
-        reason, cure = f"Times do not increase at row {row}.", "Sort the rows, and drop repeated times."
-        yield _wrong(recording, row, Finding("clock", reason, cure))
-    if not len(forward):
+    time, steps = recording.time, np.diff(recording.time)
+    if not np.isfinite(time).all():
+        row, lacking = int(np.argmin(np.isfinite(time))), np.isnan(time).all()
+        reason = f"Column 'time_s' is {time[row]} at row {row}."
+        if lacking:
+            reason = "Rows have no times: rate, noise and drift are not seen."
+        toml = f"{Path(recording.file).stem}.toml"
+        cure = f"Give time_s, or in {toml} under [rates] the rows a second; weighings need load_kg."
+        yield _wrong(recording, row, Finding("clock", reason, cure, refuses=not lacking))
         return
-    gaps = steps > max(MAX_GAP, 4.0 * float(np.median(forward)))
-    if gaps.any() and recording.kind != "six-axis sensor":
+    if not (steps > 0.0).all() and len(steps):
+        row, many = int(np.argmin(steps > 0.0)) + 1, int((steps <= 0.0).sum())
+        more = f", nor at {many - 1} others" if many > 1 else ""
+        reason, cure = f"Times do not increase at row {row}{more}.", "Sort the rows, and drop repeated times."
+        yield _wrong(recording, row, Finding("clock", reason, cure))
+    if not (steps > 0.0).any():
+        return
+    if (gaps := find_leaps(time)).any():
         reason = f"The clock leaps {gaps.sum()} times, by {steps.max():.3g} s at most."
         finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=False)
         yield _wrong(recording, int(np.argmax(gaps)) + 1, finding)
+    if (usual := float(np.median(steps))) >= SLOWEST:
+        reason = f"Rows come {usual:.4g} s apart, as times in another unit than seconds do."
+        cure = f'Say the unit in {Path(recording.file).stem}.toml: [units] time_s = "ms".'
+        yield _wrong(recording, 0, Finding("rate", reason, cure, usual, SLOWEST, refuses=False))
 
 
 def _wrong(recording: Recording, row: int, finding: Finding, kind: str = "") -> Wrong:
     if row == 0:
         since = "all along"
     else:
-        since = f"{recording.time[row]:.6g} s" if recording.has_times else f"row {row}"
+        since = say_time(recording.time[row]) if np.isfinite(recording.time[row]) else f"row {row}"
     return Wrong(finding, since, settling_motion(kind or finding.name))
+
+
+def say_time(time: float) -> str:
+    """Return a time in s as text, to 10 ms where it is one since 1970."""
+    return f"{time:.6g} s" if abs(time) < EPOCH else f"{time:.2f} s"
 
 
 def settling_motion(kind: str) -> str:

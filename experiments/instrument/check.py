@@ -16,6 +16,7 @@ from surefoot.experiments.instrument.channels import (
     Wrong,
     facts_of,
     find_wrong,
+    say_time,
     settling_motion,
 )
 from surefoot.experiments.instrument.recording import Recording, read_recording
@@ -27,10 +28,10 @@ from surefoot.experiments.study.tables import Verdict as Mark
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
 from surefoot.experiments.walking.hypotheses import Hypothesis
 from surefoot.experiments.walking.judge import HINT, SOUND, Verdict, judge_log, length_of
-from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.walking.notices import check_weight, motion_notices
 from surefoot.experiments.walks.replay import starting_map
-from surefoot.experiments.weights.calibrate import read_weighings
-from surefoot.experiments.weights.judge import judge_weighings
+from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
+from surefoot.experiments.weights.judge import Weighings, judge_weighings
 
 PARTS = 6  # of a log, each of which is judged to say since when it contradicts itself
 ONSET = 0.2  # s to which the moment is told: two blocks of a fit
@@ -73,20 +74,29 @@ def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
         reason = recording.refusal.removeprefix(f"{recording.file}: ")
         yield Wrong(Finding("unreadable", sentence(reason)))
     elif recording.kind == "weighings":
-        findings = judge_weighings(read_weighings(path)).findings
-        yield from (Wrong(one, settle=settling_motion(one.name)) for one in findings)
+        yield from _judge_weighings(read_weighings(path))
     elif isinstance(read, Log):
         yield from _judge_walk(recording, read)
     elif isinstance(read, InSituLog):
         yield from _judge_sets(read)
 
 
+def _judge_weighings(weighings: Weighings) -> Iterator[Wrong]:
+    judged = judge_weighings(weighings)
+    yield from (Wrong(one, settle=settling_motion(one.name)) for one in judged.findings)
+    if not any(one.refuses for one in judged.findings):
+        try:
+            fit_cells(weighings, judged)
+        except CalibrationRefused as refusal:
+            yield Wrong(Finding("loads", refusal.reason, refusal.cure))
+
+
 def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
+    if not any(np.ptp(raw[np.isfinite(raw)]) > 0.0 for raw in log.raw.T if np.isfinite(raw).any()):
+        return  # its channels say so
     initial = starting_map(log)
-    known = set(recording.notices)
-    for notice in log_notices(log, ""):
-        if notice not in known:
-            yield Wrong(Finding("notice", sentence(notice.removeprefix(": ")), refuses=False))
+    for notice in motion_notices(log):
+        yield Wrong(Finding("notice", sentence(notice), refuses=False))
     try:
         check_weight(log, "nominal", initial, "")
     except LogError as error:
@@ -104,7 +114,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
         row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
-    since = f"about {log.time[row]:.3g} s" if row else "all along"
+    since = f"about {say_time(round(log.time[row], 2))}" if row else "all along"
     for one in clear.findings:
         yield Wrong(one, since, settling_motion(one.name))
 
@@ -191,7 +201,7 @@ def channel_table(checked: Checked) -> Table:
             (
                 one.name.removeprefix("raw_").removesuffix("_count"),
                 percent(one.missing, ".3g"),
-                span(one.low, one.high, ".10g"),
+                span(one.low, one.high, ".10g") if np.isfinite(one.low) else NOTHING,
                 number(one.step),
                 percent(one.repeats, ".3g") if np.isfinite(one.repeats) else NOTHING,
                 number(rate),
@@ -216,7 +226,10 @@ def words_of(checked: Checked) -> str:
         kind = "Wrong" if one.finding.refuses else "Note"
         settle = f" What would settle it: {one.settle}" if one.settle else ""
         lines.append(f"{kind} ({one.since}): {one.finding.reason} {one.finding.cure}".rstrip() + settle)
-    lines.append("Sound, as far as can be seen." if checked.sound else "Not sound.")
+    sound = "Sound, as far as can be seen."
+    if checked.recording.kind == "channels" and not checked.recording.has_loads:
+        sound = "Clock and channels are sound; nothing says what they carry."
+    lines.append(sound if checked.sound else "Not sound.")
     return "\n".join(lines)
 
 
@@ -229,11 +242,12 @@ def facts_table(one: Recording) -> Table:
         ("channels", decimal(len(one.names), "d")),
     ]
     if one.has_times:
+        rows.append(("time", f"{say_time(one.time[0])} to {say_time(one.time[-1])}"))
         steps = np.diff(one.time)
         step = float(np.median(steps))
-        near = steps[np.abs(steps - step) < 0.5 * step]
-        rows.append(("time", f"{one.time[0]:.9g} to {one.time[-1]:.9g} s"))
-        rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * near.std():.2g} ms"))
+        if step > 0.0:
+            near = steps[np.abs(steps - step) < 0.5 * step]
+            rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * near.std():.2g} ms"))
     if isinstance(one.read, Log):
         rows.append(("mass", f"{one.read.mass:.4g} kg"))
         rows.append(("contacts", str(one.read.about.get("contacts", "as the log says"))))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import MAX_GAP
 
 FEWEST = 16  # samples of a stretch at rest: shorter ones show no more than their own slope
 BLOCK = 0.5  # s in which a channel rests or does not
@@ -27,6 +28,7 @@ BY_CHANCE = 8.0  # variance, by chance, of the number of conversions in as many 
 REGULAR = 0.25  # share of it below which a clock makes the repeats: a clock's is below 1
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 ONE_SQUARED = 0.455  # median of chi squared with one degree of freedom
+LEAP = 4.0  # usual times between two rows from which on the clock leaps, if it is longer than a log's gap
 
 
 class Stretch(NamedTuple):
@@ -96,10 +98,25 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
     if len(rows) < FEWEST:
         return []
     t, y = time[rows], raw[rows]
+    if not (np.diff(t) > 0.0).any():
+        return []
     still = unloaded[rows] if unloaded.any() else _quiet(t, y)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    found = [Stretch(t[a:b], y[a:b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [one for one in found if len(one.time) >= FEWEST]
+    cuts = np.flatnonzero((np.diff(t) <= 0.0) | find_leaps(t) | np.diff(still)) + 1
+    parts = np.split(np.arange(len(t)), cuts)
+    return [Stretch(t[part], y[part]) for part in parts if still[part[0]] and len(part) >= FEWEST]
+
+
+def find_leaps(time: Floats) -> NDArray[np.bool_]:
+    """Return between which times in s, shape (N,), a clock that goes on leaps, shape (N - 1,)."""
+    steps = np.diff(time)
+    leaps: NDArray[np.bool_] = steps > max(MAX_GAP, LEAP * _usual_step(time))
+    return leaps
+
+
+def _usual_step(time: Floats) -> float:
+    """Return the median time in s between rows by which the clock goes on."""
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0.0]))
 
 
 def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
@@ -133,7 +150,7 @@ def _means(one: Stretch, size: int) -> Floats:
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
     """Return where a channel is about as quiet as it ever is."""
-    size = max(FEWEST // 2, round(BLOCK / float(np.median(np.diff(time)))))
+    size = max(FEWEST // 2, round(BLOCK / _usual_step(time)))
     blocks = len(value) // size
     if blocks < 2:
         return np.ones(len(value), dtype=bool)
@@ -174,8 +191,10 @@ def noise_of(curve: Allan) -> Noise:
     """Fit white noise and a random walk to Allan variances, weighed by how well each is known."""
     if not len(curve.tau):
         return Noise(float("nan"), float("nan"), float("nan"))
-    interval = float(curve.tau[0])
-    variance = np.maximum(curve.deviation**2, 1e-300)
+    interval, largest = float(curve.tau[0]), float(curve.deviation.max())
+    if largest == 0.0:
+        return Noise(0.0, 0.0, interval)
+    variance = np.maximum(curve.deviation, 1e-9 * largest) ** 2
     A = np.column_stack([interval / curve.tau, curve.tau / 3.0 * (1.0 + 0.5 * (interval / curve.tau) ** 2)])
     # The spread of a variance is itself times sqrt(2 / pairs).
     weight = np.sqrt(curve.pairs / 2.0) / variance

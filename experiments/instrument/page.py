@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.experiments.instrument.check import Checked, channel_table, facts_table, wrong_table
+from surefoot.experiments.instrument.check import Checked, channel_table, facts_table, words_of, wrong_table
 from surefoot.experiments.instrument.twin import Twin, likeness_table, parameter_table
 from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, logarithmic, name_axes
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
@@ -15,7 +15,7 @@ _say = Words("instrument")
 
 def write_check_page(path: Path, checked: Checked) -> Path:
     """Write the page of a checked log, with its figures inside, and return its path."""
-    verdict = "Nothing that a calibration would refuse was found." if checked.sound else "Something is wrong."
+    verdict = words_of(checked).splitlines()[-1] if checked.sound else "Something is wrong."
     return write_log_page(
         path,
         f"{checked.recording.file}, checked",
@@ -74,7 +74,7 @@ def draw_channels(path: Path, checked: Checked) -> Path:
 
 def draw_allan(path: Path, checked: Checked) -> Path | None:
     """Draw Allan deviations; ``None`` where no channel rests."""
-    curves = [one for one in checked.facts if len(one.curve.tau) > 1]
+    curves = [one for one in checked.facts if len(one.curve.tau) > 1 and one.curve.deviation.any()]
     if not curves:
         return None
     with figure_at(path, 7.0, 4.2) as figure:

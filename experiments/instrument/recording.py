@@ -1,6 +1,5 @@
 """Any log as counts over time: a walk, sets of a six-axis sensor, weighings, a bag, or bare channels."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.force_torque.config import config_beside
+from surefoot.experiments.force_torque.config import Columns, config_beside
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.instrument.noise import BLOCK
 from surefoot.experiments.logs.bag import is_bag, read_bag
@@ -18,10 +17,8 @@ from surefoot.experiments.logs.columns import LOADS, raw_names_of
 from surefoot.experiments.logs.contacts import FELT
 from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
 from surefoot.experiments.logs.mapping import TableMapping
-from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
+from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.files import read_toml
-
-CHANNEL = re.compile(r"raw_(.+)_count")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +64,14 @@ def read_recording(path: Path, topics: Path | None = None) -> Recording:
     if is_bag(path):
         bag = read_bag(path, topics)
         return _walk(path, bag.table(lambda name: name.startswith("raw_")), topics)
-    if _is_in_situ(path):
+    if _has_in_situ_settings(path.with_suffix(".toml")):
         return _six_axis(path)
     mapping = TableMapping.beside(path)
     table = mapping.read_by_mapping(
         path, "give a log, or a table with time_s and raw_<channel>_count.", mapping.columns
     )
+    if any(name.startswith(("specific_force_", "gravity_")) for name in table.names):
+        return _six_axis(path)
     if METADATA_KEY in (table.data.schema.metadata or {}) or path.with_suffix(".json").is_file():
         return _walk(path, table, topics)
     loads = [name for name in LOADS if name in table]
@@ -81,13 +80,12 @@ def read_recording(path: Path, topics: Path | None = None) -> Recording:
     return _channels(table, "channels", loads)
 
 
-def _is_in_situ(path: Path) -> bool:
-    """Whether a file, or another beside it, speaks of a six-axis sensor and gravity."""
-    beside = path.with_suffix(".toml")
-    if beside.is_file() and set(read_toml(beside, LogError)) - set(TableMapping.model_fields):
-        return True
-    names = read_table(path, "give a log.").names
-    return any(name.startswith(("specific_force_", "gravity_")) for name in names)
+def _has_in_situ_settings(path: Path) -> bool:
+    """Whether a TOML file, if it is there, has keys of a six-axis sensor's log."""
+    given = read_toml(path, LogError) if path.is_file() else {}
+    columns = given.get("columns")
+    named = set(columns) if isinstance(columns, dict) else set()
+    return bool(set(given) - set(TableMapping.model_fields) or named & set(Columns.model_fields))
 
 
 def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
@@ -138,12 +136,13 @@ def _six_axis(path: Path) -> Recording:
 
 
 def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
-    names = tuple(name for name in table.names if CHANNEL.fullmatch(name))
+    names = table.channels
     if not names:
-        raise LogError(
-            f"{table.file}: holds no column 'raw_<channel>_count'; there are {join_names(table.names)}. Name "
-            f"yours under [columns] in {Path(table.file).stem}.toml."
+        cure = f"Name yours under [columns] in {Path(table.file).stem}.toml."
+        there = (
+            f"there are {join_names(table.names)}. {cure}" if table.names else "no topic is mapped to one."
         )
+        raise LogError(f"{table.file}: holds no column 'raw_<channel>_count'; {there}")
     raw = table.stack_columns(names)
     time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
     load: Floats | None = None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import linregress
 
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.arrays import Floats
@@ -25,6 +26,8 @@ from surefoot.sensors.transport.wire import Wire
 
 ROUND = 1e-6  # by which a step may miss a count
 FINEST = 2.0**24  # steps in the range of readings that no converter has
+FOLLOWS = 0.5  # correlation with its load that no cell is below that carries it: noise is a percent of it
+OVERLOAD = 1.5  # times its rated load that a cell bears by its data sheet
 CUT = 0.01  # share of readings at zero, and none beyond, from which something has cut them off
 LATE = 1.05  # rows by which a conversion may be seen late, jitter of the rows included
 ITERATIONS = 20  # of counting a chip's conversions
@@ -83,6 +86,12 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     check_increasing(recording.time, recording.file)
     if recording.refusal:
         raise LogError(recording.refusal)
+    heaviest = 0.0 if recording.load is None else float(np.nanmax(np.abs(recording.load)))
+    if capacity and capacity * OVERLOAD < heaviest:
+        raise LogError(
+            f"{recording.file}: has loads of {heaviest:.4g} N, and no cell of {capacity:g} N bears them; "
+            "give the rated load of one cell in N."
+        )
     recording, cut = _leave_out_cut(recording)
     scale = _scale(recording)
     rates = [_rate(recording, conversions(raw)) for raw in recording.raw.T]
@@ -98,7 +107,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     rate = float(np.mean([one.value for one in known])) if known else 1.0 / row
     response: Response | None = None
     if recording.load is not None and np.ptp(recording.load) > 0.0:
-        rated = capacity or float(np.nanmax(np.abs(recording.load)))
+        rated = capacity or heaviest
         response = respond(recording.time, recording.raw, recording.load, rated, at_rest, rate)
         # Noise and drift once more, without what the cells remember of their loads.
         size = np.full(len(scale), 1.0 / float(np.mean(np.abs(response.scale))))
@@ -142,9 +151,15 @@ def _scale(recording: Recording) -> Floats:
     load = recording.load
     if load is not None and np.ptp(load) > 0.0:
         found = []
-        for raw, on in zip(recording.raw.T, load.T, strict=True):
+        for name, raw, on in zip(recording.names, recording.raw.T, load.T, strict=True):
             there = np.isfinite(raw)
-            found.append(1.0 / abs(np.polyfit(on[there], raw[there], 1)[0]))
+            line = linregress(on[there], raw[there])
+            if abs(line.rvalue) < FOLLOWS:
+                raise CalibrationRefused(
+                    f"{recording.file}: column '{name}' does not follow its load.",
+                    "Check its wiring and that the load rests on it, or leave the column out.",
+                )
+            found.append(1.0 / abs(line.slope))
         return np.array(found)
     if recording.scale is None:
         raise CalibrationRefused(

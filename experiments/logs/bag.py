@@ -179,10 +179,11 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
             kept = np.unique(time, return_index=True)[1]
             one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
             series.append(one)
-            rate = f"{1.0 / one.period:.4g} a second" if len(kept) > 1 else "one alone"
+            rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""
+            count = f"{len(time)} message{'s' * (len(time) != 1)}{rate}"
             repeats = len(time) - len(kept)
             more = f" {repeats} messages repeat a time and were left out." if repeats else ""
-            notices.append(f"{path.name}: '{topic}': {len(time)} messages, {rate}; {clock}.{more}")
+            notices.append(f"{path.name}: '{topic}': {count}; {clock}.{more}")
     return Bag(path.name, tuple(series), tuple(notices))
 
 
@@ -202,6 +203,10 @@ def explain_damage(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
         reason = flat(str(error))[:160].rstrip(".") or type(error).__name__
+        if reason.startswith("Profile is not"):
+            raise LogError(
+                f"{path.name}: is MCAP, but no bag of ROS 2; record it by `ros2 bag`, or export a table."
+            ) from None
         raise LogError(
             f"{path.name}: not a whole bag ({reason}); `ros2 bag reindex` or `rosbag reindex` mends a "
             "recording that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be "
@@ -223,6 +228,8 @@ def open_bag(path: Path) -> Iterator[Any]:
         ) from None
     if not path.exists():
         raise LogError(f"{path}: no such bag.")
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise LogError(f"{path.name}: a folder without metadata.yaml is no bag of ROS 2; give a log.")
     with explain_damage(path):
         # Bags of older releases hold no definitions; those of the common messages have not changed since.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))

@@ -23,9 +23,13 @@ FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that 
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 
-def naming_cure(table: LogTable) -> str:
+def naming_cure(table: LogTable, wanted: Sequence[str]) -> str:
     """Cure for missing columns: where they are listed, and how columns get their names."""
-    others = [name for name in table.names if not OF_USE.fullmatch(name)]
+    others = [
+        name
+        for name in table.names
+        if not OF_USE.fullmatch(name) or (name.startswith("raw_") and name not in wanted)
+    ]
     file = Path(table.file)
     if not others or file.suffix.lower() not in (".csv", ".parquet"):
         return LISTED
@@ -37,7 +41,7 @@ def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict
 
     ``cure`` is said besides of missing columns.
     """
-    table.require(names, f"{naming_cure(table)} {cure}".rstrip())
+    table.require(names, f"{naming_cure(table, names)} {cure}".rstrip())
     values = {name: table.numbers(name, flags=True) for name in names}
     for name, column in values.items():
         at, is_raw = f"{table.file}: column '{name}'", name.startswith("raw_")
@@ -75,10 +79,12 @@ def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
     median = float(np.median(step))
     if abs(median / dt - 1.0) > 0.1:
         units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+        toml = f"{file.rpartition('.')[0]}.toml"
         near = [name for name, u in units.items() if abs(median / dt / u - 1.0) < 0.1]
         cure = "give time in seconds and the step that belongs to it."
+        if abs(float(step.mean()) / dt - 1.0) < 0.1:
+            cure = f"rows come in bursts: give the times of readings, or in '{toml}' [rates], rows a second."
         if near:
-            toml = f"{file.rpartition('.')[0]}.toml"
             cure = f"it looks like {near[0]}: say so in '{toml}', [units] time_s = \"{near[0]}\"."
         raise LogError(
             f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
@@ -103,7 +109,7 @@ def check_load_cells(layout: FeetLayout, what: str) -> None:
 def check_increasing(time: Floats, file: str, *, repeats: bool = False) -> None:
     """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be."""
     if len(time) < 2:
-        raise LogError(f"{file}: {len(time)} rows are no walk; a log needs at least two.")
+        raise LogError(f"{file}: one row alone is no log; record some seconds.")
     # Written so that a NaN, which compares as neither, is refused as well.
     step = np.diff(time)
     wrong = ~((step >= 0) if repeats else (step > 0))

@@ -168,6 +168,11 @@ def read_log(
     values = check_columns(table, names, ALONE if bare else "")
     time = values["time_s"]
     check_time(time, description.dt_s, max_gap, path.name)
+    if len(time) <= facts["lag"]:
+        raise LogError(
+            f"{path.name}: {len(time)} rows are too few where references come lag_samples = {facts['lag']} "
+            "rows late; record some seconds."
+        )
     curves = description.straightening
     raw = curves.straighten(stack(values, counts[1:]))
     if alone:
@@ -198,6 +203,10 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
     if is_bag(path):
         mapping, tables = TableMapping(), list[LogTable]()
         bag: Bag | None = read_bag(path, topics)
+    elif topics is not None:
+        raise LogError(
+            f"{path.name}: is a table; --topics names columns of bags, and {path.stem}.toml those of tables."
+        )
     else:
         mapping = TableMapping.beside(path)
         tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
@@ -288,8 +297,9 @@ def _make_beliefs(
     reference, momentum = make_beliefs(time, motion, *known)
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(
-            f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
-            f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
+            f"{moved.file}: joints and IMU reach from {motion.time[0]:.12g} to {motion.time[-1]:.12g} s, "
+            f"and the feet from {time[0]:.12g} to {time[-1]:.12g} s; give both on one clock, and "
+            "motion.delay_s."
         )
     names = feet[0].name, feet[1].name
     stance, swing, source = contacts(table, names, reference, dt)
@@ -308,19 +318,15 @@ def _make_beliefs(
 
 
 def _description(path: Path, metadata: Any) -> Any:
-    """Read the description in the metadata of a Parquet file, or beside a CSV file."""
+    """Read the description in the metadata of a Parquet file, or beside the file."""
     side, text = path, (metadata or {}).get(METADATA_KEY)
-    if path.suffix != ".parquet":
+    if text is None:
         side = path.with_suffix(".json")
         if not side.is_file():
+            within = ", nor within it under the key 'surefoot'" if path.suffix == ".parquet" else ""
             raise LogError(
-                f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
-                f"calibrations; {page('log-format')} shows one."
+                f"{path.name}: the description {side.name} is not beside it{within}; it holds layout, mass "
+                f"and calibrations; {page('log-format')} shows one."
             )
         text = read_text(side, LogError)
-    elif text is None:
-        raise LogError(
-            f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
-            f"write the log with surefoot.experiments.write_log, or as {page('log-format')} says."
-        )
     return parse_json(text, f"{side.name}: the description", LogError)

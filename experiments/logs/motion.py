@@ -61,7 +61,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     names = [*(f"joint_{name}_rad" for name in measured), *ACCELEROMETER, *GYROSCOPE]
     without = any(f"joint_{name}_rad" not in table for name in measured)
     held = " A joint without a column is held at an angle by motion.held_rad." if without else ""
-    table.require(["time_s", *names], naming_cure(table) + held)
+    table.require(["time_s", *names], naming_cure(table, names) + held)
     values = {name: table.numbers(name) for name in ("time_s", *names)}
     check_increasing(values["time_s"], file, repeats=True)
     for name in names:

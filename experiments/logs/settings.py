@@ -21,6 +21,14 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
 
 
+_WORDS = {
+    "missing": "is missing",
+    "model_type": "must be a table of keys with values",
+    "too_short": "needs at least {min_length}, and has {actual_length}",
+}
+"""What is said of some errors in place of pydantic's words, by their types."""
+
+
 class Settings(BaseModel):
     """A table of keys; one that is not a field is refused: misspelt, it would leave a default standing."""
 
@@ -46,7 +54,8 @@ class Settings(BaseModel):
             # Where a key may hold one of several kinds, pydantic puts the kind's name into its place.
             key = ".".join(str(part) for part in first["loc"] if "[" not in str(part))
             value = first["input"]
-            wrong = first["msg"].removeprefix("Value error, ").rstrip(".")
+            words = _WORDS.get(first["type"], first["msg"].removeprefix("Value error, ").rstrip("."))
+            wrong = words.format(**first.get("ctx", {})) if first["type"] in _WORDS else words
             found = f", got {value!r}" if isinstance(value, str | int | float | list) else ""
             raise LogError(f"{where}: {f'{key}: ' if key else ''}{wrong}{found}.") from None
 

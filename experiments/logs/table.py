@@ -63,6 +63,11 @@ class LogTable:
         return list(self.data.column_names)
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the columns of counts, ``raw_<channel>_count``."""
+        return tuple(name for name in self.names if re.fullmatch("raw_.+_count", name))
+
+    @property
     def step(self) -> float:
         """Median time between two rows in s."""
         return float(np.median(np.diff(self.numbers("time_s"))))
@@ -122,17 +127,24 @@ def read_table(
         raise LogError(f"{path}: no such file; {absent}")
     if path.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
+    if not path.stat().st_size:
+        raise LogError(f"{path.name}: is empty; a log has a line of column names, and a row a sample.")
+    notices: tuple[str, ...] = ()
     try:
         if path.suffix.lower() == ".parquet":
             data = _parquet_of(path)
         else:
             source, head = _text_of(path)
-            seen = _separator_and_decimal(head, separator)
+            above, lines = _split_preamble(head)
+            seen = _separator_and_decimal(lines, separator)
+            units = _is_row_of_units(lines, seen[0])
+            read = csv.ReadOptions(skip_rows=above, skip_rows_after_names=units)
+            notices += (f"{path.name}: the row below the names holds no number, and was left out.",) * units
             parse = csv.ParseOptions(delimiter=seen[0])
             # An empty cell in a column of names is no name.
             convert = csv.ConvertOptions(decimal_point=decimal or seen[1], strings_can_be_null=True)
-            data = csv.read_csv(source, parse_options=parse, convert_options=convert)
-        names = data.column_names
+            data = csv.read_csv(source, read, parse, convert)
+        names = [name.strip() for name in data.column_names]
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise LogError(
             f"{path.name}: not a readable table ({str(error).splitlines()[0]}); write a line of column names "
@@ -141,7 +153,10 @@ def read_table(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise LogError(f"{path.name}: column '{twice[0]}' is there twice; rename one of them.")
-    return LogTable(path.name, data)
+    if not data.num_rows:
+        raise LogError(f"{path.name}: holds no rows of samples, only names of columns.")
+    named = data.rename_columns(names).replace_schema_metadata(data.schema.metadata)
+    return LogTable(path.name, named, notices)
 
 
 def _parquet_of(path: Path) -> pa.Table:
@@ -191,9 +206,22 @@ def _encoding(path: Path, head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _separator_and_decimal(head: str, separator: str | None) -> tuple[str, str]:
-    """Return the separator, and the decimal point, by the first lines of a table."""
+def _split_preamble(head: str) -> tuple[int, list[str]]:
+    """Return how many comments, and Excel's line ``sep=;``, stand above a table, and the lines below them."""
     lines = head.splitlines()
+    above = next((i for i, line in enumerate(lines) if not re.match("#|sep=.?$", line)), 0)
+    return above, lines[above:]
+
+
+def _is_row_of_units(lines: list[str], separator: str) -> bool:
+    """Whether the row below the names holds words and no number or time, and the one below it does."""
+    rows = [[cell.strip('" ') for cell in line.split(separator)] for line in lines[1:3]]
+    numbers = [any(re.match(r"[-+.,]?\d", cell) for cell in row) for row in rows]
+    return numbers == [False, True] and any(rows[0])
+
+
+def _separator_and_decimal(lines: list[str], separator: str | None) -> tuple[str, str]:
+    """Return the separator, and the decimal point, by the first lines of a table."""
     names = re.sub('"[^"]*"', "", lines[0] if lines else "")
     if separator is None:
         separator = max(_SEPARATORS, key=names.count)

@@ -123,13 +123,12 @@ def _foot_length(log: Log, file: str) -> dict[str, float]:
 
 def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:
     """Return notices of contradictions in a log, or refuse it."""
+    check_weight(log, start, initial, file)
     if log.about.get("feet_alone"):
-        check_weight(log, start, initial, file)
         return ()
     with working("judging the log"):
         findings = judge_log(log, initial).findings
     passed, weaker = pass_or_refuse(findings, accept, file, "every file")
-    check_weight(log, start, initial, file)
     if accept and not passed:
         passed = ("Nothing was refused, so that no reason was needed to go on.",)
     return passed + weaker

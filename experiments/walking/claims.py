@@ -85,7 +85,9 @@ def claims_of(log: Log, initial: Parameters, length: float) -> Claims:
     """Claims of a log, readings moved to the moments of the references."""
     weight, count = log.mass * GRAVITY, len(log) - log.lag
     plausible = np.abs(initial.force(log.raw)) <= OnlineSetup.plausible_weights * weight
-    read = _fill(np.where(plausible, log.raw, np.nan)[:count], round(HELD / log.dt))
+    # Rows that repeat all channels are those of a chip slower than them: old readings, and no new ones.
+    held = np.concatenate([[False], (np.diff(log.raw, axis=0) == 0.0).all(axis=1)])[:, None]
+    read = _fill(np.where(plausible & ~held, log.raw, np.nan)[:count], round(HELD / log.dt))
     late = take_rows(log.reference, slice(log.lag, None))
     wrench_map = log.layout.wrench_map
     air = AIR * weight * np.where(_torques(wrench_map), length, 1.0)

@@ -1,5 +1,7 @@
 """Data that would mislead any calibrator are refused; missing data are noticed, and shown."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from surefoot.calibration import GRAVITY, Estimate, Flag, Parameters
@@ -27,12 +29,15 @@ _UNITS = {
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
     """Raise LogError if by the starting map the feet carry far from the robot's weight, or pull."""
-    if not np.isfinite(log.raw).any():
+    read = np.isfinite(log.raw)
+    # What never changes is a dead channel: its count says nothing of its load.
+    lives = np.array([at.any() and np.ptp(raw[at]) > 0.0 for raw, at in zip(log.raw.T, read.T, strict=True)])
+    if not lives.any():
         raise LogError(
-            f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "
+            f"{file}: columns 'raw_..._count' hold no reading that ever changes in the {len(log)} rows; "
             "write the converters' counts into them."
         )
-    force = np.where(np.isfinite(log.raw), initial.force(log.raw), 0.0)
+    force = np.where(read & lives, initial.force(log.raw), 0.0)
     total = sole_wrenches(force, log.layout)[..., 2].sum(axis=-1)
     low, high, highest = np.percentile(total, (10, 90, 99))
     weight = log.mass * GRAVITY
@@ -61,55 +66,69 @@ def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
     """Notices about a log, a sentence each: the fact, its meaning, and its cure."""
-    found = []
+    found = (*_channel_notices(log), *motion_notices(log))
+    return (*log.about.get("notices", ()), *(f"{file}: {text}" for text in found))
+
+
+def _channel_notices(log: Log) -> Iterator[str]:
+    """Yield what is lacking in channels and clock."""
     for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
         there = readings[np.isfinite(readings)]
         if len(there) == 0:
-            found.append(
+            yield (
                 f"column '{name}' holds no reading in any of {len(log)} rows, and a channel must be read now "
                 "and then; a method that needs every channel learns nothing. Check its cable and the "
                 "column's name."
             )
         elif len(there) > 16 and np.ptp(there) == 0.0:
-            found.append(
+            yield (
                 f"column '{name}' is {there[0]:g} in all of its {len(there)} readings, and a channel that "
                 "lives makes some noise: nothing can be learnt of it. Check its cable and its converter."
             )
     step = np.diff(log.time)
     if (step > MAX_GAP).any():
-        found.append(
+        yield (
             f"column 'time_s' leaps {(step > MAX_GAP).sum()} times by more than {MAX_GAP:g} s, the longest "
             f"by {step.max():.3g} s; after each the filters start again, and what was learnt is kept."
         )
+
+
+def motion_notices(log: Log) -> Iterator[str]:
+    """Yield what is lacking in motion, contacts and mass, and rows without readings of their own."""
+    held = (np.diff(log.raw, axis=0) == 0.0).all(axis=1).mean() if len(log) > 1 else 0.0
+    if SPARSE < held < 1.0:
+        yield (
+            f"{100 * held:.0f} % of the rows repeat the readings of all channels of the row before, so that "
+            "they come late; write rows at the converters' rate."
+        )
     unknown = ~np.isfinite(log.reference.com).all(axis=-1)
     if unknown.any():
-        found.append(
+        yield (
             f"in {unknown.sum()} of {len(log)} rows joints and IMU do not reach around the sample of the "
             "feet; nothing is learnt there."
         )
     model = log.about.get("model_mass_kg")
     if model is not None and abs(model / log.mass - 1.0) > ALIKE:
-        found.append(
+        yield (
             f"mass_kg = {log.mass:.4g} is not the model's {model:.4g} kg; its centre of mass and angular "
             "momentum are the model's. Weigh the robot, and correct the model."
         )
-    swing = np.asarray(log.reference.swing)
+    swing, source = np.asarray(log.reference.swing), log.about.get("contacts", "")
     for i, foot in enumerate(log.layout.feet if len(log.layout.feet) == 2 else ()):
         if not swing[:, i].any():
-            found.append(
-                f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in all "
-                f"{len(log)} rows), so that its offsets cannot be separated from its scales; let it swing, "
-                "or lift it for a second."
+            seen = f"'reference_{foot.name}_swing' is 0 in all {len(log)} rows"
+            yield (
+                f"the {foot.name} foot is never surely in the air ({source or seen}), so that its offsets "
+                "cannot be separated from its scales; let it swing, or lift it for a second."
             )
     alone = bool(log.about.get("feet_alone", False))
     spread = np.inf if alone else _spread(log)
     if not swing.any() and spread < STILL:
-        found.append(
+        yield (
             f"the robot never moves: the centre of pressure that its motion asks for stays within "
             f"{1e3 * spread:.1f} mm, so that only the weight and its place can be learnt and single channels "
             "cannot; walk, or shift the weight over each corner."
         )
-    return (*log.about.get("notices", ()), *(f"{file}: {text}" for text in found))
 
 
 def result_notices(
@@ -118,6 +137,8 @@ def result_notices(
     """Return notices of a result: nothing was learnt, scales of another sign, a common factor."""
     found, unread = [], float(1.0 - np.isfinite(log.raw).mean())
     refused = ((np.asarray(estimate.flags) & Flag.REJECTED) != 0).any(axis=1).mean()
+    lost = Flag.MISSING | Flag.OUT_OF_RANGE | Flag.DEAD | Flag.STUCK
+    useless = ((np.asarray(estimate.flags) & lost) != 0).mean(axis=0) > 1.0 - SPARSE / 10.0
     still = all(np.ptp(part, axis=0).max() == 0.0 for part in (estimate.scale, estimate.offset))
     if still and method != "none":
         why = "The log may be too short, or no foot surely stands or swings: see the flags."
@@ -127,6 +148,9 @@ def result_notices(
                 "all channels were read; if the converters are slower than the rows, write rows at their "
                 "rate."
             )
+        elif useless.any():
+            name = raw_names_of(log.layout)[int(np.argmax(useless))]
+            why = f"Column '{name}' never holds a living channel's reading, and this method needs every one."
         elif refused > SPARSE:
             why = f"{100 * refused:.0f} % of the samples ask for what no sensor does."
         found.append(f"nothing was learnt: the {method} map is the one at the start. {why}")

@@ -7,17 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration import Curves, Parameters, fit_channels
+from surefoot.calibration import CalibrationRefused, Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.columns import LOADS
 from surefoot.experiments.logs.mapping import TableMapping
-from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.logs.table import LogError, join_names
 from surefoot.experiments.study.tables import NOTHING, Cell, Table, decimal, number, table_of, with_deviation
-from surefoot.experiments.weights.judge import ROUNDING, Shape, Weighings, judge_weighings
+from surefoot.experiments.weights.judge import ROUNDING, Judged, Shape, Weighings, judge_weighings
 from surefoot.experiments.weights.loop import Memory
 from surefoot.files import write_text
+
+NAMED = "Other names go under [columns] in"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +81,14 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     be read, CalibrationRefused if the weighings contradict themselves or do not determine a line.
     """
     weighings = read_weighings(path)
-    names = [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
+    names = names_of_cells(weighings)
     judged = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(judged.findings, accept, path.name, "the map")
     bent, memory = zip(*judged.shapes, strict=True)
-    curves = Curves([one and one.knots for one in bent])
-    code = curves.straighten(judged.kept)
-    fit = fit_channels(code, weighings.load, names)
-    std = _deviations(fit, code)
+    try:
+        curves, fit, std = fit_cells(weighings, judged)
+    except CalibrationRefused as refusal:
+        raise CalibrationRefused(f"{path.name}: {refusal.reason}", refusal.cure) from None
     facts: dict[str, Any] = {
         "channels": names,
         "scale_N_per_count": fit.value.scale.tolist(),
@@ -106,6 +108,19 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     return CalibratedCells(out, path.name, tuple(names), weighings, judged.kept, *rest)
 
 
+def fit_cells(weighings: Weighings, judged: Judged) -> tuple[Curves, ChannelFit, Floats]:
+    """Return curves, the lines behind them, and deviations of these, (K, 2); or raise CalibrationRefused."""
+    curves = Curves([None if one.curve is None else one.curve.knots for one in judged.shapes])
+    code = curves.straighten(judged.kept)
+    fit = fit_channels(code, weighings.load, names_of_cells(weighings))
+    return curves, fit, _deviations(fit, code)
+
+
+def names_of_cells(weighings: Weighings) -> list[str]:
+    """Return the names of the cells in a map."""
+    return [name.removeprefix("raw_").removesuffix("_count") for name in weighings.cells]
+
+
 def read_weighings(path: Path) -> Weighings:
     """Read a table of weighings; LogError if it is none."""
     mapping = TableMapping.beside(path)
@@ -113,16 +128,19 @@ def read_weighings(path: Path) -> Weighings:
     given = [name for name in LOADS if name in table]
     if len(given) != 1:
         raise LogError(
-            f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has {given or 'neither'}."
+            f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has "
+            f"{'both' if given else 'neither'}; there are {join_names(table.names)}. "
+            f"{NAMED} {path.stem}.toml."
         )
-    cells = [name for name in table.names if name.startswith("raw_") and name.endswith("_count")]
-    if not cells:
+    if not table.channels:
         raise LogError(
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
-            "'raw_left_front_left_count'."
+            f"'raw_left_front_left_count'. {NAMED} {path.stem}.toml."
         )
     unit = LOADS[given[0]]
-    return Weighings(table.numbers(given[0]) * unit, table.stack_columns(cells), tuple(cells), given[0], unit)
+    return Weighings(
+        table.numbers(given[0]) * unit, table.stack_columns(table.channels), table.channels, given[0], unit
+    )
 
 
 def _deviations(fit: ChannelFit, code: Floats) -> Floats:

@@ -171,6 +171,9 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
         )
         cure = "Give kilograms in 'load_kg', or newtons in 'load_N'."
         yield Finding("units", reason, cure, max(heaviest / HEAVIEST, span / RANGE), 1.0)
+    if (known < 0.0).any():
+        reason = f"Column '{table.column}' holds loads below zero, such as {table.label(float(known.min()))}."
+        yield Finding("units", reason, "Give the weights that press on a cell, without a sign.")
     values = np.unique(known[known != 0.0]) / table.unit
     listed = ", ".join(f"{one:g}" for one in values[:4])
     if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):

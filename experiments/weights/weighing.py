@@ -80,8 +80,9 @@ class WeighingReport:
     channel_load: Floats  # on each cell in kg, shape (n,)
     channel_code: Floats  # mean counts under them, shape (n, K)
     channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
-    corrections: tuple[CopCorrectionFit, ...]  # of the left foot and the right
-    held_out: pd.DataFrame  # at holes that no fit saw, by the data sheet's map, "initial", and the "weights"
+    held_out: (
+        pd.DataFrame
+    )  # at holes that no fit saw; the maps are "initial", "weights" and their "lines" alone
     repeats: pd.DataFrame  # the same weights in the same holes again and again, by further maps as well
 
     def errors(self, name: str) -> MethodErrors:
@@ -159,15 +160,15 @@ def run_weighing(
     channels = fit_channels(code, weight, layout.channel_names)
 
     own = {"initial": Parameters(cells.nominal_scale, cells.nominal_offset), "weights": channels.value}
-    corrections, held_out, plates = [], [], []
+    held_out, plates = [], []
     for foot, where in zip(layout.feet, layout.slices, strict=True):
         hole, load, unseen, cell_load, plate = _place(setup, foot, rng)
         raw = weighed.read_foot(where, cell_load)
         after = channels.value.force(raw)[:, where]
-        fit = fit_cop_correction(after, load, hole, _positions(foot), held_out=unseen)
+        fit = fit_cop_correction(after[~unseen], load[~unseen], hole[~unseen], _positions(foot))
         read = partial(_read_by_maps, foot=foot.name, where=where, fit=fit)
-        held_out.append(read(own, raw[unseen], hole[unseen], load[unseen]))
-        corrections.append(fit)
+        lines = {"lines": channels.value}
+        held_out.append(read(own | lines, raw[unseen], hole[unseen], load[unseen]))
         plates.append((plate, np.unique(hole[unseen], axis=0), where, read))
     repeats = [pd.DataFrame()]
     for plate, holes, where, read in plates if maps is not None else ():
@@ -178,7 +179,6 @@ def run_weighing(
         channel_load=np.array(setup.channel_loads),
         channel_code=code,
         channels=channels,
-        corrections=tuple(corrections),
         held_out=pd.concat(held_out),
         repeats=pd.concat(repeats),
     )

@@ -109,7 +109,7 @@ def test_leaves_out_what_is_not_finite_and_says_so():
         (
             [[100.0], [101.0], [99.0]],
             [2.0, 2.0, 2.0],
-            "The cell 'left/front-left' saw only the load 2, and a line needs two.",
+            "The cell 'left/front-left' saw only the load 2 N, and a line needs two.",
             "Add a reading of this cell without load",
         ),
         (
@@ -121,7 +121,7 @@ def test_leaves_out_what_is_not_finite_and_says_so():
         (
             [[np.nan], [500.0]],
             [0.0, 2.0],
-            "saw only the load 2 (1 samples without a finite value left out)",
+            "saw only the load 2 N (1 samples without a finite value left out)",
             "Add a reading",
         ),
         (

@@ -347,7 +347,7 @@ def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
         ({"cutoff": -3.0}, "'cutoff' must be positive and finite, got -3.0"),
         ({"every": 0}, "'every' must be a whole number from 1 on, got 0"),
         ({"iterations": 2.5}, "'iterations' must be a whole number from 1 on, got 2.5"),
-        ({"force_weight": -0.1}, "'force_weight' must not be negative and must be finite, got -0.1"),
+        ({"transition": -0.1}, "'transition' must not be negative and must be finite, got -0.1"),
         ({"scale_range": (1.1, 2.0)}, "'scale_range' must enclose 1"),
         ({"minimum_share": 1.5}, "'minimum_share' must be a share from 0 to 1, got 1.5"),
         ({"standing_samples": 0}, "'standing_samples' must be a whole number from 1 on, got 0"),
@@ -356,20 +356,6 @@ def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
 def test_options_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Window(**options)
-
-
-def test_weights_can_be_scaled_for_a_study():
-    log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
-    plain, same, other = (
-        run(log, faults=Faults.bad(), **options).scale[-1]
-        for options in (
-            {},
-            {"force_weight": 4.0, "delta_force": 2 * Window().delta_force},
-            {"smoothness_weight": 5.0},
-        )
-    )
-    np.testing.assert_allclose(plain, same, rtol=1e-9)
-    assert np.abs(plain - other).max() > 1e-3 * np.abs(plain).max()
 
 
 def test_one_foot_alone_is_calibrated_too():

@@ -125,6 +125,9 @@ def test_an_empty_bag_and_what_is_none(ros: Ros, tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text("time_s\n")
     words = ["calibrate", "walk", tmp_path / "walk.csv", "--guess"]
     fails(words, "walk.csv: no bag; one is a folder or ends in .bag, .mcap, .db3.")
+    (tmp_path / "logs").mkdir()
+    said = "logs: a folder without metadata.yaml is no bag of ROS 2; give a log."
+    fails(["check", tmp_path / "logs"], said)
 
 
 def test_without_rosbags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -233,8 +233,8 @@ def test_a_log_without_a_reading_is_refused(log: Log, tmp_path: Path) -> None:
     with pytest.raises(LogError) as refused:
         calibrate(log, tmp_path)
     assert str(refused.value) == (
-        "walk.csv: columns 'raw_..._count' hold no reading in any of the 60 rows; write the converters' "
-        "counts into them."
+        "walk.csv: columns 'raw_..._count' hold no reading that ever changes in the 60 rows; write the "
+        "converters' counts into them."
     )
 
 

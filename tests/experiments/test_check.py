@@ -94,6 +94,7 @@ def test_sets_weighings_and_bare_channels(tmp_path: Path, undrawn: None) -> None
     bare.to_csv(tmp_path / "bare.csv", index=False)
     (tmp_path / "bare.toml").write_text("[columns]\ntime_s = 't'\nraw_a_count = 'a'\n")
     found = check(tmp_path / "bare.csv", 0)
+    assert "Clock and channels are sound; nothing says what" in (tmp_path / "bare.check.html").read_text()
     assert found["kind"] == "channels"
     assert found["tables"]["channels"]["rows"][0]["noise (counts)"] == pytest.approx(20.0, rel=0.05)
 

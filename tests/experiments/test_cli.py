@@ -209,8 +209,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--settle", "99"],
-        "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
-        "walk longer or settle for less.",
+        "--settle must be a time of the log, 0 to 0.7375 s, got 99.",
     )
     fails(
         ["calibrate", "ft", "--sample", "--accept", " "],
@@ -235,15 +234,19 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
 BAD_WEIGHINGS = {
     "no weights": (
         {"raw_a_count": [1, 2]},
-        "needs one column of weights, 'load_kg' or 'load_N', and has neither.",
+        "needs one column of weights, 'load_kg' or 'load_N', and has neither; there are 'raw_a_count' (if "
+        "the separator is none of ',', ';' and tab, say csv.separator). Other names go under [columns] in "
+        "scales.toml.",
     ),
     "two weights": (
         {"load_kg": [0, 1], "load_N": [0, 9.81], "raw_a_count": [1, 2]},
-        "needs one column of weights, 'load_kg' or 'load_N', and has ['load_kg', 'load_N'].",
+        "needs one column of weights, 'load_kg' or 'load_N', and has both; there are 'load_kg', 'load_N', "
+        "'raw_a_count'. Other names go under [columns] in scales.toml.",
     ),
     "no readings": (
         {"load_kg": [0, 1], "cell": [1, 2]},
-        "has no column 'raw_<cell>_count'; name each cell's readings so, e.g. 'raw_left_front_left_count'.",
+        "has no column 'raw_<cell>_count'; name each cell's readings so, e.g. 'raw_left_front_left_count'. "
+        "Other names go under [columns] in scales.toml.",
     ),
     "words": (
         {"load_kg": [0, 1], "raw_a_count": ["x", "y"]},
@@ -263,7 +266,7 @@ def test_bad_weighings_are_refused(tmp_path: Path, case: str) -> None:
 def test_one_weight_is_no_line(tmp_path: Path) -> None:
     pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "scales.csv", index=False)
     result = run("calibrate", "weights", tmp_path / "scales.csv", code=3)
-    assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
+    assert result.stderr.startswith("surefoot: scales.csv: The cell 'a' saw only the load 1 N, and")
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,20 +166,20 @@ BAD_CONFIGS = {
         '[columns]\nrw = ["a"]\n',
         "columns: unknown key 'rw'; there are time, set, raw",
     ),
-    "units that are no table": ("units = 3\n", "units: Input should be a valid dictionary"),
+    "units that are no table": ("units = 3\n", "units: must be a table of keys with values"),
     "unknown unit": (
         '[units]\nacceleration = "ft"\n',
         r"units.acceleration: Input should be 'm/s\^2', 'g' or 'mg', got 'ft'",
     ),
     "not three": (
         '[columns]\ngravity = ["a"]\n',
-        "columns.gravity.1: Field required",
+        "columns.gravity.1: is missing",
     ),
     "not three turns": (
         '[columns]\nangular_velocity = ["a"]\n',
-        "columns.angular_velocity.1: Field required",
+        "columns.angular_velocity.1: is missing",
     ),
-    "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: Tuple should have at least 6 items"),
+    "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: needs at least 6, and has 5"),
     "no rotation": (
         "[accelerometer]\nR_sensor_accelerometer = [[2,0,0],[0,1,0],[0,0,1]]\n",
         "must be a rotation",
@@ -214,7 +214,7 @@ BAD_CONFIGS = {
         '[[sets]]\nname = "9"\nadded_mass_kg = 0.5\n',
         "set '9' has 0.5 kg and no 'added_com_m'",
     ),
-    "a nameless set": ("[[sets]]\nadded_mass_kg = 0.5\n", "sets.0.name: Field required"),
+    "a nameless set": ("[[sets]]\nadded_mass_kg = 0.5\n", "sets.0.name: is missing"),
     "other channels": (
         f"[factory]\nmatrix = {np.ones((6, 7)).tolist()}\n",
         r"has 6 channels and the factory matrix 7 columns",
@@ -238,7 +238,7 @@ def test_a_set_that_the_file_does_not_list_is_refused(tmp_path: Path) -> None:
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
     config = InSituConfig()
     for name, text, said in (
-        ("empty.csv", "", r"empty\.csv: not a readable table \(Empty CSV file\)"),
+        ("empty.csv", "", r"empty\.csv: is empty"),
         (
             "ragged.csv",
             "a,b\n1,2\n3\n",

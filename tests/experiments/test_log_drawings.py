@@ -121,7 +121,7 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "one sole": (
         {"soles": ["left_sole"]},
-        "the description: motion.soles.1: Field required, got ['left_sole'].",
+        "the description: motion.soles.1: is missing, got ['left_sole'].",
     ),
     "an unknown key": (
         {"delay": 0.02},
@@ -209,8 +209,8 @@ BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     ),
     "another clock": (
         lambda t: t.assign(time_s=t["time_s"] + 1e9),
-        "joints and IMU reach from 1e+09 to 1e+09 s, and the feet from 0 to 0.7375 s; give both on one "
-        "clock, and motion.delay_s.",
+        "joints and IMU reach from 999999999.8 to 1000000000.99 s, and the feet from 0 to 0.7375 s; give "
+        "both on one clock, and motion.delay_s.",
     ),
 }
 

@@ -171,7 +171,7 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         "column 'time_s' steps by 1.25e+07 where the description says dt_s = 0.0125; it looks like "
         "ns: say so in 'walk.toml', [units] time_s = \"ns\".",
     ),
-    "one row": (lambda t: t.head(1), "1 rows are no walk; a log needs at least two."),
+    "one row": (lambda t: t.head(1), "one row alone is no log; record some seconds."),
 }
 
 
@@ -260,7 +260,7 @@ def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
     for name, message in {
         "walk.txt": "walk.txt: a log ends in .parquet or .csv; rename or convert",
         "walk.parquet": "walk.parquet: not a readable table",
-        "bare.parquet": "bare.parquet: the Parquet schema has no metadata 'surefoot'",
+        "bare.parquet": "bare.parquet: the description bare.json is not beside it, nor within it",
         "lonely.csv": "lonely.csv: the description lonely.json is not beside it",
         "torn.csv": "torn.json: the description: not JSON",
     }.items():

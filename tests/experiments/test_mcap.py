@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _logs import run
+from _logs import fails, run
 
 from surefoot.calibration import FootCalibrator
 from surefoot.experiments import write_log
@@ -35,6 +35,11 @@ def test_a_log_is_read_back(log: Log, tmp_path: Path) -> None:
     walk, path = write_log(log, tmp_path / "walk.parquet"), tmp_path / "walk.mcap"
     result = run("view", "--log", walk, "--feed", "none", "--mcap", path)
     assert result.stdout == f"MCAP: {path}\n"
+    pytest.importorskip("rosbags")
+    fails(
+        ["check", path],
+        "walk.mcap: is MCAP, but no bag of ROS 2; record it by `ros2 bag`, or export a table.",
+    )
     found = messages(path)
     assert set(found) == {"/readings", "/force", "/cop", "/flags"}
     names = channel_slugs(log.layout)

@@ -1,0 +1,280 @@
+"""Logs as they come off robots: clocks that stand, tables that Excel saved, chips slower than the rows."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from _logs import run
+
+from surefoot.calibration import CalibrationRefused
+from surefoot.experiments.instrument.channels import Wrong
+from surefoot.experiments.instrument.check import check_log, wrong_table
+from surefoot.experiments.instrument.recording import read_recording
+from surefoot.experiments.instrument.twin import identify
+from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.walking.judge import judge_log
+from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.weights.calibrate import fit_weighings
+
+ROWS = 2000
+TIME = np.arange(ROWS) / 80.0
+CELL = "raw_a_count"
+
+
+def channels(**columns: object) -> pd.DataFrame:
+    """Two channels at rest, seen for 25 s at 80 Hz."""
+    rng = np.random.default_rng(0)
+    noise = np.rint(8e4 + rng.normal(0.0, 20.0, (2, ROWS)))
+    return pd.DataFrame({"time_s": TIME, CELL: noise[0], "raw_b_count": noise[1], **columns})
+
+
+def said(wrong: Wrong) -> tuple[str, str, bool]:
+    """When it began, what is seen, and whether it refuses the log."""
+    return wrong.since, wrong.finding.reason, wrong.finding.refuses
+
+
+ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
+    "a clock that stands": (
+        channels(time_s=1.0),
+        ("1 s", "Times do not increase at row 1, nor at 1998 others.", True),
+    ),
+    "a clock that stops": (
+        channels(time_s=np.minimum(TIME, 12.5)),
+        ("12.5 s", "Times do not increase at row 1001, nor at 998 others.", True),
+    ),
+    "a clock that goes back": (
+        channels(time_s=np.where(TIME > 12.5, TIME - 10.0, TIME)),
+        ("2.5125 s", "Times do not increase at row 1001.", True),
+    ),
+    "a clock that leaps": (
+        channels(time_s=TIME + 5.0 * (TIME > 12.5)),
+        ("17.5125 s", "The clock leaps 1 times, by 5.01 s at most.", False),
+    ),
+    "packets of five rows": (
+        channels(time_s=TIME[np.arange(ROWS) // 5 * 5]),
+        ("0 s", "Times do not increase at row 1, nor at 1599 others.", True),
+    ),
+    "a time that is missing": (
+        channels(time_s=np.where(np.arange(ROWS) == 5, np.nan, TIME)),
+        ("row 5", "Column 'time_s' is nan at row 5.", True),
+    ),
+    "no times": (
+        channels().drop(columns="time_s"),
+        ("all along", "Rows have no times: rate, noise and drift are not seen.", False),
+    ),
+    "a leap, in seconds since 1970": (
+        channels(time_s=1.7e9 + TIME + 5.0 * (TIME > 12.5)),
+        ("1700000017.51 s", "The clock leaps 1 times, by 5.01 s at most.", False),
+    ),
+    "milliseconds": (
+        channels(time_s=1e3 * TIME),
+        ("all along", "Rows come 12.5 s apart, as times in another unit than seconds do.", False),
+    ),
+    "one row": (channels()[:1], ("all along", "1 row shows nothing of a channel.", True)),
+    "zeros": (channels(raw_a_count=0, raw_b_count=0), ("all along", "No channel ever changes.", True)),
+    "nothing": (
+        channels(raw_a_count=np.nan, raw_b_count=np.nan),
+        ("all along", "No column holds a reading.", True),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_bare_log_says_its_flaw_once(name: str, tmp_path: Path) -> None:
+    table, expected = ODD[name]
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    checked = check_log(tmp_path / "rig.csv")
+    assert [said(one) for one in checked.wrong] == [expected]
+    assert len(wrong_table(checked).rows) == 1
+    assert checked.sound != expected[2]
+
+
+@pytest.mark.parametrize("name", ["a clock that stops", "a clock that goes back", "a clock that leaps"])
+def test_rate_and_noise_are_those_of_the_rows_between_leaps(name: str, tmp_path: Path) -> None:
+    ODD[name][0].to_csv(tmp_path / "rig.csv", index=False)
+    for one in check_log(tmp_path / "rig.csv").facts:
+        assert 1.0 / one.noise.interval == pytest.approx(80.0)
+        assert one.noise.white == pytest.approx(20.0, rel=0.1)
+
+
+def test_a_page_is_drawn_of_a_clock_that_stands_and_of_zeros(tmp_path: Path) -> None:
+    channels().assign(time_s=1.0, raw_a_count=0, raw_b_count=0).to_csv(tmp_path / "rig.csv", index=False)
+    result = run("check", tmp_path / "rig.csv", code=3)
+    assert result.stderr == ""
+    assert "nan" not in result.stdout
+
+
+UNREADABLE = {
+    "nothing": ("", "log.csv: is empty; a log has a line of column names, and a row a sample."),
+    "names alone": (
+        f"time_s,{CELL}\n",
+        "log.csv: holds no rows of samples, only names of columns.",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_what_cannot_be_read_says_why(name: str, tmp_path: Path) -> None:
+    text, expected = UNREADABLE[name]
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(LogError) as refused:
+        check_log(tmp_path / "log.csv")
+    assert str(refused.value) == expected
+
+
+DRESS: dict[str, Callable[[str], str]] = {
+    "comments": lambda text: f"# rig 3\n#\n{text}",
+    "Excel's line of the separator": lambda text: "sep=;\n" + text.replace(",", ";"),
+    "a row of units": lambda text: text.replace("\n", "\ns,count (2^24),\n", 1),
+    "spaces": lambda text: text.replace(",", ", "),
+}
+
+
+@pytest.mark.parametrize("name", DRESS)
+def test_what_stands_around_a_table_costs_nothing(name: str, tmp_path: Path) -> None:
+    table = channels()
+    (tmp_path / "rig.csv").write_text(DRESS[name](table.to_csv(index=False)))
+    found = read_recording(tmp_path / "rig.csv")
+    assert np.array_equal(found.raw, table[[CELL, "raw_b_count"]])
+    assert np.array_equal(found.time, TIME)
+    assert ("left out" in " ".join(found.notices)) == (name == "a row of units")
+
+
+@pytest.fixture(scope="module")
+def walk(walks: dict[str, Log]) -> Log:
+    return dataclasses.replace(walks["bad-start"], truth=None)
+
+
+def test_a_walk_says_of_its_clock_and_cells_once(walk: Log, tmp_path: Path) -> None:
+    time = walk.time + 3.0 * (walk.time > 6.0)
+    raw = walk.raw.copy()
+    raw[:, 0] = raw[0, 0]
+    path = write_log(dataclasses.replace(walk, time=time, raw=raw), tmp_path / "walk.parquet")
+    found = [one.finding.name for one in check_log(path).wrong]
+    assert found == ["constant", "gaps"]
+
+
+def test_readings_that_repeat_are_late_and_no_mistake_of_cables(walk: Log) -> None:
+    """Chips of 10 Hz in rows of 80 Hz: readings are up to 90 ms old, and no feet are exchanged."""
+    held = dataclasses.replace(walk, raw=walk.raw[np.arange(len(walk)) // 8 * 8])
+    assert not any(one.refuses for one in judge_log(held, held.nominal).findings)
+    assert any("repeat the readings of all channels" in one for one in log_notices(held, "walk.csv"))
+
+
+def test_a_cell_that_reads_zero_does_not_weigh(walk: Log) -> None:
+    raw = walk.raw.copy()
+    raw[:, 2] = 0.0  # whose offset alone is seven times the robot's weight
+    check_weight(dataclasses.replace(walk, raw=raw), "nominal", walk.nominal, "walk.csv")
+
+
+def test_a_mass_in_grams_is_named_by_both_commands(walk: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(walk, mass=1e3 * walk.mass), tmp_path / "walk.parquet")
+    assert "kilonewtons or a mass in grams" in run("calibrate", "walk", path, code=2).stderr
+    assert "kilonewtons or a mass in grams" in check_log(path).wrong[0].finding.reason
+
+
+def test_a_description_may_lie_beside_a_table_of_pandas(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    pd.read_csv(path).to_parquet(path.with_suffix(".parquet"))
+    assert np.array_equal(read_log(path.with_suffix(".parquet")).raw, log.raw)
+
+
+def test_rows_and_words_that_are_too_few(log: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(log.cut(slice(0, 2)), lag=4), tmp_path / "walk.csv")
+    with pytest.raises(LogError, match=r"walk\.csv: 2 rows are too few where .* lag_samples = 4 rows late"):
+        read_log(path)
+    times = pd.read_csv(write_log(log, path))
+    times["time_s"] = times["time_s"].to_numpy()[np.arange(len(log)) // 5 * 5] + 1e-4 * (
+        np.arange(len(log)) % 5
+    )
+    times.to_csv(path, index=False)
+    with pytest.raises(LogError, match=r"rows come in bursts: .* in 'walk\.toml' \[rates\]"):
+        read_log(path)
+    for given, expected in (
+        ({}, "format: is missing."),
+        ([], "must be a table of keys with values, got []."),
+    ):
+        path.with_suffix(".json").write_text(json.dumps(given))
+        with pytest.raises(LogError) as refused:
+            read_log(path)
+        assert str(refused.value) == f"walk.csv: the description: {expected}"
+
+
+def test_sets_whose_settings_name_columns_alone_are_sets(tmp_path: Path) -> None:
+    """A robot's arm: a driver's newtons, and an accelerometer, under names of their own."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame(rng.normal(0.0, 1.0, (40, 9)), columns=["t", *"abcdef", "x", "y"])
+    table["z"] = 9.81
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    settings = (
+        '[columns]\ntime = ""\nraw = ["a", "b", "c", "d", "e", "f"]\nspecific_force = ["x", "y", "z"]\n'
+    )
+    (tmp_path / "arm.toml").write_text(settings)
+    assert read_recording(tmp_path / "arm.csv").kind == "six-axis sensor"
+
+
+def test_columns_with_units_in_their_names_are_listed(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    table = pd.read_csv(path)
+    table.rename(columns=lambda name: f"{name} [count]" if name.startswith("raw_") else name).to_csv(
+        path, index=False
+    )
+    with pytest.raises(
+        LogError, match=r"'raw_left_front_left_count \[count\]', .* under \[columns\] in walk\.toml"
+    ):
+        read_log(path)
+
+
+WEIGHED = {
+    "one load": ([1.0, 1.0, 1.0], "The cell 'a' saw only the load 9.81 N, and a line needs two."),
+    "loads below zero": ([0.0, -1.0, -2.0], "Column 'load_kg' holds loads below zero, such as -2."),
+}
+
+
+@pytest.mark.parametrize("name", WEIGHED)
+def test_check_and_calibrate_refuse_the_same_weighings(name: str, tmp_path: Path) -> None:
+    loads, reason = WEIGHED[name]
+    path = tmp_path / "scales.csv"
+    counts = [84000 + 100000 * i for i in range(3)]
+    pd.DataFrame({"load_kg": loads, CELL: counts}).to_csv(path, index=False)
+    assert reason in [one.finding.reason for one in check_log(path).wrong]
+    with pytest.raises(CalibrationRefused) as refused:
+        fit_weighings(path, tmp_path / "map.json")
+    assert str(refused.value).startswith(f"scales.csv: {reason}")
+
+
+def test_a_twin_needs_channels_that_follow_their_loads(tmp_path: Path) -> None:
+    channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(CalibrationRefused, match=r"rig\.csv: column 'raw_a_count' does not follow its load"):
+        identify(read_recording(tmp_path / "rig.csv"))
+
+
+def test_options_that_no_log_has_are_refused(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    for options, message in (
+        (
+            ["--stand", "9", "--method", "window"],
+            "--stand must be shorter than the log's 0.7375 s and positive",
+        ),
+        (
+            ["--topics", "no.toml"],
+            "walk.csv: is a table; --topics names columns of bags, and walk.toml those of",
+        ),
+        (["--out", path], f"'{path}': File exists."),
+    ):
+        assert run("calibrate", "walk", path, *options, code=2).stderr.startswith(f"surefoot: {message}")
+    channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
+    assert "no cell of 1 N bears them" in run("twin", tmp_path / "rig.csv", "--capacity", 1, code=2).stderr
+
+
+def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surefoot.experiments.weights.weighing.weigh_after_walk", lambda seed: None)
+    monkeypatch.setattr("surefoot.experiments.weights.paper.weight_tables", lambda report: ())
+    (tmp_path / "file").write_text("")
+    result = run("compare", "weights", "--out", tmp_path / "file" / "tables", code=2)
+    assert result.stderr.startswith(f"surefoot: cannot write to '{tmp_path / 'file' / 'tables'}': Not a dir")
