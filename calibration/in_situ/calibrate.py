@@ -26,7 +26,7 @@ from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
-from surefoot.calibration.in_situ.check import check_sets, check_within
+from surefoot.calibration.in_situ.check import check_sets
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import (
     InSituOptions,
@@ -169,7 +169,6 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
     if delay:
         words = f"The IMU is late by {1e3 * delay:.1f} ms against the readings: it was shifted by that."
         findings.append(Finding("clock", words, value=delay, limit=limits.LATE, refuses=False))
-    findings += check_within(late, members[0].solution.problem.sets)
     return Solved(task, late, sphere, delay, std, members, reference), findings
 
 
