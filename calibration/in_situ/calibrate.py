@@ -254,8 +254,11 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
     with suppress(np.linalg.LinAlgError):
-        found = find_causes(_gather_evidence(solved.task, sets))
+        found, moved = find_causes(_gather_evidence(solved.task, sets))
         symptom = tell_causes(symptom, found, cure)
+        # Without times hysteresis that nobody sees looks like many a cause.
+        clear = solved.task.timed and found and found[0].gain > limits.CLEARER and moved > limits.MOVED
+        symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
     return [symptom if one is worst else one for one in findings]
 
 
