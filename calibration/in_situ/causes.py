@@ -178,7 +178,8 @@ def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
     """Try each known cause.
 
     Returns:
-        Those that explain something, the likeliest first, and by which share that one moves contact loads.
+        Those that explain something, the likeliest first, and by which share that one moves contact loads:
+        zero if it has many unknowns, which hysteresis of a law that the fit has not may look like.
     """
     tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in _KINDS:
@@ -187,9 +188,10 @@ def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
             tried += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
     odds = [-0.5 * deviance(one.solution) - penalise(one.free, rows, one.choices) for one in tried]
-    likeliest = tried[int(np.argmax(odds))].solution
     ranked = rank([(one.words, one.cure, value) for one, value in zip(tried, odds, strict=True)])
-    return ranked, _measure_move(evidence.solution, likeliest)
+    likeliest = tried[int(np.argmax(odds))]
+    moved = _measure_move(evidence.solution, likeliest.solution) if likeliest.free <= STATIC else 0.0
+    return ranked, moved
 
 
 def _measure_move(one: Solution, other: Solution) -> float:

@@ -77,7 +77,7 @@ MASS_SEEN = Limit(0.012, "the same", "a word: sound 0.0095; a cable's pull of 8 
 MOVED = Limit(
     0.03,
     "share of contact loads",
-    "by a slight contradiction's cause: an IMU turned by 3 deg 0.054, a cable 0.1",
+    "by a slight contradiction's cause: an IMU turned by 3 degrees 0.054",
 )
 SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")
 STILL = Limit(0.02, "share of gravity", "a direction along which it did not turn, as at the door")

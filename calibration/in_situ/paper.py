@@ -52,6 +52,7 @@ from surefoot.calibration.in_situ.model import (
     STATIC,
     different_masses,
     inertial_parameters,
+    stack_equations,
     transform_basis,
 )
 from surefoot.calibration.results import CalibrationRefused, FitStats
@@ -322,14 +323,10 @@ def _signal_directions(factors: Sequence[Matrix], channels: int) -> Matrix:
 
 
 def _stack(sets: Sequence[InSituSet], factors: Sequence[Matrix]) -> tuple[Matrix, Matrix]:
-    """Return regressors and targets of Eqs. 21-24 by rows [g, r - o] of each set: C r - M_b g = M_a g."""
-    basis, rows, targets = transform_basis(moving=False), [], []
-    for one, factor in zip(sets, factors, strict=True):
-        moved = basis @ factor[:, :3].T
-        rows.append(np.hstack([np.kron(np.eye(AXES), factor[:, 3:]), -moved.reshape(STATIC, -1).T]))
-        added = inertial_parameters(one.added_mass, one.added_com, moving=False)
-        targets.append(np.einsum("p,pws->ws", added, moved).ravel())
-    return np.concatenate(rows), np.concatenate(targets)
+    """Return regressors and targets of Eq. 21 by rows [g, r - o] of each set."""
+    added = [inertial_parameters(one.added_mass, one.added_com, moving=False) for one in sets]
+    parts = [(factor[:, :3], factor[:, 3:]) for factor in factors]
+    return stack_equations(transform_basis(moving=False), parts, added)
 
 
 def _check_masses(sets: Sequence[InSituSet]) -> None:

@@ -12,16 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Task, Vector
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
+    ENOUGH_MASSES,
     MASS,
     MOMENT,
     MOVING,
     STATIC,
     inertial_parameters,
+    stack_equations,
     transform_basis,
 )
 
@@ -230,6 +233,10 @@ def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
     return expected, rows
 
 
+_ROUNDING = 1e-10
+"""Singular values at or below this share of the largest are rounding in the paper's method."""
+
+
 _MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0, 10.0)
 """Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
 
@@ -244,8 +251,13 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
         found.append(_pad(problem, weigh_limb(factory, problem, np.eye(3))))
     largest = float(np.max(problem.added[:, MASS]))
     if largest > 0.0:
+        # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
+        # such a mass can end in a wrong place.
+        enough = len(problem.sets) >= ENOUGH_MASSES
+        first = _by_paper(problem) if enough else _pad(problem, [largest, 0.0, 0.0, 0.0])
+        found.append(first)
         multiples = _TURNED_MULTIPLES if problem.rotation else _MULTIPLES
-        found += [_pad(problem, [multiple * largest, 0.0, 0.0, 0.0]) for multiple in multiples]
+        found += [np.concatenate([[multiple * largest], first[MASS + 1 :]]) for multiple in multiples]
     found = [start for start in found if np.all(np.isfinite(start))]
     found = found or [_pad(problem, [1.0, 0.0, 0.0, 0.0])]
     if not problem.rotation:
@@ -283,6 +295,18 @@ def weigh_limb(matrix: Matrix, problem: Problem, rotation: Matrix) -> Vector:
     """Return (m, m c) of the limb that a matrix shows in the mean of all sets, shape (4,)."""
     seen = [weigh_hanging(matrix, part, rotation) for part in problem.sets]
     return np.asarray(np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
+
+
+def _by_paper(problem: Problem) -> Vector:
+    """In-situ paper, Eqs. 18-24, on compressed rows, in which the noise is averaged: C r - T_b u = T_a u."""
+    readings = [problem.whitening @ part.ur.T for part in problem.sets]
+    left = np.linalg.svd(np.concatenate(readings, axis=1))[0][:, :AXES]
+    loads = slice(0, problem.basis.shape[2])
+    parts = [(part.uu[:, loads], one.T @ left) for part, one in zip(problem.sets, readings, strict=True)]
+    rows, right = stack_equations(problem.basis, parts, problem.added)
+    unit, size = of_unit_length(rows)
+    solution = np.linalg.lstsq(unit, right, rcond=_ROUNDING)[0] / size
+    return np.asarray(solution[-problem.parameters :])
 
 
 def _pad(problem: Problem, static: Sequence[float] | Vector) -> Vector:
