@@ -26,7 +26,7 @@ from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
-from surefoot.calibration.in_situ.check import check_sets, check_within
+from surefoot.calibration.in_situ.check import check_sets
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import (
     InSituOptions,
@@ -169,7 +169,6 @@ def _solve(task: Task) -> tuple[Solved, list[Finding]]:
     if delay:
         words = f"The IMU is late by {1e3 * delay:.1f} ms against the readings: it was shifted by that."
         findings.append(Finding("clock", words, value=delay, limit=limits.LATE, refuses=False))
-    findings += check_within(late, members[0].solution.problem.sets)
     return Solved(task, late, sphere, delay, std, members, reference), findings
 
 
@@ -255,8 +254,11 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
     with suppress(np.linalg.LinAlgError):
-        found = find_causes(_gather_evidence(solved.task, sets))
+        found, moved = find_causes(_gather_evidence(solved.task, sets))
         symptom = tell_causes(symptom, found, cure)
+        # Without times hysteresis that nobody sees looks like many a cause.
+        clear = solved.task.timed and found and found[0].gain > limits.CLEARER and moved > limits.MOVED
+        symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
     return [symptom if one is worst else one for one in findings]
 
 

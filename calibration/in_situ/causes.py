@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import of_unit_length, orthonormal
+from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
-from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.compress import SetRows, change_signals, motion_of
+from surefoot.calibration.in_situ.compress import change_signals
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
+    AXES,
     DIRECT,
     MASS,
     MOMENT,
@@ -41,9 +41,9 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
 from surefoot.calibration.in_situ.solve import (
-    CONVERGED,
     Solution,
     beside_channels,
+    deviance,
     minima,
     solve,
 )
@@ -77,6 +77,9 @@ _ROUNDING = 1e-9
 """Share of the largest mixture of channels at or below which another is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
+
+_LEAST_LEVER = 0.1
+"""In m."""
 
 _AS_GOOD = 0.1
 """Share by which two costs may differ that are alike."""
@@ -171,25 +174,33 @@ class Ranked(NamedTuple):
     gain: float
 
 
-def find_causes(evidence: Evidence) -> list[Ranked]:
-    """Try each known cause; return those that explain something, the likeliest first."""
+def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
+    """Try each known cause.
+
+    Returns:
+        Those that explain something, the likeliest first, and by which share that one moves contact loads:
+        zero if it has many unknowns, which hysteresis of a law that the fit has not may look like.
+    """
     tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in _KINDS:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
-    channels = _separate_channels([part.source for part in evidence.problem.sets])
-    return rank(
-        [
-            (
-                one.words,
-                one.cure,
-                -0.5 * _deviance(one.solution, channels) - penalise(one.free, rows, one.choices),
-            )
-            for one in tried
-        ]
-    )
+    odds = [-0.5 * deviance(one.solution) - penalise(one.free, rows, one.choices) for one in tried]
+    ranked = rank([(one.words, one.cure, value) for one, value in zip(tried, odds, strict=True)])
+    likeliest = tried[int(np.argmax(odds))]
+    moved = _measure_move(evidence.solution, likeliest.solution) if likeliest.free <= STATIC else 0.0
+    return ranked, moved
+
+
+def _measure_move(one: Solution, other: Solution) -> float:
+    """Return how far two fits disagree on contact loads, as a share; torques count by the limb's lever."""
+    mass, *moment = one.limb[:STATIC]
+    lever = max(float(np.linalg.norm(moment)) / max(abs(mass), _TINY), _LEAST_LEVER)
+    size = np.repeat([1.0, lever], 3)
+    apart = (np.linalg.pinv(one.A) @ other.A - np.eye(AXES)) / size[:, None] * size
+    return float(np.linalg.norm(apart) / np.sqrt(AXES))
 
 
 def penalise(free: int, rows: int, choices: int) -> float:
@@ -224,48 +235,6 @@ def tell_causes(symptom: Finding, found: Sequence[Ranked], instead: str = "") ->
 
 def _format_percent(share: float) -> str:
     return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
-
-
-def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
-    """Return mixtures of channels of which none follows from the others, shape (k, q).
-
-    Readings have variance one in each channel before they are mixed.
-    """
-    centred = []
-    for one in rows:
-        readings, constant = one.columns[:, 1 + one.inputs :], one.columns[:, :1]
-        constant = constant / np.linalg.norm(constant)
-        centred.append(readings - constant @ (constant.T @ readings))
-    unit, size = of_unit_length(np.concatenate(centred))
-    _, singular, mixtures = np.linalg.svd(unit, full_matrices=False)
-    std = size / np.sqrt(sum(float(np.sum(one.weight**2)) for one in rows))
-    return np.asarray(mixtures[singular > _ROUNDING * singular[0]].T / std[:, None])
-
-
-def _deviance(solution: Solution, channels: Matrix) -> float:
-    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
-
-    The priors that the fit has, such as a maker's, count as well: they hold a cause back that needs a sensor
-    that is far off. Noise counts as at least the error of a search: without noise any cause would fit to some
-    rounding.
-
-    Args:
-        solution: The fit.
-        channels: Mixtures of channels of which none follows from the others, shape (k, q).
-    """
-    spectra, rows = [], [part.source for part in solution.problem.sets]
-    for one, B in zip(rows, solution.predicted, strict=True):
-        weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
-        left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
-        spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
-    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks, CONVERGED**2)[1]
-    if not np.isfinite(value):
-        # Few rows show no colour.
-        modes = np.concatenate([one.modes for one in spectra])
-        scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
-        value = len(modes) * float(np.linalg.slogdet(scatter)[1])
-    value += solution.prior_square
-    return value if np.isfinite(value) else np.inf
 
 
 # Events within a set: signals that act on its readings.

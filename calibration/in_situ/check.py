@@ -310,42 +310,62 @@ BENT_CURE = "Hold the joints beyond the sensor fast, or lighten what is added."
 """Cure where readings go with gravity's squares."""
 
 
-def check_within(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> list[Finding]:
-    """Return which samples were left out, and which sets no rigid limb explains."""
-    found = []
+def check_within(
+    sets: Sequence[InSituSet], parts: Sequence[CompressedSet], hidden: float
+) -> tuple[float, list[Finding]]:
+    """Return how much a limb bends, which samples were left out, and which sets no rigid limb explains.
+
+    A share of hysteresis that may be hidden in the readings looks like a limb that bends for a while.
+    """
+    most, found = 0.0, []
+    least = limits.BENDING_BESIDE if hidden else limits.BENDING
+    if hidden > limits.HIDDEN:
+        reason = (
+            f"{measure_residual(parts):.1%} of the readings' spread is noise or hysteresis, and only samples "
+            f"with times, enough of them, tell which: the answer is as sure as {hidden:.1%} of hysteresis "
+            "lets it be."
+        )
+        found.append(Finding("hidden hysteresis", reason, value=hidden, limit=limits.HIDDEN, refuses=False))
     for data, part in zip(sets, parts, strict=True):
-        rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
-        rejected = rejected & ~_settles(data, rejected)
-        share = float(np.mean(rejected))
-        beside = np.concatenate([[False], rejected, [False]])
-        singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
-        if share > limit:
-            reason = (
-                f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
-            )
-            cure = (
-                "Something touched the limb or it moved too fast: leave that time out, or record the set "
-                "again with the foot in the air."
-            )
-            if singly:
-                reason, cure = (
-                    f"{reason} {_SINGLY}",
-                    "Check the cable and its shield, and leave readings out that leap.",
-                )
-            found.append(Finding("outliers", reason, cure, share, limit, contradicts=not singly))
-        elif share > limits.STRAY:
-            reason = (
-                f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
-                f"{_span(data, rejected)}: {'they stand alone' if singly else _TOUCHED}."
-            )
-            found.append(Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False))
-        left = _residual_share(data, part)
+        found += _check_outliers(data, part)
+        left, bends = _residual_share(data, part), measure_bending(part)
         # Without an order in time nothing tells white noise from all else: only what is beyond it refuses.
-        if left > (limits.RESIDUAL if data.time is not None else limits.NOISY):
-            share = measure_bending(part)
-            bends = share > limits.BENDS_MOSTLY * left
-            found.append(_find_bending(data, share) if bends else _find_residual(data, part, left))
-    return found
+        beyond = left > (limits.RESIDUAL if data.time is not None else limits.NOISY)
+        if bends > least and bends > limits.BENDS_PARTLY * left:
+            most = max(most, bends)
+            beyond &= bends <= limits.BENDS_MOSTLY * left
+            if not beyond:
+                found.append(_find_bending(data, bends))
+        if beyond:
+            found.append(_find_residual(data, part, left))
+    return most, found
+
+
+def _check_outliers(data: InSituSet, part: CompressedSet) -> list[Finding]:
+    rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
+    rejected = rejected & ~_settles(data, rejected)
+    share = float(np.mean(rejected))
+    if share <= limits.STRAY:
+        return []
+    beside = np.concatenate([[False], rejected, [False]])
+    singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
+    if share <= limit:
+        reason = (
+            f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"
+            f"{_span(data, rejected)}: {'they stand alone' if singly else _TOUCHED}."
+        )
+        return [Finding("outliers", reason, value=share, limit=limits.STRAY, refuses=False)]
+    reason = f"'{data.name}': {share:.0%} of the samples disagree with all others{_span(data, rejected)}."
+    cure = (
+        "Something touched the limb or it moved too fast: leave that time out, or record the set again with "
+        "the foot in the air."
+    )
+    if singly:
+        reason, cure = (
+            f"{reason} {_SINGLY}",
+            "Check the cable and its shield, and leave readings out that leap.",
+        )
+    return [Finding("outliers", reason, cure, share, limit, contradicts=not singly)]
 
 
 def _settles(data: InSituSet, rejected: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -360,30 +380,6 @@ def _settles(data: InSituSet, rejected: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def measure_residual(parts: Sequence[CompressedSet]) -> float:
     """Return the largest share of a set's spread that gravity does not explain, noise and all."""
     return max(_share_of_spread(float(np.sum(part.residual**2)), part) for part in parts)
-
-
-def check_bending(
-    sets: Sequence[InSituSet], parts: Sequence[CompressedSet], hidden: float
-) -> tuple[float, list[Finding]]:
-    """Measure how much a limb bends; return the share and the findings.
-
-    A share of hysteresis that may be hidden in the readings looks like it for a while.
-    """
-    limit = limits.BENDING_BESIDE if hidden else limits.BENDING
-    most, found = 0.0, []
-    if hidden > limits.HIDDEN:
-        reason = (
-            f"{measure_residual(parts):.1%} of the readings' spread is noise or hysteresis, and only samples "
-            f"with times, enough of them, tell which: the answer is as sure as {hidden:.1%} of hysteresis "
-            "lets it be."
-        )
-        found.append(Finding("hidden hysteresis", reason, value=hidden, limit=limits.HIDDEN, refuses=False))
-    for data, part in zip(sets, parts, strict=True):
-        share = measure_bending(part)
-        if share > limit and share > limits.BENDS_PARTLY * _residual_share(data, part):
-            most = max(most, share)
-            found.append(_find_bending(data, share))
-    return most, found
 
 
 def _find_bending(data: InSituSet, share: float) -> Finding:

@@ -280,12 +280,6 @@ class CompressedSet:
         return max(self.rows - 1 - int(np.linalg.matrix_rank(self.uu)), 0)
 
     @property
-    def log_colour(self) -> float:
-        """The sum of the logarithms of the power of the rows' noise, before they were weighted."""
-        weights = self.colour.weights(self.rows, self.source.spacing)
-        return float(np.sum(np.log(self.power) - np.log(weights)))
-
-    @property
     def affine_residual(self) -> float:
         """Share of the readings' spread outside the three-space of Lemma 1, by its square root."""
         singular = np.linalg.svd(np.concatenate([self.ur, self.rr]), compute_uv=False)

@@ -13,7 +13,7 @@ from surefoot.calibration.in_situ.data import Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
+from surefoot.calibration.in_situ.problem import Problem, weigh_limb
 from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.reference import GRAVITY
 
@@ -95,7 +95,7 @@ def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vect
     """
     assert problem.maker is not None
     outer = start.copy()
-    outer[:STATIC] = _limb_by(matrix, problem, rotation)
+    outer[:STATIC] = weigh_limb(matrix, problem, rotation)
     ratio = problem.maker.std / problem.maker.std[0, 0]
     response = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     scores = []
@@ -108,16 +108,10 @@ def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vect
     return float(np.logaddexp.reduce(scores))
 
 
-def _limb_by(matrix: Matrix, problem: Problem, rotation: Matrix) -> Vector:
-    """Return (m, m c) of the limb that a matrix shows, shape (4,)."""
-    seen = np.array([weigh_hanging(matrix, part, rotation) for part in problem.sets])
-    return np.asarray(np.mean(seen - problem.added[:, :STATIC], axis=0))
-
-
 def _hangs(matrix: Matrix, solution: Solution) -> Matrix | None:
     """Return the loads of all sets with the limb that a matrix shows; None if its mass is negative."""
     outer = solution.outer.copy()
-    outer[:STATIC] = _limb_by(matrix, solution.problem, solution.rotation)
+    outer[:STATIC] = weigh_limb(matrix, solution.problem, solution.rotation)
     return None if outer[MASS] <= 0.0 else _loads(replace(solution, outer=outer))
 
 

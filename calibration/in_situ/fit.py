@@ -74,6 +74,11 @@ class Limb:
         return limb_parameters(self.mass, self.mass_com, self.inertia)
 
 
+def _name(in_file: str) -> dict[str, str]:
+    """Name a field in files."""
+    return {"name": in_file}
+
+
 @dataclass(frozen=True, eq=False)
 class InSituFit:
     """A calibrated six-axis sensor, w = C (r - o) (in-situ paper, Eq. 2), with J sets of k channels.
@@ -122,36 +127,42 @@ class InSituFit:
         delay: By which gravity was late against the readings in s, which was undone.
     """
 
-    matrix: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    response: NDArray[np.float64]
+    matrix: Matrix = field(metadata=_name("matrix_N_Nm_per_count"))
+    offset: Matrix = field(metadata=_name("offset_count"))
+    offsets: Matrix = field(metadata=_name("offset_of_each_set_count"))
+    response: Matrix = field(metadata=_name("response_count_per_N_Nm"))
     limb: Limb
-    covariance: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    temperature_coefficient: NDArray[np.float64] | None
-    rotation: NDArray[np.float64]
+    covariance: Matrix = field(metadata=_name("covariance"))
+    noise: Matrix = field(metadata=_name("noise_covariance_count2"))
+    temperature_coefficient: Matrix | None = field(metadata=_name("temperature_coefficient_count_per_K"))
+    rotation: Matrix = field(metadata=_name("R_sensor_accelerometer"))
     result: FitResult
     refusals: tuple[CalibrationRefused, ...]
     warnings: tuple[str, ...]
     stats: FitStats
     set_stats: tuple[FitStats, ...]
-    affine_residual: NDArray[np.float64]
+    affine_residual: Matrix = field(metadata=_name("affine_residual_of_each_set"))
     set_names: tuple[str, ...]
-    temperature_reference: float = 0.0
-    temperature_gain: NDArray[np.float64] | None = None
-    hysteresis: NDArray[np.float64] | None = None
-    channel_hysteresis: NDArray[np.float64] | None = None
-    offset_doubt: NDArray[np.float64] | None = None
-    data_share: NDArray[np.float64] | None = None
-    maker_known: NDArray[np.float64] | None = None
-    accepted: str = ""
-    bending: float = 0.0
-    scope: str = ""
-    maker_share: float | None = None
-    accelerometer_bias: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    accelerometer_scale: float = 1.0
-    delay: float = 0.0
+    temperature_reference: float = field(default=0.0, metadata=_name("temperature_reference_degC"))
+    temperature_gain: Matrix | None = field(default=None, metadata=_name("temperature_gain_per_K"))
+    hysteresis: Matrix | None = field(default=None, metadata=_name("hysteresis_share_of_swing"))
+    channel_hysteresis: Matrix | None = field(
+        default=None, metadata=_name("hysteresis_share_of_swing_of_each_channel")
+    )
+    offset_doubt: Matrix | None = field(
+        default=None, metadata=_name("offset_covariance_by_hysteresis_count2")
+    )
+    data_share: Matrix | None = field(default=None, metadata=_name("data_share_of_covariance"))
+    maker_known: Matrix | None = field(default=None, metadata=_name("data_share_of_factory_errors"))
+    accepted: str = field(default="", metadata=_name("accepted"))
+    bending: float = field(default=0.0, metadata=_name("bending_share_of_spread"))
+    scope: str = field(default="", metadata=_name("scope"))
+    maker_share: float | None = field(default=None, metadata=_name("factory_share_of_full_scale"))
+    accelerometer_bias: Matrix = field(
+        default_factory=lambda: np.zeros(3), metadata=_name("accelerometer_bias_m_s2")
+    )
+    accelerometer_scale: float = field(default=1.0, metadata=_name("accelerometer_scale"))
+    delay: float = field(default=0.0, metadata=_name("accelerometer_delay_s"))
 
     @property
     def columns(self) -> FitColumns:
@@ -256,35 +267,10 @@ _CONVENTIONS = (
 )
 _USED = ("matrix", "offset", "response", "noise")
 
-_NAMES = {
-    "matrix": "matrix_N_Nm_per_count",
-    "offset": "offset_count",
-    "offsets": "offset_of_each_set_count",
-    "response": "response_count_per_N_Nm",
-    "noise": "noise_covariance_count2",
-    "temperature_coefficient": "temperature_coefficient_count_per_K",
-    "temperature_gain": "temperature_gain_per_K",
-    "hysteresis": "hysteresis_share_of_swing",
-    "channel_hysteresis": "hysteresis_share_of_swing_of_each_channel",
-    "rotation": "R_sensor_accelerometer",
-    "affine_residual": "affine_residual_of_each_set",
-    "covariance": "covariance",
-    "offset_doubt": "offset_covariance_by_hysteresis_count2",
-    "data_share": "data_share_of_covariance",
-    "maker_known": "data_share_of_factory_errors",
-    "accelerometer_bias": "accelerometer_bias_m_s2",
-}
 
-_SCALARS = {
-    "temperature_reference": "temperature_reference_degC",
-    "bending": "bending_share_of_spread",
-    "scope": "scope",
-    "accepted": "accepted",
-    "maker_share": "factory_share_of_full_scale",
-    "accelerometer_scale": "accelerometer_scale",
-    "delay": "accelerometer_delay_s",
-}
-"""Fields that are no arrays; files of the same version may lack any that has a default."""
+def _fields_of_files() -> dict[str, str]:
+    """Return the names in files of the fields that stand there as they are, by the field's name."""
+    return {one.name: one.metadata["name"] for one in dataclasses.fields(InSituFit) if one.metadata}
 
 
 def facts_of(
@@ -308,7 +294,7 @@ def facts_of(
             "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
             "warnings": fit.warnings,
             "notices": notices,
-            **{name: getattr(fit, field) for field, name in (_NAMES | _SCALARS).items()},
+            **{name: getattr(fit, field) for field, name in _fields_of_files().items()},
             "matrix_std_N_Nm_per_count": fit.matrix_std,
             "offset_std_count": fit.offset_std,
             "limb": {
@@ -353,7 +339,7 @@ def read_calibration(path: Path) -> InSituFit:
         fit = _fit_of(given)
         for field in _USED if fit.result is not FitResult.REFUSED else ():
             if not (np.abs(getattr(fit, field)) <= LARGEST).all():
-                raise ValueError(f"'{_NAMES[field]}' holds what no sensor has")
+                raise ValueError(f"'{_fields_of_files()[field]}' holds what no sensor has")
         return fit
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
@@ -364,14 +350,14 @@ def read_calibration(path: Path) -> InSituFit:
 def _fit_of(given: dict[str, Any]) -> InSituFit:
     if given.get("nonlinear") is not None:
         raise ValueError("a polynomial, which fits no longer have")
-    defaults = {one.name for one in dataclasses.fields(InSituFit) if one.default is not dataclasses.MISSING}
-    defaults.add("accelerometer_bias")
-    values = {
-        field: _array(given[name])
-        for field, name in _NAMES.items()
-        if field not in defaults or given.get(name) is not None
-    }
-    values |= {field: given[name] for field, name in _SCALARS.items() if name in given}
+    values: dict[str, Any] = {}
+    for one in dataclasses.fields(InSituFit):
+        optional = one.default is not dataclasses.MISSING or one.default_factory is not dataclasses.MISSING
+        name = one.metadata.get("name")
+        # Files of the same version may lack what has a default.
+        if name is not None and not (optional and given.get(name) is None):
+            value = given[name]
+            values[one.name] = _array(value) if isinstance(value, list) else value
     limb = given["limb"]
     return InSituFit(
         limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),

@@ -61,9 +61,6 @@ _ARM = 1.0
 _SAMPLES = 8000
 """Samples of all sets that are looked at."""
 
-_BLOCK = 3.0
-"""Time in s beyond which errors of the length hang together no more."""
-
 _LEAST = 1e-4
 """Deviation of the length in m/s^2 at least: data without noise have none."""
 
@@ -124,7 +121,7 @@ class Sphere:
 
 def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     """Return the likeliest bias, scale and noise of the accelerometer by all sets together."""
-    gravity, turned, width = [], [], 1
+    gravity, turned = [], []
     for one in sets:
         data, _ = add_turning(one)
         rows = np.flatnonzero(np.isfinite(data.gravity).all(axis=1))
@@ -133,7 +130,6 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         whole = np.isfinite(felt).all(axis=(1, 2))
         gravity.append(data.gravity[rows[whole]])
         turned.append(felt[whole])
-        width = max(width, _rows_within(data, rows[whole]))
     g, K = np.concatenate(gravity), np.concatenate(turned)
     root = np.concatenate([np.full(3, 1.0 / _BIAS), [1.0 / _LENGTH], np.full(3, 1.0 / _ARM)])
     before = np.zeros(7)
@@ -147,7 +143,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         towards = v / np.maximum(size, np.finfo(float).tiny)[:, None]
         noise = max(float(MAD_TO_STD * np.median(np.abs(off))), _LEAST)
         weight = 1.0 / np.maximum(1.0, np.abs(off) / (_GATE * noise))
-        variance = max(float(np.average(off**2, weights=weight)), _LEAST**2) * _long_run(off, width)
+        variance = max(float(np.average(off**2, weights=weight)), _LEAST**2)
         slopes = np.column_stack([-towards, -np.ones(len(g)), np.einsum("na,nab->nb", towards, K)])
         H = (slopes.T * weight) @ slopes / variance + np.diag(root**2)
         x = x - np.linalg.solve(H, (slopes.T * weight) @ off / variance + root**2 * (x - before))
@@ -196,22 +192,6 @@ def smooth(off: Vector) -> Vector:
     smooth = np.full_like(off, np.nan)
     smooth[whole] = idct(share * modes, norm="ortho")
     return smooth
-
-
-def _rows_within(data: InSituSet, rows: NDArray[np.int_]) -> int:
-    """Return how many of some rows hang together at most."""
-    if data.time is None or len(rows) < 2:
-        return 1
-    return max(round(_BLOCK / float(np.median(np.diff(data.time[rows])))), 1)
-
-
-def _long_run(off: Vector, width: int) -> float:
-    """Return the variance of means of so many rows over that of independent ones, at least one."""
-    count = len(off) // width
-    if width < 2 or count < 8:
-        return 1.0
-    of_means = np.var(off[: count * width].reshape(count, width).mean(axis=1))
-    return max(1.0, width * float(of_means) / max(float(np.var(off)), np.finfo(float).tiny))
 
 
 def add_turning(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:

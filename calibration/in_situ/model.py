@@ -23,6 +23,7 @@ Readings are whitened by their noise, :math:`W \Sigma W' = 1`, so that rows are 
 one (:class:`LinearSensor`). For k > 6 channels D moves A within the space that it spans.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -106,6 +107,24 @@ def transform_basis(moving: bool) -> Matrix:
     basis = basis if moving else basis[:STATIC, :, DIRECT]
     basis.setflags(write=False)
     return basis
+
+
+def stack_equations(
+    basis: Matrix, parts: Sequence[tuple[Matrix, Matrix]], added: Sequence[Matrix] | Matrix
+) -> tuple[Matrix, Matrix]:
+    """Return regressors by (C row by row, phi_b) and targets of C r - T_b u = T_a u (paper, Eqs. 21-24).
+
+    Args:
+        basis: T_p, shape (p, 6, s).
+        parts: Signals and readings less the offset of each set, (n_j, s) and (n_j, k).
+        added: Inertial parameters of what was added in each, shape (p,).
+    """
+    rows, targets = [], []
+    for (u, r), body in zip(parts, added, strict=True):
+        moved = basis @ u.T
+        rows.append(np.hstack([np.kron(np.eye(AXES), r), -moved.reshape(len(basis), -1).T]))
+        targets.append(np.einsum("p,pws->ws", body, moved).ravel())
+    return np.concatenate(rows), np.concatenate(targets)
 
 
 def signal_rotation(R: Matrix, moving: bool) -> Matrix:

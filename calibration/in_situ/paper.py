@@ -42,10 +42,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
+from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.in_situ.data import InSituSet, Matrix
 from surefoot.calibration.in_situ.fit import Limb
-from surefoot.calibration.in_situ.model import ENOUGH_MASSES, different_masses, inertial_parameters
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    ENOUGH_MASSES,
+    STATIC,
+    different_masses,
+    inertial_parameters,
+    stack_equations,
+    transform_basis,
+)
 from surefoot.calibration.results import CalibrationRefused, FitStats
 
 _EXACT = 1e-9
@@ -253,12 +262,11 @@ def estimate_matrix(
     spare = max(samples - 3 * len(sets), 1)
     noise = np.sqrt(sum(np.sum(factor[3:, 3:] ** 2, axis=0) for factor in factors) / spare)
     noise = noise_margin * np.sqrt(3 * len(sets)) * noise
-    blocks = [_stack(sets, factors, rows=None), _stack(sets, factors, rows=3)]
-    force, torque = (
-        _solve(full, target, signal, tolerance, noise, 3 * samples)
-        for (full, target), (signal, _) in zip(*blocks, strict=True)
-    )
-    rank, unknowns = force.rank + torque.rank, 6 * p + 4
+    rows, target = _stack(sets, factors)
+    rows, length = of_unit_length(rows)
+    explained = np.linalg.svd(_stack(sets, [factor[:3] for factor in factors])[0] / length, compute_uv=False)
+    least = max(tolerance * explained[0], float(np.max(noise / length[:p])))
+    rank, unknowns = int(np.sum(explained > least)), len(length)
     if rank < unknowns:
         raise CalibrationRefused(
             f"The sets determine {rank} of {unknowns} unknowns of matrix and limb although they hold three "
@@ -266,36 +274,31 @@ def estimate_matrix(
             "or gravity hardly turned.",
             "Hang a heavier mass beside that line, and turn the limb about two axes in every set.",
         )
-
-    of_matrix, of_limb = slice(0, 3 * p), slice(3 * p, None)
-    matrix = np.vstack([half.solution[of_matrix].reshape(3, p) @ directions.T for half in (force, torque)])
-    to_matrix = np.asarray(np.kron(np.eye(3), directions), dtype=np.float64)
-    square = force.square + torque.square
+    left, singular, right = np.linalg.svd(rows, full_matrices=False)
+    back = right.T / singular / length[:, None]
+    solution = back @ (left.T @ target)
+    # Forces and torques share no unknown, and have each a variance of their own.
+    of_torque = np.concatenate([np.repeat([False, True], 3 * len(factor)) for factor in factors])
+    half = np.concatenate([np.repeat([0, 1], 3 * p), [0, 1, 1, 1]])
+    wrong = (target - rows @ (length * solution)) ** 2
+    square = np.array([np.sum(wrong[~of_torque]), np.sum(wrong[of_torque])])
+    free = 3 * samples - np.bincount(half)
+    std = np.sqrt(np.where(free > 0, square / np.maximum(free, 1), np.nan))[half]
+    root = block_diag(np.kron(np.eye(AXES), directions), np.eye(STATIC)) @ (std[:, None] * back)
     return PaperMatrixFit(
-        matrix=matrix,
-        limb=Limb(mass=float(force.solution[of_limb].item()), mass_com=torque.solution[of_limb]),
-        covariance=_join(force.covariance, torque.covariance, to_matrix),
+        matrix=solution[: AXES * p].reshape(AXES, p) @ directions.T,
+        limb=Limb(mass=float(solution[AXES * p]), mass_com=solution[AXES * p + 1 :]),
+        covariance=np.asarray(root @ root.T),
         stats=FitStats(
             samples=samples,
             dropped=sum(len(one.raw) for one in sets) - samples,
             gated=0,
-            residual_rms=float(np.sqrt(square / (6 * samples))),
+            residual_rms=float(np.sqrt(np.sum(square) / (AXES * samples))),
             rank=rank,
             unknowns=unknowns,
-            condition=max(force.condition, torque.condition),
+            condition=float(singular[0] / singular[-1]),
         ),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """One half of Eq. 21: its unknowns, how sure they are, and the residual."""
-
-    solution: Matrix
-    covariance: Matrix
-    square: float
-    rank: int
-    condition: float
 
 
 def _compress(one: InSituSet, offset: Matrix) -> tuple[Matrix, int]:
@@ -319,67 +322,11 @@ def _signal_directions(factors: Sequence[Matrix], channels: int) -> Matrix:
     return np.asarray(right[:6].T)
 
 
-def _stack(
-    sets: Sequence[InSituSet], factors: Sequence[Matrix], rows: int | None
-) -> list[tuple[Matrix, Matrix]]:
-    """Return regressors and targets of Eq. 21, for the forces and for the torques."""
-    force, torque = [], []
-    for one, factor in zip(sets, factors, strict=True):
-        g, r = factor[:rows, :3], factor[:rows, 3:]
-        zero = np.zeros(len(g))
-        gx, gy, gz = g.T
-        cross = np.vstack(  # [g]x of all rows: first the x components, then y, then z
-            [
-                np.column_stack([zero, -gz, gy]),
-                np.column_stack([gz, zero, -gx]),
-                np.column_stack([-gy, gx, zero]),
-            ]
-        )
-        of_matrix = np.kron(np.eye(3), r)
-        level = g.T.reshape(-1, 1)
-        force.append((np.hstack([of_matrix, -level]), one.added_mass * level[:, 0]))
-        torque.append((np.hstack([of_matrix, cross]), -cross @ (one.added_mass * one.added_com)))
-    return [
-        (np.vstack([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
-        for parts in (force, torque)
-    ]
-
-
-def _solve(
-    regressors: Matrix,
-    target: Matrix,
-    signal: Matrix,
-    tolerance: float,
-    noise: Matrix,
-    rows: int,
-) -> _Solved:
-    """Return the least-squares solution of one half, with its rank from the part that gravity explains."""
-    length = np.linalg.norm(regressors, axis=0)
-    length[length == 0.0] = 1.0
-    singular = np.linalg.svd(signal / length, compute_uv=False)
-    least = max(tolerance * singular[0], np.max(noise / length[: len(noise)]))
-    rank = int(np.sum(singular > least))
-    left, full, right = np.linalg.svd(regressors / length, full_matrices=False)
-    unknowns = len(length)
-    if rank < unknowns:
-        nothing = np.full(unknowns, np.nan)
-        return _Solved(nothing, np.diag(nothing), np.nan, rank, np.inf)
-    back = (right.T / full) / length[:, None]
-    solution = back @ (left.T @ target)
-    square = float(np.sum((target - regressors @ solution) ** 2))
-    variance = square / (rows - unknowns) if rows > unknowns else np.nan
-    return _Solved(solution, variance * back @ back.T, square, rank, float(full[0] / full[-1]))
-
-
-def _join(force: Matrix, torque: Matrix, to_matrix: Matrix) -> Matrix:
-    """Return the covariances of (C_force, m) and (C_torque, m c) in the order (C, m, m c)."""
-    p, entries = to_matrix.shape[1], to_matrix.shape[0]
-    carry = np.zeros((2 * entries + 4, 2 * p + 4))
-    carry[:entries, :p] = to_matrix
-    carry[2 * entries, p] = 1.0
-    carry[entries : 2 * entries, p + 1 : 2 * p + 1] = to_matrix
-    carry[2 * entries + 1 :, 2 * p + 1 :] = np.eye(3)
-    return np.asarray(carry @ block_diag(force, torque) @ carry.T)
+def _stack(sets: Sequence[InSituSet], factors: Sequence[Matrix]) -> tuple[Matrix, Matrix]:
+    """Return regressors and targets of Eq. 21 by rows [g, r - o] of each set."""
+    added = [inertial_parameters(one.added_mass, one.added_com, moving=False) for one in sets]
+    parts = [(factor[:, :3], factor[:, 3:]) for factor in factors]
+    return stack_equations(transform_basis(moving=False), parts, added)
 
 
 def _check_masses(sets: Sequence[InSituSet]) -> None:

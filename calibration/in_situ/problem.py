@@ -24,6 +24,7 @@ from surefoot.calibration.in_situ.model import (
     MOVING,
     STATIC,
     inertial_parameters,
+    stack_equations,
     transform_basis,
 )
 
@@ -247,7 +248,7 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
     """
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:
-        found.append(_start_by_matrix(problem, factory, np.eye(3)))
+        found.append(_pad(problem, weigh_limb(factory, problem, np.eye(3))))
     largest = float(np.max(problem.added[:, MASS]))
     if largest > 0.0:
         # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
@@ -266,7 +267,7 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
     turned = [np.concatenate([start, turn]) for start in found for turn in turns]
     if factory is not None:
         matrices = [Rotation.from_rotvec(turn).as_matrix() for turn in turns]
-        by_matrix = [_start_by_matrix(problem, factory, matrix) for matrix in matrices]
+        by_matrix = [_pad(problem, weigh_limb(factory, problem, matrix)) for matrix in matrices]
         turned = [np.concatenate(pair) for pair in zip(by_matrix, turns, strict=True)] + turned
     return turned
 
@@ -290,26 +291,22 @@ def weigh_hanging(
     return np.asarray(np.linalg.lstsq(basis.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
 
 
-def _start_by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> Vector:
+def weigh_limb(matrix: Matrix, problem: Problem, rotation: Matrix) -> Vector:
+    """Return (m, m c) of the limb that a matrix shows in the mean of all sets, shape (4,)."""
     seen = [weigh_hanging(matrix, part, rotation) for part in problem.sets]
-    return _pad(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
+    return np.asarray(np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
 
 
 def _by_paper(problem: Problem) -> Vector:
     """In-situ paper, Eqs. 18-24, on compressed rows, in which the noise is averaged: C r - T_b u = T_a u."""
-    basis = problem.basis
-    count = basis.shape[2]
     readings = [problem.whitening @ part.ur.T for part in problem.sets]
     left = np.linalg.svd(np.concatenate(readings, axis=1))[0][:, :AXES]
-    rows, right = [], []
-    for part, reading, added in zip(problem.sets, readings, problem.added, strict=True):
-        moved = basis @ part.uu[:, :count].T
-        matrix = np.kron(np.eye(AXES), (left.T @ reading).T)
-        rows.append(np.hstack([matrix, -moved.reshape(len(basis), -1).T]))
-        right.append(np.einsum("p,pws->ws", added, moved).ravel())
-    unit, size = of_unit_length(np.concatenate(rows))
-    solution = np.linalg.lstsq(unit, np.concatenate(right), rcond=_ROUNDING)[0] / size
-    return np.asarray(solution[-len(basis) :])
+    loads = slice(0, problem.basis.shape[2])
+    parts = [(part.uu[:, loads], one.T @ left) for part, one in zip(problem.sets, readings, strict=True)]
+    rows, right = stack_equations(problem.basis, parts, problem.added)
+    unit, size = of_unit_length(rows)
+    solution = np.linalg.lstsq(unit, right, rcond=_ROUNDING)[0] / size
+    return np.asarray(solution[-problem.parameters :])
 
 
 def _pad(problem: Problem, static: Sequence[float] | Vector) -> Vector:

@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import check_bending, measure_residual
+from surefoot.calibration.in_situ.check import check_within, measure_residual
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
     OpenErrors,
@@ -89,7 +89,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     task, solution = solved.task, mean_of(solved.members)
     problem = solution.problem
     columns = FitColumns.of(len(problem.noise))
-    bends, findings = check_bending(solved.sets, problem.sets, solved.hidden)
+    bends, findings = check_within(solved.sets, problem.sets, solved.hidden)
     findings += slow_turn(solved.sets, problem.sets)
     doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved, solution))
     # A limb that is not as it was given draws all masses with it.

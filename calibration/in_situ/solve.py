@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct, idct
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import orthonormal, skew
-from surefoot.calibration.in_situ.compress import add_signals
+from surefoot.calibration.arrays import of_unit_length, orthonormal, skew
+from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.compress import SetRows, add_signals, motion_of
 from surefoot.calibration.in_situ.data import Matrix, Vector
 from surefoot.calibration.in_situ.model import AXES, MASS, signal_rotation, signal_rotation_slope
 from surefoot.calibration.in_situ.problem import Problem
@@ -36,6 +36,9 @@ _AS_GOOD = 10.0
 
 CONVERGED, _EVALUATIONS = 1e-8, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
+
+_ROUNDING = 1e-9
+"""Share of the largest mixture of channels at or below which another is rounding."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
 """Mass in kg by which unknowns are scaled at least, and angle in rad below which a short series is exact."""
@@ -384,28 +387,39 @@ def criterion(solution: Solution) -> float:
 
 
 def deviance(solution: Solution) -> float:
-    """Return minus twice the log-likelihood of the sets' rows at the channels' likeliest covariance.
+    """Return minus twice the log-likelihood of rows, with the likeliest colour of all that a fit leaves.
 
-    In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
-    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|
-    for n rows of k channels.
+    The priors that the fit has, such as a maker's, count as well: they hold back what needs a sensor that is
+    far off. Noise counts as at least the error of a search: without noise anything would fit to some
+    rounding.
     """
-    left = np.concatenate(whiten_residuals(solution))
-    rows, channels = left.shape
-    scatter = left.T @ left
-    size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
-    _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
-    logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
-    of_colour = channels * sum(part.log_colour for part in solution.problem.sets)
-    value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
+    spectra, rows = [], [part.source for part in solution.problem.sets]
+    channels = _separate_channels(rows)
+    for one, B in zip(rows, solution.predicted, strict=True):
+        weight, u, readings = np.split(one.columns, [1, 1 + one.inputs], axis=1)
+        left, constant = (readings - u @ B.T) @ channels, weight / np.linalg.norm(weight)
+        spectra.append(Spectrum.of(left - constant @ (constant.T @ left), constant, one.spacing))
+    value = likeliest_colour(spectra, motion_of(rows), rows[0].walks, CONVERGED**2)[1]
+    if not np.isfinite(value):
+        # Few rows show no colour.
+        modes = np.concatenate([one.modes for one in spectra])
+        scatter = modes.T @ modes + len(modes) * CONVERGED**2 * np.eye(modes.shape[1])
+        value = len(modes) * float(np.linalg.slogdet(scatter)[1])
+    value += solution.prior_square
     return value if np.isfinite(value) else np.inf
 
 
-def whiten_residuals(solution: Solution) -> list[Matrix]:
-    """Whiten the residuals of each set's rows by their colour, in the order of time, shape (m, k)."""
-    found = []
-    sets = solution.problem.sets
-    for part, between in zip(sets, solution.problem.unwhiten(solution.residual), strict=True):
-        modes = dct(part.residual - part.score @ between, norm="ortho", axis=0)
-        found.append(np.asarray(idct(modes / np.sqrt(part.power)[:, None], norm="ortho", axis=0)))
-    return found
+def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
+    """Return mixtures of channels of which none follows from the others, shape (k, q).
+
+    Readings have variance one in each channel before they are mixed.
+    """
+    centred = []
+    for one in rows:
+        readings, constant = one.columns[:, 1 + one.inputs :], one.columns[:, :1]
+        constant = constant / np.linalg.norm(constant)
+        centred.append(readings - constant @ (constant.T @ readings))
+    unit, size = of_unit_length(np.concatenate(centred))
+    _, singular, mixtures = np.linalg.svd(unit, full_matrices=False)
+    std = size / np.sqrt(sum(float(np.sum(one.weight**2)) for one in rows))
+    return np.asarray(mixtures[singular > _ROUNDING * singular[0]].T / std[:, None])
