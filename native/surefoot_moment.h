@@ -310,8 +310,10 @@ SF_API int sf_component(int row) {
 /* Whether a component is a force. */
 SF_API int sf_is_force(int row) { return row == 0 || row == 3 || row == 4; }
 
-/* Model._point and _of_channels: o, and in w->unit what a unit of each channel does about it, shape (n, C, K). */
-SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n, sf_moment_work *w) {
+/* Model._point and _of_channels: o, and in w->unit what a unit of each channel does about it, shape (n, C, K); `mean` is
+   that over the block, shape (C, K). spare: how forces are made of others where a channel is out, or NULL. */
+SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n, const sf_real *spare,
+                     sf_real *mean, sf_moment_work *w) {
     int K = c->channels, C = m->components, wide = sf_waiting(c);
     sf_real total = 0, x = 0, y = 0, T = 0, *point = w->rows.point, height = 0;
     for (int t = 0; t < n; t++) {
@@ -324,7 +326,8 @@ SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_rea
             int foot = c->foot_of_channel[i];
             const sf_real *R = rotation + 9 * foot, *at = sole + 3 * foot, *map = c->wrench_map + foot * 6 * K + i;
             sf_real own[3] = {map[0], map[K], map[2 * K]}, torque[3] = {map[3 * K], map[4 * K], map[5 * K]};
-            sf_real by = dt * w->force[t * K + i], part[6], moved[3];
+            sf_real force = spare ? sf_dot(spare + i * K, w->force + t * K, K) : w->force[t * K + i];
+            sf_real by = dt * force, part[6], moved[3];
             sf_turn(part, R, own);
             sf_turn(part + 3, R, torque);
             total += by * part[2];
@@ -347,6 +350,14 @@ SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_rea
             hx[i] -= point[1] * fz[i] - point[2] * fy;
             hy[i] -= point[2] * fx - point[0] * fz[i];
             if (C == 6) unit[5 * K + i] -= point[0] * fy - point[1] * fx;
+        }
+        for (int r = 0; r < C; r++) {
+            sf_real own[SF_CHANNELS];
+            for (int i = 0; i < K; i++) mean[r * K + i] += unit[r * K + i] * (samples[t * wide + sf_at_dt(c)] / T);
+            if (!spare) continue;
+            sf_copy(own, unit + r * K, K);
+            memset(unit + r * K, 0, (size_t)K * sizeof(sf_real));
+            for (int i = 0; i < K; i++) sf_add(unit + r * K, own[i], spare + i * K, K);
         }
     }
 }
@@ -373,7 +384,8 @@ SF_API void sf_measured_variance(const sf_config *c, const sf_moment_config *m, 
 /* Model.rows. published: scales, offsets and drift; lasting: variance of each channel's force that
    lasts, in W^2. */
 SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n,
-                                const sf_real *published, const sf_real *lasting, sf_moment_work *w) {
+                                const sf_real *published, const sf_real *lasting, const sf_real *spare,
+                                sf_moment_work *w) {
     int K = c->channels, C = m->components, N = sf_states(c, m), wide = sf_waiting(c), at = sf_momenta(c, m);
     const sf_real *a = published, *b = published + K, *u = published + 2 * K;
     sf_moment_rows *out = &w->rows;
@@ -385,7 +397,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
             w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
             read[i] += samples[t * wide + K + i];
         }
-    sf_units(c, m, samples, n, w);
+    sf_units(c, m, samples, n, spare, weighted, w);
     sf_real T = out->duration;
     memset(out->mean, 0, (size_t)(C * N) * sizeof(sf_real));
     memset(out->end, 0, (size_t)(C * N) * sizeof(sf_real));
@@ -394,8 +406,9 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
     memset(out->measured, 0, (size_t)C * sizeof(sf_real));
     memset(out->velocity, 0, sizeof out->velocity);
     out->height = 0;
-    fewest = read[0];
-    for (int i = 1; i < K; i++) fewest = sf_min(fewest, read[i]);
+    fewest = (sf_real)n;
+    for (int i = 0; i < K; i++)
+        if (!spare || spare[i * K + i] > (sf_real)0.5) fewest = sf_min(fewest, read[i]);
     sf_real held = (sf_real)n / sf_max(fewest, 1); /* samples that a reading stands for on the average */
     after = T;
     for (int t = 0; t < n; t++) {
@@ -420,7 +433,6 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 pulls[which * C + r] += by_share * pull;
             }
             for (int i = 0; i < K; i++) {
-                weighted[r * K + i] += unit[r * K + i] * (dt / T);
                 sf_add(out->crossed + (r * K + i) * K, share[0] * unit[r * K + i], row, K);
             }
         }
@@ -1419,15 +1431,17 @@ SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_sta
     } else s->age += duration;
 }
 
-/* MomentFilter._product: variances of forces in W^2 by open errors of scale and drift together. */
-SF_API void sf_open_product(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
-                            const sf_tares *tare, sf_real *product) {
+/* MomentFilter._lasting: variances of forces in W^2 by what no unknown stands for. */
+SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, const sf_tares *tare,
+                       sf_real *lasting) {
     int K = c->channels, M = sf_weighed(c);
     const sf_real *P = s->published.covariance;
+    sf_real longest = sf_max(m->product_time / (2 * m->mode_time[0]), 1);
     for (int i = 0; i < K; i++) {
         sf_real since = s->time - sf_max(tare->time[c->foot_of_channel[i]], 0);
         sf_real longer = sf_max(sf_min(since, m->product_time) / (2 * m->mode_time[0]), 1);
-        product[i] = longer * P[i * M + i] * P[(2 * K + i) * M + 2 * K + i];
+        lasting[i] = longer * P[i * M + i] * P[(2 * K + i) * M + 2 * K + i];
+        lasting[i] += longest * sf_power2(s->faults.spare_std[i] / c->weight);
     }
 }
 
@@ -1758,7 +1772,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 /* The part of MomentFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
-    int follows = s->linked && s->track.adrift < m->leg_time;
+    int follows = s->linked && s->track.adrift < m->leg_time, whole = sf_all_there(c, &s->faults);
     int N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
@@ -1770,7 +1784,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         for (int j = 1; j < SF_MODES; j++)
             if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
         ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
-        guilty = sf_suspect(c, m, s, n, step, published, likeliest, w);
+        guilty = whole ? sf_suspect(c, m, s, n, step, published, likeliest, w) : -1;
         if (guilty != -1) return -3 - guilty;
         *rejected = sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration;
     }
@@ -1794,7 +1808,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
     }
     if (!good) return SF_SINGULAR;
-    if (!s->linked) {
+    if (!s->linked || !whole) {
         sf_read_suspects(c, m, &s->suspects, s->pending, n);
         sf_copy(s->suspects.before, rows->at_end, m->components);
     }
@@ -1808,7 +1822,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
 SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                               sf_real *nis, sf_real *nis_rows) {
     int K = c->channels, M = sf_weighed(c), wide = sf_waiting(c), n = (int)s->waiting - 1, held = 0, missing = 0, out = 0, rejected = 0;
-    sf_real duration = 0, lost[SF_CHANNELS], published[SF_WEIGHED], product[SF_CHANNELS];
+    sf_real duration = 0, lost[SF_CHANNELS], published[SF_WEIGHED], lasting[SF_CHANNELS];
     sf_tares tare;
     for (int t = 0; t < n; t++) duration += s->pending[t * wide + sf_at_dt(c)];
     sf_age(c, m, s, duration);
@@ -1830,7 +1844,9 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         sf_real read = 0;
         for (int t = 0; t < n; t++) read += s->pending[t * wide + K + i];
         missing = missing || (read / (sf_real)n < m->least_read && s->faults.lost[i] < (sf_real)0.5);
-        out = out || s->faults.lost[i] > (sf_real)0.5;
+        sf_real of_plate = 0;
+        for (int j = 0; j < K; j++) of_plate += (sf_real)c->together[i * K + j] * s->faults.lost[j];
+        out = out || of_plate > (sf_real)1.5;
     }
     if (missing) s->linked = 0;
     else {
@@ -1839,12 +1855,12 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         tare = s->tare;
         int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
         if (out) {
-            /* What stands in for a channel is too far off to teach scales; zeros are seen without it. */
+            /* Nothing stands in for two cells of a plate; zeros are seen without them. */
             sf_copy(s->published.mean, published, M);
             s->linked = 0;
         } else {
-            sf_open_product(c, m, s, &tare, product);
-            sf_moment_rows_of(c, m, s->pending, n, published, product, w);
+            sf_lasting(c, m, s, &tare, lasting);
+            sf_moment_rows_of(c, m, s->pending, n, published, lasting, sf_all_there(c, &s->faults) ? 0 : s->faults.spare, w);
             if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
             if (flag < 0) {
                 *nis = (sf_real)NAN;

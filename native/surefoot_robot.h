@@ -557,6 +557,13 @@ SF_API void sf_others(const sf_config *c, const sf_channel_faults *s, sf_real *o
     }
 }
 
+/* Whether no channel is out. */
+SF_API int sf_all_there(const sf_config *c, const sf_channel_faults *s) {
+    for (int i = 0; i < c->channels; i++)
+        if (s->lost[i] > (sf_real)0.5) return 0;
+    return 1;
+}
+
 /* ChannelFaults._rebuild: work out how to do without what is lost. */
 SF_API void sf_rebuild(const sf_config *c, sf_channel_faults *s) {
     int K = c->channels;
@@ -774,8 +781,7 @@ SF_API int sf_silent(const sf_config *c, sf_channel_faults *s, const sf_real *fo
 /* ChannelFaults.learn: how cells share loads while nothing is wrong; let channels come back. force: calibrated, by the
    channels' own readings in N, shape (groups, K); good: whether they could be learnt from, and nothing is in doubt. */
 SF_API void sf_fault_learn(const sf_config *c, sf_channel_faults *s, const sf_real *force, int groups, int good) {
-    int K = c->channels, back[SF_CHANNELS], any = 0, well = good;
-    for (int i = 0; i < K; i++) well = well && s->lost[i] < (sf_real)0.5;
+    int K = c->channels, back[SF_CHANNELS], any = 0, well = good && sf_all_there(c, s);
     for (int i = 0; well && i < K; i++)
         for (int j = 0; j < K; j++) {
             sf_real seen = 0;

@@ -258,12 +258,13 @@ class MomentFilter:
         belief, published, tare = self.tare.take(
             block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
-        if (faults.lost > 0.5).any():
-            # A stand-in for a channel is too far off to teach scales; zeros are seen without it.
+        if (self.faults.stand_in.together @ faults.lost > 1.5).any():
+            # Nothing stands in for two cells of a plate; zeros are seen without them.
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
-        rows = self.model.rows(block, published, self._product(state, tare))
+        rows = self.model.rows(block, published, self._lasting(state, tare), faults.spare)
+        whole = not faults.lost.any()
         columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows = bool(state.linked and state.track.valid)
@@ -275,9 +276,10 @@ class MomentFilter:
             )
             likeliest = belief.mean[belief.chance.argmax()]
             ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
-            state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
-            if wrong is not None:
-                return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
+            if whole:
+                state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
+                if wrong is not None:
+                    return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
             rejected = bool(abs(ahead) > 0.5 * LARGEST_ERROR * block.duration)
         if not follows or rejected:
             belief = begin_momentum(belief, rows, columns)
@@ -293,7 +295,7 @@ class MomentFilter:
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
-        if not state.linked:
+        if not (state.linked and whole):
             suspects = self.repairs.suspects.read(state.suspects, block.force)
             state = state._replace(suspects=suspects._replace(before=rows.at_end))
         publication = weighed.publish(belief.chance)
@@ -321,17 +323,22 @@ class MomentFilter:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
-    def _product(self, state: MomentState, tare: TareState) -> Array:
-        """Return variances of forces in W^2 by open errors of scale and drift together, shape (K,).
+    def _lasting(self, state: MomentState, tare: TareState) -> Array:
+        """Return variances of forces in W^2 by what no unknown stands for, shape (K,).
 
-        They last longer than an outside wrench does: it is as much larger as it is shorter.
+        Open errors of scale and drift together last longer than an outside wrench does: their variance is as
+        much larger as it is shorter. Channels that are out are made of the others.
         """
         columns = self.columns
         variance = np.diagonal(state.published.covariance)
         since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
-        longer = np.maximum(np.minimum(since, PRODUCT_TIME) / (2.0 * FREE.time), 1.0)
-        product: Array = longer * variance[columns.scale] * variance[columns.drift]
-        return product
+        product = variance[columns.scale] * variance[columns.drift]
+        spare = (state.faults.spare_std / self.setup.weight) ** 2
+        longer, longest = (
+            np.maximum(np.minimum(time, PRODUCT_TIME) / (2.0 * FREE.time), 1.0) for time in (since, np.inf)
+        )
+        lasting: Array = longer * product + longest * spare
+        return lasting
 
     def _weigh(self, belief: Belief, drifted: float) -> Weighed:
         """Weigh all severities in each mode."""

@@ -87,7 +87,7 @@ class Model:
         self._ripple = config.ripple
         self.talk_to, self.talk_from = find_talks(setup.layout)
 
-    def rows(self, block: Block, published: Array, lasting: Array) -> Rows:
+    def rows(self, block: Block, published: Array, lasting: Array, spare: Array) -> Rows:
         """Write the rows of a block.
 
         Args:
@@ -95,6 +95,7 @@ class Model:
             published: Scales, offsets and drift, about which forces are linear, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
                 shape (K,).
+            spare: How forces are made of those of the channels that are not out, shape (K, K).
         """
         columns, dt = self._columns, block.dt
         T, C = block.duration, columns.components
@@ -102,8 +103,9 @@ class Model:
         com, sole, rotation = block.com, block.sole, block.rotation
         felt = block.force + u
         force = a * felt + b
-        point = self._point(force, sole, rotation, dt)
-        unit = self._of_channels(sole - point, rotation)
+        point = self._point(force @ spare.T, sole, rotation, dt)
+        own = self._of_channels(sole - point, rotation)
+        unit = own @ spare
         gravity, along = self._weigh(com - point)
         heading = _heading(rotation)
         summed = np.einsum("nck,nk->nc", unit, force)
@@ -135,7 +137,8 @@ class Model:
         each, variance = self._measure(block, point)
         # Chips have clocks of their own: each channel's change is an error of its own, and the larger the
         # more samples a reading stands for.
-        held = len(dt) / max(float(block.read.sum(axis=0).min()), 1.0)
+        there = np.diagonal(spare) > 0.5
+        held = len(dt) / max(float(block.read[:, there].sum(axis=0).min()), 1.0)
         change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
@@ -148,7 +151,7 @@ class Model:
             variance=variance,
             walk=change.T @ change,
             crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
-            lasting=np.einsum("nck,n->ck", unit, dt / T) ** 2 @ lasting,
+            lasting=np.einsum("nck,n->ck", own, dt / T) ** 2 @ lasting,
             point=point,
             height=float((com[:, 2] - point[2]).mean()),
         )
