@@ -137,7 +137,7 @@ static const place places[] = {
     O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(level), O_REAL(least_read), O_REAL(held_chance),
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),
     O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
-    O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(first_rate), O_REAL(tare_leap), O_REAL(largest_load),
+    O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(first_rate), O_REAL(tare_leap), O_REAL(largest_load), O_REAL(largest_tared),
     O_REAL(largest_sum), O_REAL(touch_load), O_REAL(spread_scale), O_REAL(spread_offset), O_REAL(unit),
     O_REAL(severities), O_REAL(likely), O_REAL(wide), O_REAL(least_share), O_REAL(most_load),
     O_REAL(least_row), O_REAL(reading_noise), O_REAL(mode_time), O_REAL(mode_force), O_REAL(mode_torque),

@@ -54,7 +54,7 @@ typedef struct {
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
-    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_sum, touch_load;
+    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
     sf_real most_load, least_row, reading_noise;
@@ -1571,7 +1571,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
                 /* A push on a robot that stands evenly comes on all of its cells alike. */
                 if (of < 0) seen += rare;
-                if (!(seen > m->contrast && largest <= m->largest_load)) continue;
+                if (!(seen > m->contrast && largest <= (tared ? m->largest_tared : m->largest_load))) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
                     std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_fabs(s->known[i]) * sf_sqrt(variance);

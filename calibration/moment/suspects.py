@@ -42,6 +42,9 @@ ALIKE = 0.05
 SMALLEST_STEP = 1e-4
 """Change of readings in W within two samples that says nothing: a converter's noise."""
 
+LARGEST_TARED = 1.0
+"""Load of a channel in W with which a robot may be tared: whoever does so sees it stand. One that falls has more."""
+
 LEAST_ERROR = 0.02
 """Mean force in W, or torque in W times the height, that a fault changes in a block that may speak for it:
 ten times the errors of the model of a robot that nobody touches."""
@@ -226,14 +229,15 @@ class Suspects:
             for together in self._together:
                 count, force = together.sum(), together * a
                 size = together @ step**2 / count
-                for leap in (np.full(len(step), together @ step / count), -before):
+                alike = np.full(len(step), together @ step / count)
+                for leap, largest in ((alike, LARGEST_LOAD), (-before, LARGEST_TARED)):
                     unlike = together @ (step - leap) ** 2 / count
                     variance = max(unlike, ALIKE**2 * size, SMALLEST_STEP**2)
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
                     # A push on a robot that stands evenly comes on all of its cells alike.
                     seen += rare * (count == len(step))
-                    if seen > CONTRAST and np.abs(together * leap).max() <= LARGEST_LOAD:
+                    if seen > CONTRAST and np.abs(together * leap).max() <= largest:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
                         if seen > most:
