@@ -43,7 +43,8 @@ SMALLEST_STEP = 1e-4
 """Change of readings in W within two samples that says nothing: a converter's noise."""
 
 LARGEST_TARED = 1.0
-"""Load of a channel in W with which a robot may be tared: whoever does so sees it stand. One that falls has more."""
+"""Load of a channel in W with which a robot may be tared: whoever does so sees it stand. One that falls has
+more."""
 
 LEAST_ERROR = 0.02
 """Mean force in W, or torque in W times the height, that a fault changes in a block that may speak for it:
