@@ -96,6 +96,7 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         "seeds = 2\nfirst_seed = 7\nduration = 1\nsettle = 0.1\n"
         '[scenario.mine]\nbased_on = "pushes"\noptions = { push_impulse = [0.4, 0.6] }\n'
     )
+    assert plan_from_toml(path, seeds=3).seeds == (7, 8, 9)
     plan = plan_from_toml(path, duration=0.3)
     assert plan.seeds == SHORT.seeds
     assert plan.duration == 0.3
@@ -118,7 +119,9 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         ('scenarios = ["a"]\n[scenario.a]\nenvironment = "No-v0"', "'No-v0', which is not registered"),
         ("seeds = [", "not TOML"),
         ("seeds = []", "'seeds' is empty"),
-        ("severities = 3", "axes are lists"),
+        ("severities = 3", "axes are lists, 'seeds' a list or how many; severities = 3."),
+        ('controllers = "zero"', "controllers = 'zero'."),
+        ("seeds = [1, 2]\nfirst_seed = 3", "'first_seed' needs 'seeds' that says how many, got [1, 2]."),
     ],
 )
 def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
