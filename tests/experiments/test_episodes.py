@@ -285,3 +285,16 @@ def test_a_plan_is_taken_up_again_by_the_same_versions_alone(
     (tmp_path / "study.json").unlink()
     with pytest.raises(StudyError, match=r"holds results without a study\.json"):
         run_plan(SHORT, tmp_path)
+
+
+def test_another_robot_is_swept_with_its_own_actions_and_steps(tmp_path: Path) -> None:
+    table = '[scenario.mine]\nenvironment = "surefoot/Exercise-v0"\noptions = { robot = "op3" }\n'
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        'controllers = ["zero"]\nfeeds = ["true"]\nscenarios = ["mine"]\nduration = 0.4\nsettle = 0.2\n'
+        + table
+    )
+    plan = plan_from_toml(path, seeds=[0])
+    assert episode_row(plan.episodes[0])["steps"] == 20
+    with pytest.raises(ValueError, match=r"moves a NAO's 11 leg motors, .* shape \(12,\) here; name 'zero'"):
+        episode_row(plan_from_toml(path, seeds=[0], controllers=["stabiliser"]).episodes[0])
