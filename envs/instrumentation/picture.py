@@ -73,11 +73,9 @@ class FeetDrawing:
 
         width, height = SIZE
         try:
-            light = self.model.vis.headlight  # MuJoCo's own is dim; at least that of the Menagerie's scenes
-            light.ambient[:], light.diffuse[:] = (
-                np.maximum(light.ambient, 0.3),
-                np.maximum(light.diffuse, 0.6),
-            )
+            light = self.model.vis.headlight  # at least that of the Menagerie's scenes; MuJoCo's own is dim
+            light.ambient[:] = np.maximum(light.ambient, 0.3)
+            light.diffuse[:] = np.maximum(light.diffuse, 0.6)
             renderer = mujoco.Renderer(self.model, height, width)
         except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
             raise RuntimeError(f"No picture can be drawn: {error}. Set MUJOCO_GL=egl.") from error
