@@ -84,12 +84,14 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
             raise  # No file at all.
         raise ValueError(
             f"'{path}' is not a saved state: it is another file or damaged ({error.__cause__}); "
-            "give one that save_state wrote."
+            "give one that save() wrote."
         ) from error
     if str(entries.get("format")) != _FORMAT:
         raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
     for name, text in notes.items():
-        saved = str(entries.get(f"note.{name}", "nothing"))
+        if f"note.{name}" not in entries:
+            raise ValueError(f"'{path}' holds no {name}, but '{text}' is wanted: another's file.")
+        saved = str(entries[f"note.{name}"])
         if name == "method":
             method, space, options = saved.partition(" ")
             saved = OLD_NAMES.get(method, method) + space + options

@@ -130,6 +130,13 @@ class BatchVectorEnv(SyncVectorEnv):
         self._begin(np.ones(self.num_envs, dtype=bool) if mask is None else mask)
         return self._look().observation, infos
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Refuse copies and pickles."""
+        raise TypeError(
+            "A BatchVectorEnv has no copies, since MuJoCo's Batch has none; make one that can be copied by "
+            "gym.make_vec(..., vectorization_mode='sync')."
+        )
+
     @property
     def command(self) -> Command:
         """The robots' present commands to themselves, with these in front of each array."""

@@ -106,7 +106,8 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
     if not isinstance(env, gym.Env):
         raise TypeError(
             f"FootSensors and TruthRow go around one environment, as gym.make(...) makes it, got {env!r}; "
-            "for those that gym.make_vec(...) makes there is VectorFootSensors."
+            "for those that gym.make_vec(...) makes there is VectorFootSensors, for Stable-Baselines3's "
+            "VecFootSensors in surefoot.wrappers.vector.sb3."
         )
     given = {name: value for name, value in options.items() if value is not None}
     if find_source(env) is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument
-from surefoot.envs.robots.library import ROBOTS, load_robot_spec
+from surefoot.envs.robots.library import ROBOTS, load_robot_spec, read_robot_spec
 
 STANDING_STIFFNESS: Final = 2.0
 """Least stiffness of a leg's motor in multiples of m g h, the stiffness with which gravity tips a robot of
@@ -133,7 +133,7 @@ def _load(robot: Any) -> mujoco.MjSpec:
         raise ValueError(
             f"'robot' must be one of {list(ROBOTS)} or the path of an MJCF file; there is no '{robot}'."
         )
-    return mujoco.MjSpec.from_file(str(robot))
+    return read_robot_spec(robot)
 
 
 def _leg(model: mujoco.MjModel, foot: int, torso: int) -> NDArray[np.intp]:

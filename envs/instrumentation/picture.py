@@ -13,7 +13,7 @@ from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.env import InstrumentedEnv
 from surefoot.envs.instrumentation.feet import pose_name, standing_pose
 from surefoot.envs.instrumentation.robot import MeasuredRobot, measure_robot
-from surefoot.envs.robots.library import ROBOTS, load_robot_spec
+from surefoot.envs.robots.library import ROBOTS, load_robot_spec, read_robot_spec
 from surefoot.files import atomic_path
 
 SIZE = 640, 480
@@ -73,6 +73,9 @@ class FeetDrawing:
 
         width, height = SIZE
         try:
+            light = self.model.vis.headlight  # at least that of the Menagerie's scenes; MuJoCo's own is dim
+            light.ambient[:] = np.maximum(light.ambient, 0.3)
+            light.diffuse[:] = np.maximum(light.diffuse, 0.6)
             renderer = mujoco.Renderer(self.model, height, width)
         except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
             raise RuntimeError(f"No picture can be drawn: {error}. Set MUJOCO_GL=egl.") from error
@@ -130,10 +133,10 @@ def _model(
 ) -> tuple[mujoco.MjModel, NDArray[np.float64] | None]:
     """Compile a robot, or take that of an environment, with its own places of cells if it has them."""
     file = Path(name)
-    if name in ROBOTS or file.is_file():
+    if name in ROBOTS or file.is_file() or file.suffix == ".xml":
         if soles:
             raise ValueError(f"'{name}' is a robot alone; soles are put under the feet of environments.")
-        spec = load_robot_spec(name) if name in ROBOTS else mujoco.MjSpec.from_file(str(file))
+        spec = load_robot_spec(name) if name in ROBOTS else read_robot_spec(file)
         return spec.compile(), None
     env = gym.make(name)
     if hasattr(env.unwrapped, "drawing"):

@@ -58,3 +58,13 @@ def load_robot_spec(name: str) -> mujoco.MjSpec:
         )
     menagerie = Path(found.origin).parent / "mujoco" / "playground" / "assets" / "mujoco_menagerie"
     return mujoco.MjSpec.from_file(str(menagerie / _MENAGERIE[name] / "scene.xml"))
+
+
+def read_robot_spec(path: str | Path) -> mujoco.MjSpec:
+    """Read a robot from an MJCF file; ValueError if it is not there or MuJoCo cannot read it."""
+    if not Path(path).is_file():
+        raise ValueError(f"There is no file '{path}'.")
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"'{path}' is not MJCF that MuJoCo can read: {error}") from error

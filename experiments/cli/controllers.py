@@ -172,13 +172,13 @@ def _report(frame: Any, out: Path | None, as_json: bool) -> None:
 
 
 def sweep(
-    plan: Annotated[Path | None, Argument(help="TOML that says what to sweep; options go before it.")] = None,
+    plan: Annotated[Path | None, Argument(help="TOML of a sweep; options replace its values.")] = None,
     controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
     feed: Feeds = None,
     scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
     severity: Annotated[Numbers, Option(help="Factor of the cells' errors; again for more.")] = None,
     seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
-    first_seed: Annotated[int, Option(help="The first of the seeds.", min=0)] = 0,
+    first_seed: Annotated[int | None, Option(help="The first of the seeds; else 0.", min=0)] = None,
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
     out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
     jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
@@ -192,7 +192,7 @@ def sweep(
 ) -> None:
     """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
     from surefoot.experiments.episodes.page import write_sweep
-    from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
+    from surefoot.experiments.episodes.plan import plan_from_toml
     from surefoot.experiments.episodes.run import run_plan
     from surefoot.experiments.study.progress import working
 
@@ -204,14 +204,13 @@ def sweep(
         "feeds": tuple(feed or ()),
         "scenarios": tuple(scenario or ()),
         "severities": tuple(severity or ()),
-        "seeds": tuple(range(first_seed, first_seed + seeds)) if seeds else (),
+        "seeds": seeds,
+        "first_seed": first_seed,
         "duration": duration,
     }
     changes = {name: value for name, value in given.items() if value not in ((), None)}
-    if first_seed and not seeds:
-        fail("--first-seed needs --seeds, how many.")
     with one_line_errors(out, "what is finished is kept."):
-        chosen = EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes)
+        chosen = plan_from_toml(plan, **changes)
         where: Any = {"backend": backend, "jobs": jobs, "address": address}
         results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
         with working("drawing and filming" if films else "drawing the report"):
@@ -220,6 +219,8 @@ def sweep(
     episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
     said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."
     show(report.tables, {"report": report.page}, said=said, episodes=episodes, as_json=as_json)
+    if len(results.failed) == len(results.rows):
+        raise typer.Exit(1)
 
 
 def replay(

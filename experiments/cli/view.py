@@ -49,7 +49,7 @@ def view(
     port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
     window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
     video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no page.")] = None,
-    duration: Annotated[float, Option(help="Of a film or window in s, 4 s of standing included.")] = 20.0,
+    duration: Annotated[float, Option(help="Of a film or window in s, 4 s of them standing.", min=1)] = 20.0,
     feet: Drawn = None,
     foot: Annotated[list[str] | None, Option(help="A foot's body, the left one first; else guessed.")] = None,
     soles: Annotated[bool, Option("--soles", help="Flat soles for feet without area.")] = False,

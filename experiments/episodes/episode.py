@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.controllers import zero_action
-from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
@@ -137,13 +135,14 @@ def episode_moments(
     bare: Any = env.unwrapped
     settle = bare.stand_time if episode.settle is None else episode.settle
     waiting, steps, done = round(settle / bare.dt), 0, False
+    still = np.zeros(env.action_space.shape or (), dtype=np.float32)
     try:
         observation, _ = env.reset(seed=episode.seed)
         while not done:
             if steps == waiting and hasattr(controller, "reset"):
                 controller.reset()
             asked = steps >= waiting
-            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
+            action = np.asarray(controller(change(observation)) if asked else still)
             observation, reward, fell, truncated, _ = env.step(action)
             steps += 1
             done = fell or truncated
@@ -227,8 +226,11 @@ def _make(
         )
     options: dict[str, Any] = {"disable_env_checker": True, **episode.options, **drawing}
     if episode.duration is not None:
-        options["max_episode_steps"] = round(episode.duration / CONTROL_STEP)
-    bare = gym.make(episode.environment, **options)
+        options["max_episode_steps"] = -1
+    bare: gym.Env[Any, Any] = gym.make(episode.environment, **options)
+    if episode.duration is not None:
+        dt = bare.unwrapped.dt  # type: ignore[attr-defined]
+        bare = gym.wrappers.TimeLimit(bare, round(episode.duration / dt))
     env, tap = put_on_feet(bare, episode.calibration, episode.cells, episode.sensors)
     if controller is None:
         return env, tap, load_controller(name, env, same_task=episode.of_task)

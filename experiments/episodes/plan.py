@@ -161,23 +161,30 @@ def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1
         )
 
 
-def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
-    """Return a plan from a file as in docs/sweep.md, with changed values; raise ValueError."""
-    given = read_toml(path)
+def plan_from_toml(path: Path | None = None, **changes: Any) -> EpisodePlan:
+    """Return a plan from a file as in docs/sweep.md, if any, with changes as there; raise ValueError."""
+    given = {**({} if path is None else read_toml(path)), **changes}
     known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
     _check_keys(f"{path}", given, (*known, "first_seed", "scenario"))
     own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}
     first, seeds = given.pop("first_seed", 0), given.pop("seeds", 10)
+    if isinstance(seeds, int):
+        seeds = range(first, first + seeds)
+    elif first:
+        raise ValueError(f"{path}: 'first_seed' needs 'seeds' that says how many, got {seeds!r}.")
+    given["seeds"] = seeds
+    for name in set(given).intersection(_AXES):
+        if isinstance(given[name], str) or not isinstance(given[name], Sequence):
+            raise ValueError(f"{path}: axes are lists, 'seeds' a list or how many; {name} = {given[name]!r}.")
     kinds: dict[str, Any] = {"duration": float, "settle": float, "severities": lambda v: tuple(map(float, v))}
     try:
         given = {name: kinds.get(name, tuple if name in _AXES else str)(v) for name, v in given.items()}
-        given["seeds"] = tuple(range(first, first + seeds) if isinstance(seeds, int) else map(int, seeds))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}; axes are lists, 'seeds' a list or how many.") from error
-    return EpisodePlan(**{**given, **changes, "own": own})
+        raise ValueError(f"{path}: {error}; axes are lists of numbers or of names.") from error
+    return EpisodePlan(**given, own=own)
 
 
-def _own_scenario(path: Path, name: str, table: Any) -> Scenario:
+def _own_scenario(path: Path | None, name: str, table: Any) -> Scenario:
     if not isinstance(table, Mapping):
         raise ValueError(f"{path}: [scenario.{name}] must be a table.")
     _check_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)

@@ -2,7 +2,7 @@
 
 | Controller | Meaning |
 |------------|------------|
-| ``"zero"`` | the open-loop walker |
+| ``"zero"`` | zeros: the open-loop walker, or exercise |
 | ``"stabiliser"`` | :class:`surefoot.controllers.Stabiliser` |
 | ``"shipped"`` | the policy that comes with the package for the environment's task, trained on true feet |
 | ``"shipped-randomised"`` | the one that was trained on randomised sensors |
@@ -24,16 +24,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.controllers import Stabiliser, zero_action
+from surefoot.controllers import Stabiliser
 from surefoot.controllers.policy import PolicyNetwork
+from surefoot.controllers.stabiliser import ACTION_SIZE
 from surefoot.experiments.policy.tasks import TASKS, policy_file, shipped_policy, task_in
 
 Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]  # answers an observation with an action
 
-BUILT_IN: Mapping[str, Callable[[Mapping[str, slice]], Controller]] = {
-    "zero": lambda layout: zero_action,
-    "stabiliser": Stabiliser,
-}
+BUILT_IN = ("zero", "stabiliser")
 
 _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomised"}
 """Policies that come with the package, and what they were trained on."""
@@ -48,8 +46,15 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
     which puts a policy into circumstances that it was not made for, does not.
     """
     bare: Any = env.unwrapped
-    if name in BUILT_IN:
-        return BUILT_IN[name](bare.state_layout)
+    if name == "zero":
+        return lambda observation: np.zeros(env.action_space.shape or (), dtype=np.float32)
+    if name == "stabiliser":
+        if env.action_space.shape != (ACTION_SIZE,):
+            raise ValueError(
+                f"The stabiliser moves a NAO's {ACTION_SIZE} leg motors, and actions have shape "
+                f"{env.action_space.shape} here; name 'zero', or a controller of your own, 'module:function'."
+            )
+        return Stabiliser(bare.state_layout)
     if name in _SHIPPED or name.endswith(_FILES):
         policy = _policy(name, _id_of(env))
         check_fits(policy, env, name, same_task=same_task)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from surefoot.experiments.study.sources import code_of
@@ -149,7 +150,8 @@ class Store:
         except (ValueError, KeyError, TypeError) as error:
             raise StudyError(f"'{path}' is not a study's plan ({error}); give another folder.") from error
         if other := [name for name in sorted(plan.keys() | theirs) if plan.get(name) != theirs.get(name)]:
-            said = "; ".join(f"{name} {theirs.get(name)} and not {plan.get(name)}" for name in other)
+            differ = [[name, *(shorten(f"{of.get(name)}", 100) for of in (theirs, plan))] for name in other]
+            said = "; ".join(f"{name} {there} and not {here}" for name, there, here in differ)
             raise StudyError(
                 f"'{self.folder}' holds another study: {said}. Give its options to go on, or another folder "
                 "with --out."

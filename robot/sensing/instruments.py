@@ -75,7 +75,7 @@ class CellsUnderFeet:
             raise ValueError(
                 f"{drawing.flaw} Or choose six-axis sensors in the ankles, such as "
                 "FootSensors(env, 'icub-force-torque'), or one load cell a foot, "
-                f"FootSensors(env, LoadCells(channels={feet}))."
+                f"FootSensors(env, LoadCells(channels={feet}, polarity=(1,)))."
             )
         if config.channels not in (feet, 4 * feet):
             raise ValueError(

@@ -1,5 +1,6 @@
 """Many robots stepped by MuJoCo's own threads: what Gymnasium's copies of the same task do, bit for bit."""
 
+from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
@@ -176,6 +177,8 @@ def test_what_is_refused():
         env.step(np.full((2, 11), np.nan))
     with pytest.raises(ValueError, match="no render mode 'human'"):
         BatchVectorEnv(NaoStandEnv, 2, render_mode="human")
+    with pytest.raises(TypeError, match=r"has no copies, .* vectorization_mode='sync'"):
+        deepcopy(env)
 
 
 def test_nobody_steps_a_robot_whose_episode_is_over():

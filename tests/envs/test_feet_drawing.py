@@ -48,6 +48,8 @@ def test_the_command_draws_the_robot_and_its_soles(tmp_path: Path, monkeypatch: 
     [
         (["HumanoidStandup-v5"], "the robot lies"),
         (["Foo-v1"], "doesn't exist"),
+        (["gone.xml"], "There is no file 'gone.xml'."),
+        ([__file__], "test_feet_drawing.py' is not MJCF that MuJoCo can read: "),
         (["CartPole-v1"], "needs an environment on MuJoCo"),
         (["nao", "--soles"], "soles are put under the feet of environments"),
         (["surefoot/NaoStand-v0", "--soles"], "has feet with soles of its own"),

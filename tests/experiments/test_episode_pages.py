@@ -251,6 +251,8 @@ def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
     shown = RUNNER.invoke(app, ["sweep", *options])
     assert "0 episodes run, 2 were there, 0 failed." in shown.stdout
     assert "hard-pushes" in RUNNER.invoke(app, ["sweep", "--scenarios"]).stdout
+    failing = ["math:sqrt", *options[2:-1], str(tmp_path / "failing")]
+    assert RUNNER.invoke(app, ["sweep", "--controller", *failing]).exit_code == 1
     refused = RUNNER.invoke(app, ["sweep", *options, "--backend", "slurm", "--out", str(tmp_path / "no")])
     assert refused.exit_code == 2
     assert "There is no backend 'slurm'. Available: 'local', 'dask', 'ray', 'here'." in refused.output

@@ -96,6 +96,7 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         "seeds = 2\nfirst_seed = 7\nduration = 1\nsettle = 0.1\n"
         '[scenario.mine]\nbased_on = "pushes"\noptions = { push_impulse = [0.4, 0.6] }\n'
     )
+    assert plan_from_toml(path, seeds=3).seeds == (7, 8, 9)
     plan = plan_from_toml(path, duration=0.3)
     assert plan.seeds == SHORT.seeds
     assert plan.duration == 0.3
@@ -118,7 +119,9 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         ('scenarios = ["a"]\n[scenario.a]\nenvironment = "No-v0"', "'No-v0', which is not registered"),
         ("seeds = [", "not TOML"),
         ("seeds = []", "'seeds' is empty"),
-        ("severities = 3", "axes are lists"),
+        ("severities = 3", "axes are lists, 'seeds' a list or how many; severities = 3."),
+        ('controllers = "zero"', "controllers = 'zero'."),
+        ("seeds = [1, 2]\nfirst_seed = 3", "'first_seed' needs 'seeds' that says how many, got [1, 2]."),
     ],
 )
 def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
@@ -282,3 +285,16 @@ def test_a_plan_is_taken_up_again_by_the_same_versions_alone(
     (tmp_path / "study.json").unlink()
     with pytest.raises(StudyError, match=r"holds results without a study\.json"):
         run_plan(SHORT, tmp_path)
+
+
+def test_another_robot_is_swept_with_its_own_actions_and_steps(tmp_path: Path) -> None:
+    table = '[scenario.mine]\nenvironment = "surefoot/Exercise-v0"\noptions = { robot = "op3" }\n'
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        'controllers = ["zero"]\nfeeds = ["true"]\nscenarios = ["mine"]\nduration = 0.4\nsettle = 0.2\n'
+        + table
+    )
+    plan = plan_from_toml(path, seeds=[0])
+    assert episode_row(plan.episodes[0])["steps"] == 20
+    with pytest.raises(ValueError, match=r"moves a NAO's 11 leg motors, .* shape \(12,\) here; name 'zero'"):
+        episode_row(plan_from_toml(path, seeds=[0], controllers=["stabiliser"]).episodes[0])

@@ -231,7 +231,7 @@ def test_a_robot_goes_on_with_no_impossible_file(leaf: str, robot: Any, tmp_path
 
 WALK, STAND = surefoot.envs.NaoWalkEnv, surefoot.envs.NaoStandEnv
 OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
-    "no duration": (WALK, {"duration": None}, "'duration' must be a positive number of seconds, got nan."),
+    "no duration": (WALK, {"duration": None}, "'duration' must be finite, got None."),
     "a list of speeds": (WALK, {"speed": [1]}, "'speed' must be "),
     "one number of sway": (STAND, {"sway": 1.0}, "'sway' must be amplitudes (forward, left) of at most "),
     "no width": (STAND, {"width": None}, "'width' and 'height' must be positive and at most "),
@@ -242,7 +242,7 @@ OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "no prelude there": (STAND, {"prelude": "gone.csv"}, "gone.csv: no such file."),
     "a program": (STAND, {"prelude": "/bin/sh"}, "sh: not a text in UTF-8 ("),
     "no severity": (FootSensors, {"severity": None}, "'severity' must be a number, got None of type"),
-    "faults of none": (FootSensors, {"faults": 1}, "'faults' must be a sequence of faults, such as [1]; got"),
+    "faults of none": (FootSensors, {"faults": 1}, "'faults' must be a sequence of faults or a mapping of "),
     "no view": (SelfCalibration, {"show": 5}, "'show' must name parts of "),
     "beliefs in words": (
         SelfCalibration, {"errors": "small"},

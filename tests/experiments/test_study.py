@@ -171,6 +171,7 @@ def test_a_folder_with_a_plan_refuses_others(tmp_path: Path) -> None:
         pass
     refused = [
         ({**plan, "seeds": [0]}, now, r"holds another study: seeds \[0, 1\] and not \[0\]"),
+        ({**plan, "own": "word " * 99}, now, r"study: own None and not word .{50,99} \[\.\.\.\]\. Give its"),
         (plan, {"numpy": "3"}, "started with numpy 2, which is not what runs now"),
     ]
     for other, versions, match in refused:

@@ -70,9 +70,7 @@ def test_what_a_layout_cannot_show_is_absent_and_said() -> None:
     assert env.observation_space["cop_valid"].shape == (5,)
     with pytest.raises(ValueError, match=r"'cop_foot' cannot be shown\. .* no area.* Show 'cop', .* 'vgrf'"):
         SelfCalibration(FootSensors(ant(), ONE_CELL), show=("cop_foot",))
-    with pytest.raises(
-        ValueError, match=r"no area.* or one load cell a foot, FootSensors\(env, LoadCells\(c"
-    ):
+    with pytest.raises(ValueError, match=r"no area.* or one load cell a foot, .* polarity=\(1,\)"):
         FootSensors(ant())
 
 

@@ -4,7 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from stable_baselines3.common.vec_env import DummyVecEnv
+from gymnasium.wrappers.vector import FlattenObservation
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from surefoot.sensors import LoadCells
 from surefoot.wrappers import FootSensors, SampleHistory, SelfCalibration, TruthRow, VectorFootSensors
@@ -25,8 +26,8 @@ def sensed(**options):
     return FootSensors(one(), **options)
 
 
-def sb3():
-    return VecFootSensors(DummyVecEnv([lambda: TruthRow(one())] * 2))
+def sb3(around=lambda venv: venv):
+    return VecFootSensors(around(DummyVecEnv([lambda: TruthRow(one())] * 2)))
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,12 @@ def sb3():
         (lambda: VectorFootSensors(many()).reset(options=["fresh"]), TypeError, "must be a mapping, got"),
         (lambda: VecFootSensors(many()), TypeError, "goes around a vector environment of Stable-Baselines3"),
         (lambda: VecFootSensors(DummyVecEnv([one])), TypeError, r"DummyVecEnv\(\[lambda: TruthRow"),
+        (lambda: FootSensors(DummyVecEnv([one])), TypeError, "for Stable-Baselines3's VecFootSensors in"),
+        (lambda: VectorFootSensors(DummyVecEnv([one])), TypeError, "Stable-Baselines3's many VecFootSensors"),
+        (lambda: sb3(VecNormalize).reset(), TypeError, "a wrapper between them has changed them; put"),
+        (lambda: sb3(lambda venv: VecFrameStack(venv, 2)), TypeError, "a wrapper between .* put whatever"),
+        (lambda: VectorFootSensors(VectorFootSensors(many())), TypeError, r"in this order: .*, and once"),
+        (lambda: VectorFootSensors(FlattenObservation(many())), TypeError, "a wrapper below it has made"),
         (lambda: sb3().set_options([{}]), ValueError, "'options' must be of each of 2 robots, got 1"),
         (lambda: gym.make("surefoot/NaoWalk-v0", speed="fast"), ValueError, "'speed' must be finite, got"),
     ],

@@ -66,7 +66,8 @@ class VectorFootSensors(OfOneVersion, SensorsFace, AnyVectorWrapper):
         if not isinstance(env, VectorEnv):
             raise TypeError(
                 f"VectorFootSensors goes around many robots, as gym.make_vec(...) makes them, got {env!r}; "
-                "for the one that gym.make(...) makes there is FootSensors."
+                "for the one that gym.make(...) makes there is FootSensors, for Stable-Baselines3's many "
+                "VecFootSensors in surefoot.wrappers.vector.sb3."
             )
         if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
             env = VectorTruthRow(env, lends=True)

@@ -32,6 +32,12 @@ Seeds = int | Sequence[int | None] | None
 Attribute = Callable[[str], Sequence[Any]]
 """Asks each copy for an attribute."""
 
+_PLANNED = (NO_PLAN, 0.0, 1.0)
+_CHANGED = (
+    "{owner} reads the rows of truth as TruthRow writes them, but a wrapper between them has changed them; "
+    "put whatever stacks, scales or changes observations around {owner}."
+)
+
 
 class Planned(NamedTuple):
     """A robot's plan for its feet, as :class:`~surefoot.envs.Command` has it.
@@ -95,6 +101,7 @@ class BatchSensors(OfOneVersion):
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
         self._attribute, joints = attribute, self._meaning.joints
         meaning = self._meaning
+        self._owner = owner
         self.equipment = Equipment(owner, self.drawing, joints, meaning.dt, given, meaning.seldom)
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
@@ -175,6 +182,8 @@ class BatchSensors(OfOneVersion):
             asked: As of :meth:`reset`.
         """
         substeps, asked = self._look(rows), asked or {}
+        if not isinstance(rows, Lent) and not np.isin(rows[:, -2 * self._meaning.feet :], _PLANNED).all():
+            raise TypeError(_CHANGED.format(owner=self._owner))
         seeds = [None] * len(substeps) if seeds is None else seeds
         which = np.flatnonzero(mask).tolist()
         for i in which:
@@ -394,6 +403,8 @@ def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDr
             f"copy 0: {shown[odd[0]]} is not {shown[0]}."
         )
     drawings, meanings = attribute("drawing"), attribute("row_meaning")
+    if space[TRUTH_KEY].shape != (meanings[0].size,):
+        raise TypeError(_CHANGED.format(owner=owner))
     odd = [
         i
         for i, own in enumerate(drawings)

@@ -183,11 +183,19 @@ class VectorTruthRow(AnyVectorWrapper):
     Args:
         env: The environment.
         lends: Whether rows are lent (:class:`Lent`), and not copied.
+
+    Raises:
+        TypeError: If a wrapper below changes observations.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], lends: bool = False) -> None:
         super().__init__(env)
         batch: Any = env.unwrapped
+        if env.single_observation_space != batch.single_observation_space:
+            raise TypeError(
+                "VectorFootSensors reads what a vector environment observes, and a wrapper below it has made "
+                f"something else of that; wrap in this order: VectorFootSensors(envs), and once. Got {env}."
+            )
         self._batch = batch
         self._row = TruthRow(batch.envs[0])
         self._row.lends = lends
