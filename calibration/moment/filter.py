@@ -332,12 +332,11 @@ class MomentFilter:
         columns = self.columns
         variance = np.diagonal(state.published.covariance)
         since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
-        product = variance[columns.scale] * variance[columns.drift]
-        spare = (state.faults.spare_std / self.setup.weight) ** 2
         longer, longest = (
             np.maximum(np.minimum(time, PRODUCT_TIME) / (2.0 * FREE.time), 1.0) for time in (since, np.inf)
         )
-        lasting: Array = longer * product + longest * spare
+        product = longer * variance[columns.scale] * variance[columns.drift]
+        lasting: Array = product + longest * (state.faults.spare_std / self.setup.weight) ** 2
         return lasting
 
     def _weigh(self, belief: Belief, drifted: float) -> Weighed:
