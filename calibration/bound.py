@@ -236,13 +236,12 @@ class LogPassages:
         """Return the passage of a block, and its rows; ``last`` are those of the block before."""
         columns, T = self._columns, block.duration
         N, known = columns.size, self._path[k]
-        K = len(known) // 3
         identity, none = np.eye(N), np.zeros((N, N))
         passage = Passage.move(identity, self._walk * T)
         H, variance = self._filter.tare.rows(block, known)
         if len(H):
             passage = passage.then(Passage.learn(H, variance))
-        rows = self._filter.model.rows(block, known, np.zeros(K), np.eye(K))
+        rows = self._filter.model.rows(block, known, np.zeros(len(known) // 3))
         if last is None:
             return passage.then(self._begin(rows)), rows
         moved, _ = self._filter.model.move(rows.point - last.point, block.velocity.mean(axis=0))

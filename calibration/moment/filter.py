@@ -263,8 +263,8 @@ class MomentFilter:
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
-        rows = self.model.rows(block, published, self._lasting(state, tare), faults.spare)
         whole = not faults.lost.any()
+        rows = self.model.rows(block, published, self._lasting(state, tare), None if whole else faults.spare)
         columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows = bool(state.linked and state.track.valid)

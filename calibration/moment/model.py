@@ -87,7 +87,7 @@ class Model:
         self._ripple = config.ripple
         self.talk_to, self.talk_from = find_talks(setup.layout)
 
-    def rows(self, block: Block, published: Array, lasting: Array, spare: Array) -> Rows:
+    def rows(self, block: Block, published: Array, lasting: Array, spare: Array | None = None) -> Rows:
         """Write the rows of a block.
 
         Args:
@@ -95,7 +95,8 @@ class Model:
             published: Scales, offsets and drift, about which forces are linear, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
                 shape (K,).
-            spare: How forces are made of those of the channels that are not out, shape (K, K).
+            spare: How forces are made of those of the channels that are not out, shape (K, K); ``None`` where
+                none is.
         """
         columns, dt = self._columns, block.dt
         T, C = block.duration, columns.components
@@ -103,9 +104,9 @@ class Model:
         com, sole, rotation = block.com, block.sole, block.rotation
         felt = block.force + u
         force = a * felt + b
-        point = self._point(force @ spare.T, sole, rotation, dt)
+        point = self._point(force if spare is None else force @ spare.T, sole, rotation, dt)
         own = self._of_channels(sole - point, rotation)
-        unit = own @ spare
+        unit = own if spare is None else own @ spare
         gravity, along = self._weigh(com - point)
         heading = _heading(rotation)
         summed = np.einsum("nck,nk->nc", unit, force)
@@ -137,8 +138,8 @@ class Model:
         each, variance = self._measure(block, point)
         # Chips have clocks of their own: each channel's change is an error of its own, and the larger the
         # more samples a reading stands for.
-        there = np.diagonal(spare) > 0.5
-        held = len(dt) / max(float(block.read[:, there].sum(axis=0).min()), 1.0)
+        read = block.read if spare is None else block.read[:, np.diagonal(spare) > 0.5]
+        held = len(dt) / max(float(read.sum(axis=0).min()), 1.0)
         change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(

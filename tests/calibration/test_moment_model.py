@@ -96,7 +96,7 @@ def test_rows_are_the_derivatives_of_what_acts(layout):
     rng = np.random.default_rng(1)
     x = first_mean(columns) + 0.03 * rng.normal(size=columns.size)
     x[columns.com], x[columns.mass], x[columns.delay] = 0.0, 0.0, 0.0
-    rows = made.rows(samples, x[columns.map], np.zeros(layout.channels), np.eye(layout.channels))
+    rows = made.rows(samples, x[columns.map], np.zeros(layout.channels))
 
     def both(x):
         momenta = momentum_of(samples, layout, rows.point, x, columns)
@@ -197,7 +197,7 @@ def test_without_data_all_is_undetermined():
 def test_modes_keep_their_chance_and_what_they_know():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     mean, variance = first_mean(columns), first_variance(columns, spread, CONFIG)
-    rows = Model(setup(), CONFIG, columns).rows(block(), mean[columns.map], np.zeros(8), np.eye(8))
+    rows = Model(setup(), CONFIG, columns).rows(block(), mean[columns.map], np.zeros(8))
     covariances = []
     for mode in MODES:
         variance[columns.wrench] = wrench_variance(mode, rows)
@@ -268,7 +268,7 @@ def test_a_hand_that_takes_hold_accuses_no_channel():
     columns, spread, even = Columns.of(LAYOUT), Spread.of(setup(), CONFIG), np.linspace(0.08, 0.17, 8)
     mean, variance = first_mean(columns), 1e-4 * first_variance(columns, spread, CONFIG)
     still = block()._replace(force=np.tile(even, (8, 1)))
-    rows = Model(setup(), CONFIG, columns).rows(still, mean[columns.map], np.zeros(8), np.eye(8))
+    rows = Model(setup(), CONFIG, columns).rows(still, mean[columns.map], np.zeros(8))
     known, before = mean[: columns.momentum.start], np.diag(variance[: columns.momentum.start])
     suspects, span = (
         Suspects(LAYOUT, np.ones(8, dtype=bool), columns),
