@@ -97,6 +97,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_ALL_READ ((sf_real)0.99)
 #define SF_IDLE ((sf_real)0.1)
 #define SF_PLATE_MOVED ((sf_real)0.2)
+#define SF_LARGEST_CHANGE ((sf_real)0.1)
 #define SF_MISSED ((sf_real)0.5)
 #define SF_NO_LOAD ((sf_real)0.1)
 #define SF_HEAVIEST ((sf_real)2.0)
@@ -712,10 +713,11 @@ SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const
             if (alone[j] && c->together[i * K + j]) change[i] = 0;
     }
     for (int i = 0; i < K; i++) {
-        sf_real told = sf_dot(c->by_others + i * K, change, K), lost = 0;
+        sf_real told = sf_clip(sf_dot(c->by_others + i * K, change, K), -SF_LARGEST_CHANGE, SF_LARGEST_CHANGE), lost = 0;
+        sf_real own = sf_clip(change[i], -SF_LARGEST_CHANGE, SF_LARGEST_CHANGE);
         for (int j = 0; j < K; j++) lost += (sf_real)c->together[i * K + j] * s->lost[j];
         int whole = lost < (sf_real)0.5;
-        s->shown[i] = whole ? sf_max(s->shown[i], 0) + change[i] * change[i] : 0;
+        s->shown[i] = whole ? sf_max(s->shown[i], 0) + own * own : 0;
         s->expected[i] = whole ? s->expected[i] + told * told : 0;
         enough[i] = s->expected[i] > SF_PLATE_MOVED;
         /* On an edge of its plate a sound cell bears nothing as well: then nothing is missed. */

@@ -64,8 +64,12 @@ scale beyond ten. Sound cells with three times the errors of cheap ones show 0.1
 
 _PLATE_MOVED = 0.2
 """Changes of a cell's load from block to block, by the others of its plate, from which on it must have shown
-them: their squares in body weights, summed up. Those of some six steps: after three a sound cell of a G1 had
+them: their squares in body weights, summed up. Those of some ten steps: after three a sound cell of a G1 had
 shown 0.05."""
+
+_LARGEST_CHANGE = 0.1
+"""Change of a cell's load between blocks in body weights of which more counts no more, so that some twenty
+blocks speak: a robot that falls strikes the ground for fewer."""
 
 _MISSED = 0.5
 """Share of the load that its plate says from which on the robot's motion misses a cell's rather than not."""
@@ -283,8 +287,10 @@ class ChannelFaults:
         size = np.abs(change)
         alone = size > _ALONE * (self._plates * size).max(axis=1)  # no plate's load
         change = np.where(self.stand_in.together @ alone > 0.5, 0.0, change)
+        told = np.clip(self.by_others @ change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
+        change = np.clip(change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
         shown = whole * (np.maximum(state.shown, 0.0) + change**2)
-        expected = whole * (state.expected + (self.by_others @ change) ** 2)
+        expected = whole * (state.expected + told**2)
         enough = expected > _PLATE_MOVED
         idle = enough & (shown < _IDLE**2 * expected)
         # On an edge of its plate a sound cell bears nothing as well: then nothing is missed.
