@@ -19,6 +19,7 @@ def one(**options):
 
 
 def many(count=2, **options):
+    pytest.importorskip("mujoco.batch", reason="BatchVectorEnv needs MuJoCo 3.17")
     return gym.make_vec(NAME, count, **options)
 
 
