@@ -40,7 +40,10 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         SuspectState: ("noise", "known"),
         Track: (),
         **{kind: kind._fields for kind in (Belief, Publication, FootTares, Kept)},
-        ChannelState: (*("moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),),
+        ChannelState: (
+            *("moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),
+            *("shown", "expected", "missed", "offered", "alive"),
+        ),
     }
 )
 """Fields that outlive an episode, by the class of the state; its others belong to the stream. The class

@@ -97,7 +97,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_ALL_READ ((sf_real)0.99)
 #define SF_IDLE ((sf_real)0.1)
 #define SF_PLATE_MOVED ((sf_real)0.2)
-#define SF_LARGEST_CHANGE ((sf_real)0.1)
+#define SF_LARGEST_CHANGE ((sf_real)0.15)
 #define SF_MISSED ((sf_real)0.5)
 #define SF_NO_LOAD ((sf_real)0.1)
 #define SF_HEAVIEST ((sf_real)2.0)
@@ -719,6 +719,7 @@ SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const
         int whole = lost < (sf_real)0.5;
         s->shown[i] = whole ? sf_max(s->shown[i], 0) + own * own : 0;
         s->expected[i] = whole ? s->expected[i] + told * told : 0;
+        if (!whole) s->missed[i] = s->offered[i] = 0;
         enough[i] = s->expected[i] > SF_PLATE_MOVED;
         /* On an edge of its plate a sound cell bears nothing as well: then nothing is missed. */
         still[i] = enough[i] && s->shown[i] < SF_IDLE * SF_IDLE * s->expected[i] && s->missed[i] > SF_MISSED * s->offered[i];
@@ -729,8 +730,8 @@ SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const
         /* Of two on a plate nobody knows: a third one that shows too much looks like them. */
         idle[i] = still[i] && count < 2;
         if (!enough[i]) continue;
+        if (s->shown[i] >= SF_IDLE * SF_IDLE * s->expected[i]) s->alive[i] = 1;
         s->shown[i] = s->expected[i] = s->missed[i] = s->offered[i] = 0;
-        if (!idle[i]) s->alive[i] = 1;
         any = any || (idle[i] && s->alive[i] < (sf_real)0.5);
     }
     /* Shares were learnt with it. */

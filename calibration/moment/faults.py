@@ -1,6 +1,6 @@
 """Faults of single channels: their signs and their repair.
 
-Three things give a channel away:
+Four things give a channel away:
 
 * **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
@@ -67,9 +67,9 @@ _PLATE_MOVED = 0.2
 them: their squares in body weights, summed up. Those of some ten steps: after three a sound cell of a G1 had
 shown 0.05."""
 
-_LARGEST_CHANGE = 0.1
-"""Change of a cell's load between blocks in body weights of which more counts no more, so that some twenty
-blocks speak: a robot that falls strikes the ground for fewer."""
+_LARGEST_CHANGE = 0.15
+"""Change of a cell's load between blocks in body weights of which more counts no more, so that ten blocks
+at least speak: a robot that falls strikes the ground for fewer."""
 
 _MISSED = 0.5
 """Share of the load that its plate says from which on the robot's motion misses a cell's rather than not."""
@@ -297,11 +297,12 @@ class ChannelFaults:
         idle &= state.missed > _MISSED * state.offered
         # Of two on a plate nobody knows: a third one that shows too much looks like them.
         idle &= self.stand_in.together @ idle < 1.5
-        alive = np.maximum(state.alive, enough & ~idle)
+        alive = np.maximum(state.alive, enough & (shown >= _IDLE**2 * expected))
         if (idle & (alive < 0.5)).any():
             # Shares were learnt with it.
             state = state._replace(moments=self.stand_in.init())
-        summed = {"shown": shown, "expected": expected, "missed": state.missed, "offered": state.offered}
+        summed = {"shown": shown, "expected": expected}
+        summed |= {"missed": whole * state.missed, "offered": whole * state.offered}
         again = {name: ~enough * one for name, one in summed.items()}
         return state._replace(level=level, alive=alive, **again), idle
 
