@@ -1362,8 +1362,39 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     s->age = 0;
 }
 
-/* The part of MomentFilter.init that _begin_again shares: nothing is learnt. */
-SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
+/* Tare.repeat: tare the feet once more as they read last, with a belief that knows nothing yet. */
+SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
+    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2, at[SF_CHANNELS], count = 0;
+    sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
+    for (int i = 0; i < K; i++) {
+        if (s->tare.time[c->foot_of_channel[i]] < 0) continue;
+        s->tare.centre[i] = s->tare.reading[i];
+        at[count++] = i;
+    }
+    for (int j = 0; count && j < SF_MODES; j++) {
+        sf_real *mean = s->belief.mean + j * N, *P = s->belief.covariance + j * N * N;
+        memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
+        for (int k = 0; k < count; k++) {
+            int i = at[k];
+            sf_real *row = predicted + k * N, reading = s->tare.reading[i];
+            sf_add(row, reading, P + i * N, N);
+            sf_add(row, 1, P + (K + i) * N, N);
+            sf_add(row, 1, P + (2 * K + i) * N, N);
+            innovation[k] = -(reading * mean[i] + mean[K + i] + mean[2 * K + i]);
+        }
+        for (int k = 0; k < count; k++)
+            for (int l = 0; l < count; l++) {
+                const sf_real *row = predicted + k * N;
+                S[k * count + l] = row[at[l]] * s->tare.reading[at[l]] + row[K + at[l]] + row[2 * K + at[l]];
+                if (k == l) S[k * count + l] += m->tare_variance[at[k]] / m->block;
+            }
+        sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B);
+    }
+}
+
+/* MomentFilter.init and _begin_again: know nothing but the readings' faults and what feet in the air showed. */
+SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real rate,
+                            sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
     sf_break(c, m, s);
     memset(&s->suspects, 0, sizeof s->suspects);
@@ -1380,10 +1411,11 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
         for (int i = 0; i < K; i++) s->belief.mean[j * N + i] = 1;
         s->belief.chance[j] = m->first_chance[j];
     }
+    sf_repeat_tares(c, m, s, w);
     sf_priors(c, m, s->drifted, w);
     sf_weigh(c, m, &s->belief, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
-    sf_map_covariance(c, m, &s->published, 1, s->covariance);
+    sf_map_covariance(c, m, &s->published, rate, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
     sf_copy_known(c, m, &s->next, &s->belief, &s->published);
 }
@@ -1399,20 +1431,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
     s->time = 0;
-    sf_moment_begin(c, m, s, w);
-}
-
-/* MomentFilter._begin_again: know nothing but the readings' faults and what feet in the air showed. */
-SF_API void sf_moment_begin_again(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
-    int K = c->channels;
-    sf_real *mean = s->published.mean;
-    sf_moment_begin(c, m, s, w);
-    for (int i = 0; i < K; i++) {
-        mean[K + i] = -s->tare.centre[i];
-        mean[2 * K + i] = s->tare.centre[i] - s->tare.reading[i];
-    }
-    sf_copy_published(c, &s->kept.published, &s->published);
-    sf_copy_published(c, &s->next.published, &s->published);
+    sf_moment_begin(c, m, s, 1, w);
 }
 
 /* MomentFilter._rest: keep what is known now and then, and learn how cells share loads. */
@@ -1829,7 +1848,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
     sf_copy(lost, s->faults.lost, K);
     if (sf_silent(c, &s->faults, s->pending, s->pending + K, wide, n, c->weight)) {
         /* All that was learnt made up for a cell that bore nothing. */
-        sf_moment_begin_again(c, m, s, w);
+        sf_moment_begin(c, m, s, s->tare.rate, w);
         return;
     }
     for (int i = 0; i < K; i++) {

@@ -208,17 +208,17 @@ class MomentFilter:
 
     def _begin_again(self, state: MomentState) -> MomentState:
         """Know nothing but the readings' faults and what feet in the air showed."""
-        fresh, columns, tare = self.init(state.front.raw), self.columns, state.tare
-        mean = fresh.published.mean.copy()
-        mean[columns.offset], mean[columns.drift] = -tare.centre, tare.centre - tare.reading
-        published = fresh.published._replace(mean=mean)
+        fresh = self.init(state.front.raw)
+        belief, tare = self.tare.repeat(fresh.belief, state.tare)
+        published = self._weigh(belief, 0.0).publish(belief.chance)
         return self.blocks.break_off(state)._replace(
-            belief=fresh.belief,
+            belief=belief,
             drifted=0.0,
+            tare=tare,
             suspects=fresh.suspects,
             published=published,
-            covariance=fresh.covariance,
-            kept=Kept(fresh.belief, published, fresh.belief, published, 0.0),
+            covariance=self._map_covariance(published, tare.rate),
+            kept=Kept(belief, published, belief, published, 0.0),
             status=0,
         )
 

@@ -68,7 +68,7 @@ class Tare:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._foot_of_channel = setup.layout.foot_of_channel
         self.variance = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
-        self._drift = spread.walk[1]
+        self._drift, self._block = spread.walk[1], config.block
 
     def take(
         self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
@@ -93,6 +93,25 @@ class Tare:
                 foot, channels, reading, seconds, time, belief, published, state
             )
         return belief, published, state
+
+    def repeat(self, belief: Belief, state: TareState) -> tuple[Belief, TareState]:
+        """Tare the feet once more as they read last, with a belief that knows nothing yet.
+
+        Args:
+            belief: The modes' posteriors, with scales of 1.
+            state: Results of tares before.
+        """
+        at = np.flatnonzero(state.time[self._foot_of_channel] >= 0.0)
+        H = self._write(at, state.reading[at], np.ones(len(at)))
+        noise = np.diag(self.variance[at] / self._block)
+        found = [
+            update(mean, covariance, H, -H @ mean, noise, self._columns.mass)
+            for mean, covariance in zip(belief.mean, belief.covariance, strict=True)
+        ]
+        means, covariances = (np.stack(part) for part in zip(*found, strict=True))
+        centre = state.centre.copy()
+        centre[at] = state.reading[at]
+        return belief._replace(mean=means, covariance=covariances), state._replace(centre=centre)
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
         """Write the rows of the feet that hang in a block.
