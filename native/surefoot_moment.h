@@ -1240,14 +1240,44 @@ SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, co
     return sf_clip(s->rate * sf_sqrt(1 + share * (surprise - 1)), m->smallest_rate, m->largest_rate);
 }
 
+/* Tare._learn: let all modes know what channels read of no load; returns whether they all could. a: of all channels, as
+   are their numbers; of the channels themselves the rest, noise the variance of their readings. */
+SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels, int count,
+                         const sf_real *centre, const sf_real *a, const sf_real *reading, const sf_real *noise,
+                         sf_moment_work *w) {
+    int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
+    sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
+    for (int j = 0; count && j < SF_MODES; j++) {
+        sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
+        memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
+        for (int k = 0; k < count; k++) {
+            int i = channels[k];
+            sf_real *row = predicted + k * N;
+            sf_add(row, centre[k], P + i * N, N);
+            sf_add(row, 1, P + (K + i) * N, N);
+            sf_add(row, a[i], P + (2 * K + i) * N, N);
+            innovation[k] = a[i] * (centre[k] - reading[k]) - (centre[k] * mean[i] + mean[K + i] + a[i] * mean[2 * K + i]);
+        }
+        for (int k = 0; k < count; k++)
+            for (int l = 0; l < count; l++) {
+                int i = channels[l];
+                const sf_real *row = predicted + k * N;
+                S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * a[i];
+                if (k == l) S[k * count + l] += a[i] * a[i] * noise[k];
+            }
+        good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
+    }
+    return good;
+}
+
 /* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
 SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
                         sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
+    int K = c->channels, N = sf_states(c, m), good = 1;
     for (int foot = 0; foot < c->feet; foot++) {
         int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
         sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], centre[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS];
-        sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], last = tare->time[foot], *predicted = w->A;
+        sf_real last = tare->time[foot];
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
         sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
@@ -1266,29 +1296,13 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
             tare->followed++;
         }
         for (int j = 0; j < SF_MODES; j++) {
-            sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
+            sf_real *P = belief->covariance + j * N * N;
             for (int k = 0; k < count; k++) {
                 int i = channels[k], drift = 2 * K + i;
                 if (leapt[k]) P[drift * N + drift] += change[k] * change[k];
             }
-            memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
-            for (int k = 0; k < count; k++) {
-                int i = channels[k];
-                sf_real a = published[i], *row = predicted + k * N;
-                sf_add(row, centre[k], P + i * N, N);
-                sf_add(row, 1, P + (K + i) * N, N);
-                sf_add(row, a, P + (2 * K + i) * N, N);
-                innovation[k] = a * (centre[k] - reading[k]) - (centre[k] * mean[i] + mean[K + i] + a * mean[2 * K + i]);
-            }
-            for (int k = 0; k < count; k++)
-                for (int l = 0; l < count; l++) {
-                    int i = channels[l];
-                    const sf_real *row = predicted + k * N;
-                    S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * published[i];
-                    if (k == l) S[k * count + l] += published[i] * published[i] * noise[k];
-                }
-            good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
         }
+        good = sf_learn_tare(c, m, belief, channels, count, centre, published, reading, noise, w) && good;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             published[2 * K + i] = centre[k] - reading[k];
@@ -1364,32 +1378,16 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
 
 /* Tare.repeat: tare the feet once more as they read last, with a belief that knows nothing yet. */
 SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2, at[SF_CHANNELS], count = 0;
-    sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
-    for (int i = 0; i < K; i++) {
+    int channels[SF_CHANNELS], count = 0;
+    sf_real one[SF_CHANNELS], reading[SF_CHANNELS], noise[SF_CHANNELS];
+    for (int i = 0; i < c->channels; i++) {
+        one[i] = 1;
         if (s->tare.time[c->foot_of_channel[i]] < 0) continue;
-        s->tare.centre[i] = s->tare.reading[i];
-        at[count++] = i;
+        noise[count] = m->tare_variance[i] / m->block;
+        reading[count] = s->tare.centre[i] = s->tare.reading[i];
+        channels[count++] = i;
     }
-    for (int j = 0; count && j < SF_MODES; j++) {
-        sf_real *mean = s->belief.mean + j * N, *P = s->belief.covariance + j * N * N;
-        memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
-        for (int k = 0; k < count; k++) {
-            int i = at[k];
-            sf_real *row = predicted + k * N, reading = s->tare.reading[i];
-            sf_add(row, reading, P + i * N, N);
-            sf_add(row, 1, P + (K + i) * N, N);
-            sf_add(row, 1, P + (2 * K + i) * N, N);
-            innovation[k] = -(reading * mean[i] + mean[K + i] + mean[2 * K + i]);
-        }
-        for (int k = 0; k < count; k++)
-            for (int l = 0; l < count; l++) {
-                const sf_real *row = predicted + k * N;
-                S[k * count + l] = row[at[l]] * s->tare.reading[at[l]] + row[K + at[l]] + row[2 * K + at[l]];
-                if (k == l) S[k * count + l] += m->tare_variance[at[k]] / m->block;
-            }
-        sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B);
-    }
+    sf_learn_tare(c, m, &s->belief, channels, count, reading, one, reading, noise, w);
 }
 
 /* MomentFilter.init and _begin_again: know nothing but the readings' faults and what feet in the air showed. */
@@ -1863,9 +1861,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         sf_real read = 0;
         for (int t = 0; t < n; t++) read += s->pending[t * wide + K + i];
         missing = missing || (read / (sf_real)n < m->least_read && s->faults.lost[i] < (sf_real)0.5);
-        sf_real of_plate = 0;
-        for (int j = 0; j < K; j++) of_plate += (sf_real)c->together[i * K + j] * s->faults.lost[j];
-        out = out || of_plate > (sf_real)1.5;
+        out = out || sf_lost_of_plate(c, &s->faults, i) > (sf_real)1.5;
     }
     if (missing) s->linked = 0;
     else {

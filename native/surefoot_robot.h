@@ -565,6 +565,13 @@ SF_API int sf_all_there(const sf_config *c, const sf_channel_faults *s) {
     return 1;
 }
 
+/* How many channels of a channel's plate are out. */
+SF_API sf_real sf_lost_of_plate(const sf_config *c, const sf_channel_faults *s, int i) {
+    sf_real lost = 0;
+    for (int j = 0; j < c->channels; j++) lost += (sf_real)c->together[i * c->channels + j] * s->lost[j];
+    return lost;
+}
+
 /* ChannelFaults._rebuild: work out how to do without what is lost. */
 SF_API void sf_rebuild(const sf_config *c, sf_channel_faults *s) {
     int K = c->channels;
@@ -713,10 +720,9 @@ SF_API int sf_compare_with_plate(const sf_config *c, sf_channel_faults *s, const
             if (alone[j] && c->together[i * K + j]) change[i] = 0;
     }
     for (int i = 0; i < K; i++) {
-        sf_real told = sf_clip(sf_dot(c->by_others + i * K, change, K), -SF_LARGEST_CHANGE, SF_LARGEST_CHANGE), lost = 0;
+        sf_real told = sf_clip(sf_dot(c->by_others + i * K, change, K), -SF_LARGEST_CHANGE, SF_LARGEST_CHANGE);
         sf_real own = sf_clip(change[i], -SF_LARGEST_CHANGE, SF_LARGEST_CHANGE);
-        for (int j = 0; j < K; j++) lost += (sf_real)c->together[i * K + j] * s->lost[j];
-        int whole = lost < (sf_real)0.5;
+        int whole = sf_lost_of_plate(c, s, i) < (sf_real)0.5;
         s->shown[i] = whole ? sf_max(s->shown[i], 0) + own * own : 0;
         s->expected[i] = whole ? s->expected[i] + told * told : 0;
         if (!whole) s->missed[i] = s->offered[i] = 0;

@@ -13,7 +13,7 @@
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from surefoot.calibration.setup import OnlineSetup
 
 LONGEST_GAP = 5.0
 """Time between samples, in nominal ones, beyond which they no longer belong together."""
+
+Repair = Callable[[Array, Array], tuple[Array, Array]]
+"""Takes the newest forces and whether they were read, and hands back those to go on with."""
 
 
 class FrontState(NamedTuple):
@@ -166,7 +169,7 @@ class FrontEnd:
         raw: Array,
         reference: Reference | MomentumReference,
         dt: float,
-        repair: Callable[[Array, Array], tuple[Array, Array]] | None = None,
+        repair: Repair | None = None,
     ) -> tuple[FrontState, Sample]:
         """Check one sample, align it with its reference and write its rows.
 
@@ -203,7 +206,6 @@ class FrontEnd:
 
         flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
         flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)
-        contacts = {"stance": reference.stance & sound, "swing": reference.swing & sound}
         sample = Sample(
             force=force,
             ahead=ahead,
@@ -214,14 +216,17 @@ class FrontEnd:
             good=good,
             clean=clean,
             motion=motion,
+            stance=reference.stance & sound,
+            swing=reference.swing & sound,
             known=known,
             flags=flags,
             gap=gap,
-            **contacts,
         )
         return FrontState(held, history, motion, known, clean), sample
 
-    def _read(self, state: FrontState, raw: Array, repair: Any) -> tuple[Array, Array, Array, Array]:
+    def _read(
+        self, state: FrontState, raw: Array, repair: Repair | None
+    ) -> tuple[Array, Array, Array, Array]:
         """Return which readings are plausible, the last ones that were, and the forces and which are sure."""
         low, high = self.plausible
         read = (raw >= low) & (raw <= high)

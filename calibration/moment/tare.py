@@ -102,16 +102,10 @@ class Tare:
             state: Results of tares before.
         """
         at = np.flatnonzero(state.time[self._foot_of_channel] >= 0.0)
-        H = self._write(at, state.reading[at], np.ones(len(at)))
-        noise = np.diag(self.variance[at] / self._block)
-        found = [
-            update(mean, covariance, H, -H @ mean, noise, self._columns.mass)
-            for mean, covariance in zip(belief.mean, belief.covariance, strict=True)
-        ]
-        means, covariances = (np.stack(part) for part in zip(*found, strict=True))
-        centre = state.centre.copy()
-        centre[at] = state.reading[at]
-        return belief._replace(mean=means, covariance=covariances), state._replace(centre=centre)
+        reading, centre = state.reading[at], state.centre.copy()
+        centre[at] = reading
+        belief = self._learn(belief, at, reading, np.ones(len(at)), reading, self.variance[at] / self._block)
+        return belief, state._replace(centre=centre)
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
         """Write the rows of the feet that hang in a block.
@@ -201,24 +195,35 @@ class Tare:
             leapt = change**2 > LEAP**2 * walked
             if time - last > LEAST_APART:
                 rate, followed = self._follow(rate, followed, change, walked), followed + 1
-        H = self._write(at, centre, a)
-        asked = a * (centre - reading)
-        means, covariances = [], []
-        for mean, covariance in zip(belief.mean, belief.covariance, strict=True):
-            if leapt.any():
-                covariance = covariance.copy()
-                covariance[drift[leapt], drift[leapt]] += (reading - state.reading[channels])[leapt] ** 2
-            mean, covariance = update(
-                mean, covariance, H, asked - H @ mean, np.diag(a**2 * noise), columns.mass
-            )
-            means.append(mean)
-            covariances.append(covariance)
+        if leapt.any():
+            covariance = belief.covariance.copy()
+            covariance[:, drift[leapt], drift[leapt]] += change[leapt] ** 2
+            belief = belief._replace(covariance=covariance)
+        belief = self._learn(belief, at, centre, a, reading, noise)
         published = published.copy()
         published[drift] = centre - reading
         shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
         shown[channels], centres[channels], times[foot] = reading, centre, time
-        belief = belief._replace(mean=np.stack(means), covariance=np.stack(covariances))
         return belief, published, TareState(shown, centres, times, rate, followed)
+
+    def _learn(
+        self,
+        belief: Belief,
+        channels: NDArray[np.int64],
+        centre: Array,
+        a: Array,
+        reading: Array,
+        noise: Array,
+    ) -> Belief:
+        """Let all modes know what channels read of no load; ``noise`` is the readings' variance."""
+        H, variance = self._write(channels, centre, a), np.diag(a**2 * noise)
+        asked = a * (centre - reading)
+        found = [
+            update(mean, covariance, H, asked - H @ mean, variance, self._columns.mass)
+            for mean, covariance in zip(belief.mean, belief.covariance, strict=True)
+        ]
+        means, covariances = (np.stack(part) for part in zip(*found, strict=True))
+        return belief._replace(mean=means, covariance=covariances)
 
     def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by changes since the last tare.

@@ -51,7 +51,7 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
                     at = i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5)
                     draw_mean(axes, runs[metric.column], metric.factor, at, name)
                     if of_paper and (runs["against"] == "baseline").all():
-                        _draw_published(axes, metric, float(runs["speed"].iloc[0]), at, name)
+                        _draw_paper_value(axes, metric, float(runs["speed"].iloc[0]), at, name)
             if not of_paper:
                 axes.axvline(metric.target, color="black", linestyle="--", linewidth=0.8)
             logarithmic(axes, metric.label)
@@ -63,7 +63,7 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
     return path
 
 
-def _draw_published(axes: Axes, metric: Metric, speed: float, at: float, name: str) -> None:
+def _draw_paper_value(axes: Axes, metric: Metric, speed: float, at: float, name: str) -> None:
     """Draw the CoP paper's own error of a method at a walking speed in m/s, if it gives one."""
     published = WALKING_TABLES.get(speed, {}).get(name)
     if published is not None:

@@ -30,7 +30,7 @@ def test_deviance_is_that_of_a_normal_distribution():
     added = solution.problem.added * np.array([[1.0], [1.003], [1.0], [1.0]])
     other = solve(replace(solution.problem, added=added), [solution.outer])
 
-    def expected(fit):
+    def expected_deviance(fit):
         left = []
         for part, response in zip(fit.problem.sets, fit.predicted, strict=True):
             rows = part.source.columns
@@ -40,7 +40,7 @@ def test_deviance_is_that_of_a_normal_distribution():
         return sum(len(one) - 1 for one in left) * np.linalg.slogdet(scatter)[1] + fit.prior_square
 
     found = deviance(other) - deviance(solution)
-    assert found == pytest.approx(expected(other) - expected(solution), rel=1e-6)
+    assert found == pytest.approx(expected_deviance(other) - expected_deviance(solution), rel=1e-6)
     assert found > 1.0
 
 

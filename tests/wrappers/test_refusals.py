@@ -23,7 +23,7 @@ def many(count=2, **options):
     return gym.make_vec(NAME, count, **options)
 
 
-def sensed(**options):
+def feet(**options):
     return FootSensors(one(), **options)
 
 
@@ -38,16 +38,16 @@ def sb3(around=lambda venv: venv):
         (lambda: FootSensors(many()), TypeError, "for those that gym.make_vec.* there is VectorFootSensors"),
         (lambda: FootSensors(one(), 5), TypeError, "'config' must be .* or ForceTorque.*, got 5"),
         (lambda: FootSensors(one(), LoadCells), TypeError, r"call it: LoadCells\(\.\.\.\)"),
-        (lambda: sensed(ankles=True), TypeError, "'ankles' must be the name of a preset, .* got True"),
-        (lambda: sensed(imu=False), TypeError, r"'imu' must be the name of a preset, .* \(Imu\), got False"),
-        (lambda: sensed(faults=3), TypeError, "'faults' must be a sequence of faults or a mapping .* got 3"),
-        (lambda: sensed(fresh="no"), TypeError, "'fresh' must be True or False, got 'no'"),
-        (lambda: sensed(measure_state="no"), TypeError, "'measure_state' must be True or False, got 'no'"),
-        (lambda: sensed(noise=2), TypeError, r"have no option 'noise'; they have \['config', 'ankles'"),
-        (lambda: SelfCalibration(sensed()).calibrator, ResetNeeded, "no calibrator .* before the first"),
-        (lambda: SelfCalibration(sensed()).freeze("no"), TypeError, "'frozen' must be True or False"),
-        (lambda: SelfCalibration(sensed(), fresh=3), TypeError, "'fresh' must be True or False, got 3"),
-        (lambda: SampleHistory(sensed(), ["foot_raw"], period="a"), TypeError, "'period' must be a number"),
+        (lambda: feet(ankles=True), TypeError, "'ankles' must be the name of a preset, .* got True"),
+        (lambda: feet(imu=False), TypeError, r"'imu' must be the name of a preset, .* \(Imu\), got False"),
+        (lambda: feet(faults=3), TypeError, "'faults' must be a sequence of faults or a mapping .* got 3"),
+        (lambda: feet(fresh="no"), TypeError, "'fresh' must be True or False, got 'no'"),
+        (lambda: feet(measure_state="no"), TypeError, "'measure_state' must be True or False, got 'no'"),
+        (lambda: feet(noise=2), TypeError, r"have no option 'noise'; they have \['config', 'ankles'"),
+        (lambda: SelfCalibration(feet()).calibrator, ResetNeeded, "no calibrator .* before the first"),
+        (lambda: SelfCalibration(feet()).freeze("no"), TypeError, "'frozen' must be True or False"),
+        (lambda: SelfCalibration(feet(), fresh=3), TypeError, "'fresh' must be True or False, got 3"),
+        (lambda: SampleHistory(feet(), ["foot_raw"], period="a"), TypeError, "'period' must be a number"),
         (lambda: TruthRow(NAME), TypeError, "go around one environment"),
         (lambda: many(0), ValueError, "'num_envs' must be a whole number from 1 on, got 0"),
         (lambda: many(threads="all"), ValueError, "'threads' must be a whole number from 0 on, got 'all'"),
@@ -79,7 +79,7 @@ def test_an_action_that_is_no_number_is_refused() -> None:
 
 
 def test_hardware_of_more_robots_is_refused(tmp_path) -> None:
-    robots, alone = VectorFootSensors(many(3)), sensed()
+    robots, alone = VectorFootSensors(many(3)), feet()
     robots.reset(seed=0)
     alone.reset(seed=0)
     robots.save(tmp_path / "three.npz")
