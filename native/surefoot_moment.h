@@ -1563,25 +1563,27 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const
 /* Suspects._find_leap: the step of readings that explains an error best; returns whether there is one that does so better
    than `least`. */
 SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_suspects *s, const sf_real *S,
-                        const sf_real *reach, const sf_real *e, sf_real least, sf_real rare, sf_leap *leap) {
+                        const sf_real *reach, const sf_real *e, const sf_real *lost, sf_real least, sf_real rare,
+                        sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, left[SF_COMPONENTS], by[SF_CHANNELS], std[SF_CHANNELS];
     sf_real smallest = m->smallest_step * m->smallest_step;
     for (int at = 0; at < 2 * m->capacity; at++) {
         const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
         for (int of = -1; of < c->feet; of++) {
-            sf_real mean = 0, count = 0, size = 0;
+            sf_real mean = 0, count = 0, size = 0, leaps[SF_CHANNELS];
             for (int i = 0; i < K; i++) {
-                sf_real leaps = of < 0 || c->foot_of_channel[i] == of, step = now[i] - old[i];
-                mean += leaps * step, size += leaps * step * step, count += leaps;
+                sf_real step = now[i] - old[i];
+                leaps[i] = (of < 0 || c->foot_of_channel[i] == of) && lost[i] < (sf_real)0.5;
+                mean += leaps[i] * step, size += leaps[i] * step * step, count += leaps[i];
             }
+            count = sf_max(count, 1);
             mean /= count, size /= count;
             for (int tared = 0; tared < 2; tared++) {
                 sf_real unlike = 0, largest = 0, variance, seen;
                 for (int i = 0; i < K; i++) {
-                    sf_real leaps = of < 0 || c->foot_of_channel[i] == of;
-                    by[i] = leaps * (tared ? -old[i] : mean), largest = sf_max(largest, sf_fabs(by[i]));
-                    unlike += leaps * sf_power2(now[i] - old[i] - by[i]) / count;
+                    by[i] = leaps[i] * (tared ? -old[i] : mean), largest = sf_max(largest, sf_fabs(by[i]));
+                    unlike += leaps[i] * sf_power2(now[i] - old[i] - by[i]) / count;
                 }
                 variance = sf_max(sf_max(unlike, m->alike * m->alike * size), smallest);
                 /* Loads that step do so each by its own, and by any size. */
@@ -1591,7 +1593,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 if (!(seen > m->contrast && largest <= (tared ? m->largest_tared : m->largest_load))) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
-                    std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_fabs(s->known[i]) * sf_sqrt(variance);
+                    std[i] = leaps[i] * sf_fabs(s->known[i]) * sf_sqrt(variance);
                     for (int r = 0; r < C; r++) left[r] += reach[r * K + i] * (s->known[i] * by[i]);
                 }
                 seen += sf_evidence(m, L, sf_factor(m, S, reach, K, std, L), left);
@@ -1599,7 +1601,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 most = seen, found = 1;
                 for (int i = 0; i < K; i++) {
                     leap->reading[i] = by[i];
-                    leap->std[i] = (of < 0 || c->foot_of_channel[i] == of) * sf_sqrt(variance);
+                    leap->std[i] = leaps[i] * sf_sqrt(variance);
                 }
             }
         }
@@ -1669,6 +1671,10 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         sf_real std[SF_CHANNELS] = {0}, score;
         int shown = 0;
         if (suspect < 2 * K && !c->cells[suspect % K]) continue;
+        if (sf_lost_of_plate(c, faults, both[suspect][0]) + sf_lost_of_plate(c, faults, both[suspect][1]) > (sf_real)0.5) {
+            s->score[suspect] = 0;
+            continue;
+        }
         sf_copy(far, before, C);
         sf_less_suspect(c, m, rows, s->known, others, suspect, both[suspect], far);
         if (suspect < K) {
@@ -1685,7 +1691,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
         s->score[suspect] = score > 0 ? score : 0;
         most = sf_max(most, s->score[suspect]);
     }
-    leaps = innocent > nothing && sf_find_leap(c, m, s, S, reach, before, least, rare, leap);
+    leaps = innocent > nothing && sf_find_leap(c, m, s, S, reach, before, faults->lost, least, rare, leap);
     if (most < m->contrast) {
         sf_copy(s->known, known, at);
         for (int r = 0; r < C; r++) {
@@ -1756,6 +1762,8 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
                        const sf_leap *leap) {
     int K = c->channels, N = sf_states(c, m), each[SF_SUSPECTS][2], *both = each[guilty < 0 ? 0 : guilty];
     memset(s->suspects.score, 0, sizeof s->suspects.score);
+    for (int i = 0; i < K; i++)
+        s->faults.shown[i] = -1, s->faults.expected[i] = s->faults.missed[i] = s->faults.offered[i] = 0;
     sf_moment_retract(c, m, s);
     if (guilty < 0) {
         for (int i = 0; i < K; i++) {
@@ -1789,7 +1797,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 /* The part of MomentFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
-    int follows = s->linked && s->track.adrift < m->leg_time, whole = sf_all_there(c, &s->faults);
+    int follows = s->linked && s->track.adrift < m->leg_time;
     int N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
@@ -1801,7 +1809,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         for (int j = 1; j < SF_MODES; j++)
             if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
         ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
-        guilty = whole ? sf_suspect(c, m, s, n, step, published, likeliest, w) : -1;
+        guilty = sf_suspect(c, m, s, n, step, published, likeliest, w);
         if (guilty != -1) return -3 - guilty;
         *rejected = sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration;
     }
@@ -1825,7 +1833,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
     }
     if (!good) return SF_SINGULAR;
-    if (!s->linked || !whole) {
+    if (!s->linked) {
         sf_read_suspects(c, m, &s->suspects, s->pending, n);
         sf_copy(s->suspects.before, rows->at_end, m->components);
     }

@@ -318,6 +318,11 @@ class ChannelFaults:
             missed=state.missed + error @ by_plate, offered=state.offered + (by_plate**2).sum(axis=0)
         )
 
+    def restart(self, state: ChannelState) -> ChannelState:
+        """Begin anew to hold cells against their plates: readings mean something else from now on."""
+        zero = np.zeros_like(state.shown)
+        return state._replace(shown=zero - 1.0, expected=zero, missed=zero, offered=zero)
+
     def lose(self, state: ChannelState, channel: int) -> ChannelState:
         """Take a channel out that is dead."""
         out = np.arange(len(state.lost)) == channel

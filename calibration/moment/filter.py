@@ -276,10 +276,9 @@ class MomentFilter:
             )
             likeliest = belief.mean[belief.chance.argmax()]
             ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
-            if whole:
-                state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
-                if wrong is not None:
-                    return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
+            state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
+            if wrong is not None:
+                return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
             rejected = bool(abs(ahead) > 0.5 * LARGEST_ERROR * block.duration)
         if not follows or rejected:
             belief = begin_momentum(belief, rows, columns)
@@ -295,7 +294,7 @@ class MomentFilter:
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
-        if not (state.linked and whole):
+        if not state.linked:
             suspects = self.repairs.suspects.read(state.suspects, block.force)
             state = state._replace(suspects=suspects._replace(before=rows.at_end))
         publication = weighed.publish(belief.chance)

@@ -69,9 +69,11 @@ class Repairs:
         faults = self._faults.miss(
             state.faults, *self.suspects.miss(suspects, rows, known, as_stated, self._faults.by_others)
         )
-        others, std = stand_in.others(state.faults.moments, state.faults.lost)
+        lost = state.faults.lost
+        others, std = stand_in.others(state.faults.moments, lost)
+        broken = stand_in.together @ lost > 0.5
         suspects, wrong = self.suspects.weigh(
-            suspects, rows, known, covariance, others, std / self._weight, block.duration
+            suspects, rows, known, covariance, others, std / self._weight, lost, broken, block.duration
         )
         return state._replace(faults=faults, suspects=suspects._replace(before=rows.at_end)), wrong
 
@@ -83,7 +85,7 @@ class Repairs:
             wrong: As :meth:`weigh` returns it.
         """
         cleared = state.suspects._replace(score=np.zeros(self.suspects.count))
-        state = state._replace(suspects=cleared)
+        state = state._replace(suspects=cleared, faults=self._faults.restart(state.faults))
         if isinstance(wrong, Leap):
             return self._shift(state, wrong)
         if wrong < self.suspects.out.stop:

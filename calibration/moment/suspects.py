@@ -92,7 +92,7 @@ class Suspects:
         )
         pair = np.zeros((pairs, K))
         pair[np.arange(pairs), self._first] = pair[np.arange(pairs), self._second] = 1.0
-        about = np.vstack([np.eye(K), np.eye(K), pair, pair])
+        self._about = about = np.vstack([np.eye(K), np.eye(K), pair, pair])
         self._related = about @ about.T > 0.0
         # To put a channel right is preferred to losing it.
         self._handicap = np.where(np.arange(self.count) < self.out.stop, CONTRAST, 0.0)
@@ -116,6 +116,8 @@ class Suspects:
         covariance: Array,
         others: Array,
         others_std: Array,
+        lost: Array,
+        broken: Array,
         duration: float,
     ) -> tuple[SuspectState, int | Leap | None]:
         """Hold all suspects against a block.
@@ -127,6 +129,8 @@ class Suspects:
             covariance: Theirs, shape (M, M).
             others: How each force follows from the others of its foot, shape (K, K).
             others_std: How far that is off in W, shape (K,).
+            lost: Channels that are out (0 or 1), shape (K,).
+            broken: Channels of plates of which one is out (bool), shape (K,): they are not suspected.
             duration: Of the block in s.
 
         Returns:
@@ -141,8 +145,9 @@ class Suspects:
         S = S + np.diag(span**2 * wrench_variance(FREE, rows))
         changes = self._changes(rows.crossed, reach, state.known, others)
         off = e_before[:, None] - changes
-        each = np.where(self._possible, _evidence(S, off), -np.inf)
-        for k in np.flatnonzero(self._possible[self.out]):
+        possible = self._possible & (self._about @ broken < 0.5)
+        each = np.where(possible, _evidence(S, off), -np.inf)
+        for k in np.flatnonzero(possible[self.out]):
             extra = np.outer(reach[:, k], reach[:, k]) * others_std[k] ** 2
             each[k] = _evidence(S + extra, off[:, [k]])[0]
         # Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as
@@ -169,7 +174,8 @@ class Suspects:
             surprise = np.minimum(e**2 / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
         least = max(innocent + SURE, each.max())
-        leap = self._find_leap(state, S, reach, e_before, least, rare) if innocent > nothing else None
+        there = 1.0 - lost
+        leap = self._find_leap(state, S, reach, e_before, there, least, rare) if innocent > nothing else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
 
@@ -217,18 +223,19 @@ class Suspects:
         return best if score[best] > max(SURE, rival + CONTRAST) else None
 
     def _find_leap(
-        self, state: SuspectState, S: Array, reach: Array, e: Array, least: float, rare: float
+        self, state: SuspectState, S: Array, reach: Array, e: Array, there: Array, least: float, rare: float
     ) -> Leap | None:
         """Find the step of readings that explains an error best, and better than ``least``.
 
-        ``rare`` is the logarithm of how rarely a hand pushes in a block.
+        ``there`` are the channels that are not out, and ``rare`` is the logarithm of how rarely a hand pushes
+        in a block.
         """
         a, found, most = state.known[self._columns.scale], None, least
         # Readings are brought to one moment, between two of each channel's.
         steps = state.force[2:] - state.force[:-2]
         for before, step in zip(state.force[:-2], steps, strict=True):
-            for together in self._together:
-                count, force = together.sum(), together * a
+            for place, together in enumerate(self._together * there):
+                count, force = max(together.sum(), 1.0), together * a
                 size = together @ step**2 / count
                 alike = np.full(len(step), together @ step / count)
                 for leap, largest in ((alike, LARGEST_LOAD), (-before, LARGEST_TARED)):
@@ -237,7 +244,7 @@ class Suspects:
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
                     # A push on a robot that stands evenly comes on all of its cells alike.
-                    seen += rare * (count == len(step))
+                    seen += rare * (place == 0)
                     if seen > CONTRAST and np.abs(together * leap).max() <= largest:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
