@@ -50,7 +50,7 @@
 typedef struct {
     int components, capacity, held, talks;
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
-    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
+    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, stand_in_time;
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
@@ -81,7 +81,7 @@ typedef struct {
 
 /* TareState */
 typedef struct {
-    sf_real reading[SF_CHANNELS], centre[SF_CHANNELS], time[SF_FEET], rate;
+    sf_real reading[SF_CHANNELS], time[SF_FEET], rate;
     sf_whole followed;
 } sf_tares;
 
@@ -394,7 +394,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
     sf_real pushes[2 * SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
     for (int t = 0; t < n; t++)
         for (int i = 0; i < K; i++) {
-            w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
+            w->force[t * K + i] = a[i] * samples[t * wide + i] + b[i] + u[i];
             read[i] += samples[t * wide + K + i];
         }
     sf_units(c, m, samples, n, spare, weighted, w);
@@ -424,7 +424,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 sf_real *far = reach + (which * C + r) * K, *first = scale[which], by_share = share[which];
                 for (int i = 0; i < K; i++) {
                     sf_real one = by_share * unit[r * K + i];
-                    first[i] += one * (row[i] + u[i]);
+                    first[i] += one * row[i];
                     far[i] += one;
                 }
                 for (int j = 0; j < m->talks; j++)
@@ -468,9 +468,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
             sf_real *row = H + r * N, *far = reach + (which * C + r) * K;
             rest[r] = pulls[which * C + r];
             for (int i = 0; i < K; i++) {
-                row[K + i] = far[i];
-                row[2 * K + i] = far[i] * a[i];
-                rest[r] -= far[i] * (a[i] * u[i]);
+                row[K + i] = row[2 * K + i] = far[i];
             }
             row[at - 2] = pushes[which * C + r];
             row[at + r] = 1;
@@ -649,6 +647,7 @@ SF_API sf_real sf_chance_of_load(const sf_moment_config *m, sf_real mean, sf_rea
 SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_modes *s, sf_moment_work *w, sf_taught *out) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m), wrench = at + C, likeliest = 0, good = 1;
     const sf_moment_rows *rows = &w->rows;
+    out->nis = 0;
     for (int j = 1; j < SF_MODES; j++)
         if (s->chance[j] > s->chance[likeliest]) likeliest = j;
     for (int j = 0; j < SF_MODES; j++) {
@@ -1078,22 +1077,18 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, con
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
         else
             for (int k = 0; k < 3 * K; k++)
-                row[k] = W * (p->mean[2 * K + i] * p->covariance[i * M + k] + p->covariance[(K + i) * M + k] +
-                              p->mean[i] * p->covariance[(2 * K + i) * M + k]);
+                row[k] = W * (p->covariance[(K + i) * M + k] + p->covariance[(2 * K + i) * M + k]);
         for (int k = 0; k < K; k++) {
             learnt[r * wide + k] = row[k];
-            learnt[r * wide + K + k] = W * (p->mean[2 * K + k] * row[k] + row[K + k] + p->mean[k] * row[2 * K + k]);
+            learnt[r * wide + K + k] = W * (row[K + k] + row[2 * K + k]);
         }
         for (int k = 0; k < r; k++)
             learnt[r * wide + k] = learnt[k * wide + r] = (sf_real)0.5 * (learnt[r * wide + k] + learnt[k * wide + r]);
     }
     /* drift_on: until the map is applied. */
     for (int i = 0; i < K; i++) {
-        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W, walked = m->walk[i] * time, zero = m->walk[K + i] * time;
-        learnt[i * wide + i] += walked;
-        learnt[i * wide + K + i] += walked * u;
-        learnt[(K + i) * wide + i] += walked * u;
-        learnt[(K + i) * wide + K + i] += walked * (u * u) + zero * (a * a);
+        learnt[i * wide + i] += m->walk[i] * time;
+        learnt[(K + i) * wide + K + i] += m->walk[K + i] * time * sf_power2(p->mean[i] * W);
     }
 }
 
@@ -1125,7 +1120,7 @@ SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_
     int K = c->channels;
     for (int i = 0; i < K; i++) {
         a[i] = p->mean[i];
-        b[i] = (p->mean[K + i] + a[i] * p->mean[2 * K + i]) * c->weight;
+        b[i] = (p->mean[K + i] + p->mean[2 * K + i]) * c->weight;
     }
 }
 
@@ -1240,11 +1235,10 @@ SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, co
     return sf_clip(s->rate * sf_sqrt(1 + share * (surprise - 1)), m->smallest_rate, m->largest_rate);
 }
 
-/* Tare._learn: let all modes know what channels read of no load; returns whether they all could. a: of all channels, as
-   are their numbers; of the channels themselves the rest, noise the variance of their readings. */
+/* Tare._learn: let all modes know forces of readings, `asked` with a variance, of some channels; returns whether they
+   all could. */
 SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels, int count,
-                         const sf_real *centre, const sf_real *a, const sf_real *reading, const sf_real *noise,
-                         sf_moment_work *w) {
+                         const sf_real *reading, const sf_real *asked, const sf_real *variance, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
     sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
     for (int j = 0; count && j < SF_MODES; j++) {
@@ -1253,61 +1247,71 @@ SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             sf_real *row = predicted + k * N;
-            sf_add(row, centre[k], P + i * N, N);
+            sf_add(row, reading[k], P + i * N, N);
             sf_add(row, 1, P + (K + i) * N, N);
-            sf_add(row, a[i], P + (2 * K + i) * N, N);
-            innovation[k] = a[i] * (centre[k] - reading[k]) - (centre[k] * mean[i] + mean[K + i] + a[i] * mean[2 * K + i]);
+            sf_add(row, 1, P + (2 * K + i) * N, N);
+            innovation[k] = asked[k] - (reading[k] * mean[i] + mean[K + i] + mean[2 * K + i]);
         }
         for (int k = 0; k < count; k++)
             for (int l = 0; l < count; l++) {
                 int i = channels[l];
                 const sf_real *row = predicted + k * N;
-                S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * a[i];
-                if (k == l) S[k * count + l] += a[i] * a[i] * noise[k];
+                S[k * count + l] = row[i] * reading[l] + row[K + i] + row[2 * K + i];
+                if (k == l) S[k * count + l] += variance[k];
             }
         good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
     }
     return good;
 }
 
+/* Tare._redefine: define the drift anew by readings without load. */
+SF_API void sf_redefine_drift(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels,
+                              int count, const sf_real *reading, const sf_real *variance) {
+    int K = c->channels, N = sf_states(c, m);
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
+        for (int k = 0; k < count; k++) {
+            int i = channels[k], drift = 2 * K + i;
+            mean[drift] = -(reading[k] * mean[i] + mean[K + i]);
+            for (int l = 0; l < N; l++) P[drift * N + l] = -(reading[k] * P[i * N + l] + P[(K + i) * N + l]);
+            for (int l = 0; l < N; l++) P[l * N + drift] = -(reading[k] * P[l * N + i] + P[l * N + K + i]);
+            P[drift * N + drift] += variance[k];
+        }
+    }
+}
+
 /* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
 SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
                         sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), good = 1;
+    int K = c->channels, good = 1;
     for (int foot = 0; foot < c->feet; foot++) {
-        int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
-        sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], centre[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS];
-        sf_real last = tare->time[foot];
+        int channels[SF_CHANNELS], steady[SF_CHANNELS], count = 0, few = 0;
+        sf_real reading[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS];
+        sf_real before[SF_CHANNELS], asked[SF_CHANNELS], unsure[SF_CHANNELS], last = tare->time[foot];
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
         sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
         if (!(seconds >= m->tare_share * duration)) continue;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            change[k] = reading[k] - tare->reading[i];
-            noise[k] = m->tare_variance[i] / seconds;
-            centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
-            walked[k] = noise[k] * 2;
-            if (last >= 0) walked[k] += tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
-            leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
+            sf_real noise = m->tare_variance[i] / seconds, shown = last < 0 ? reading[k] : tare->reading[i];
+            change[k] = reading[k] - shown;
+            walked[k] = 2 * noise + tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
+            variance[k] = published[i] * published[i] * noise;
+            /* A zero that leapt says nothing of the time since. */
+            if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
+            steady[few] = i, before[few] = shown, asked[few] = -published[i] * change[k], unsure[few++] = variance[k];
         }
         if (last >= 0 && s->time - last > m->least_apart) {
             tare->rate = sf_followed_rate(m, tare, change, walked, count);
             tare->followed++;
         }
-        for (int j = 0; j < SF_MODES; j++) {
-            sf_real *P = belief->covariance + j * N * N;
-            for (int k = 0; k < count; k++) {
-                int i = channels[k], drift = 2 * K + i;
-                if (leapt[k]) P[drift * N + drift] += change[k] * change[k];
-            }
-        }
-        good = sf_learn_tare(c, m, belief, channels, count, centre, published, reading, noise, w) && good;
+        good = sf_learn_tare(c, m, belief, steady, few, before, asked, unsure, w) && good;
+        if (last >= 0) sf_redefine_drift(c, m, belief, channels, count, reading, variance);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            published[2 * K + i] = centre[k] - reading[k];
+            published[2 * K + i] = -published[i] * reading[k] - published[K + i];
             tare->reading[i] = reading[k];
-            tare->centre[i] = centre[k];
         }
         tare->time[foot] = s->time;
     }
@@ -1352,7 +1356,7 @@ SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_stat
         for (int i = 0; i < K; i++) {
             sf_real *P = s->belief.covariance + j * N * N;
             P[i * N + i] += m->walk[i] * time;
-            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time;
+            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time * sf_power2(s->published.mean[i]);
         }
     s->drifted += m->walk[0] * time;
     s->time += duration;
@@ -1379,15 +1383,14 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
 /* Tare.repeat: tare the feet once more as they read last, with a belief that knows nothing yet. */
 SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
     int channels[SF_CHANNELS], count = 0;
-    sf_real one[SF_CHANNELS], reading[SF_CHANNELS], noise[SF_CHANNELS];
+    sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], none[SF_CHANNELS] = {0};
     for (int i = 0; i < c->channels; i++) {
-        one[i] = 1;
         if (s->tare.time[c->foot_of_channel[i]] < 0) continue;
         noise[count] = m->tare_variance[i] / m->block;
-        reading[count] = s->tare.centre[i] = s->tare.reading[i];
+        reading[count] = s->tare.reading[i];
         channels[count++] = i;
     }
-    sf_learn_tare(c, m, &s->belief, channels, count, reading, one, reading, noise, w);
+    sf_learn_tare(c, m, &s->belief, channels, count, reading, none, noise, w);
 }
 
 /* MomentFilter.init and _begin_again: know nothing but the readings' faults and what feet in the air showed. */
@@ -1449,17 +1452,9 @@ SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_sta
 }
 
 /* MomentFilter._lasting: variances of forces in W^2 by what no unknown stands for. */
-SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, const sf_tares *tare,
-                       sf_real *lasting) {
-    int K = c->channels, M = sf_weighed(c);
-    const sf_real *P = s->published.covariance;
-    sf_real longest = sf_max(m->product_time / (2 * m->mode_time[0]), 1);
-    for (int i = 0; i < K; i++) {
-        sf_real since = s->time - sf_max(tare->time[c->foot_of_channel[i]], 0);
-        sf_real longer = sf_max(sf_min(since, m->product_time) / (2 * m->mode_time[0]), 1);
-        lasting[i] = longer * P[i * M + i] * P[(2 * K + i) * M + 2 * K + i];
-        lasting[i] += longest * sf_power2(s->faults.spare_std[i] / c->weight);
-    }
+SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, sf_real *lasting) {
+    sf_real longer = m->stand_in_time / (2 * m->mode_time[0]);
+    for (int i = 0; i < c->channels; i++) lasting[i] = longer * sf_power2(s->faults.spare_std[i] / c->weight);
 }
 
 /* MomentFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
@@ -1526,16 +1521,15 @@ SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, sf_real 
     return (sf_real)-0.5 * square - size;
 }
 
-/* Suspects._error: what is left unexplained of rows that are linear about scales and drift `about`. */
+/* Suspects._error: what is left unexplained of rows. */
 SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                           const sf_real *before, const sf_real *about, const sf_real *known, sf_real *e) {
+                           const sf_real *before, const sf_real *known, sf_real *e) {
     int K = c->channels, N = sf_states(c, m);
     for (int r = 0; r < m->components; r++) {
         const sf_real *H = rows->mean + r * N;
         sf_real explained = rows->mean_rest[r] + sf_dot(H + 3 * K, known + 3 * K, 4 + m->talks);
         for (int i = 0; i < K; i++) {
-            explained += H[K + i] * (about[i] * about[2 * K + i]) + rows->crossed[(r * K + i) * K + i] * known[i];
-            explained += H[K + i] * (known[K + i] + known[i] * known[2 * K + i]);
+            explained += rows->crossed[(r * K + i) * K + i] * known[i] + H[K + i] * (known[K + i] + known[2 * K + i]);
         }
         e[r] = rows->measured[r] - before[r] - explained;
     }
@@ -1550,7 +1544,7 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const
         const sf_real *X = rows->crossed + r * K * K, *reach = rows->mean + r * N + K;
         sf_real change = 0, sign = suspect < 2 * K + pairs ? 1 : -1;
         for (int l = 0; suspect < K && l < K; l++) {
-            sf_real zero = known[K + l] + a[l] * known[2 * K + l], by = others[i * K + l] - (l == i);
+            sf_real zero = known[K + l] + known[2 * K + l], by = others[i * K + l] - (l == i);
             change += by * (X[i * K + l] * a[l] + reach[i] * zero);
         }
         if (suspect >= K && suspect < 2 * K) change = -2 * a[i] * X[i * K + i];
@@ -1620,11 +1614,11 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_suspected(c, both);
-    sf_unexplained(c, m, rows, s->before, known, known, e);
-    sf_unexplained(c, m, rows, s->before, known, s->known, before);
+    sf_unexplained(c, m, rows, s->before, known, e);
+    sf_unexplained(c, m, rows, s->before, s->known, before);
     for (int r = 0; r < C; r++) {
         const sf_real *H = rows->mean + r * N;
         sf_copy(reach + r * K, H + K, K);
@@ -1655,12 +1649,8 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + rare;
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
-        weight[r] = rows->mean_rest[r];
-        for (int i = 0; i < K; i++) weight[r] += reach[r * K + i] * (known[i] * known[2 * K + i]);
-    }
-    for (int r = 0; r < C; r++) {
         sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
-        for (int k = 0; k < C; k++) other[r * C + k] += weight[r] * weight[k];
+        for (int k = 0; k < C; k++) other[r * C + k] += rows->mean_rest[r] * rows->mean_rest[k];
         other[r * C + r] += arm * arm;
     }
     unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
@@ -1720,7 +1710,7 @@ SF_API void sf_miss(const sf_config *c, const sf_moment_config *m, sf_channel_fa
     sf_real known[SF_KNOWN], e[SF_COMPONENTS], left[SF_COMPONENTS];
     sf_copy(known, about, sf_momenta(c, m));
     for (int i = 0; i < K; i++) known[i] = 1, known[K + i] = -tare->reading[i], known[2 * K + i] = 0;
-    sf_unexplained(c, m, rows, before, about, known, e);
+    sf_unexplained(c, m, rows, before, known, e);
     for (int i = 0; i < K; i++) {
         int both[2] = {i, i};
         sf_copy(left, e, m->components);
@@ -1767,7 +1757,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
     sf_moment_retract(c, m, s);
     if (guilty < 0) {
         for (int i = 0; i < K; i++) {
-            sf_real variance = leap->std[i] * leap->std[i], by = leap->reading[i] * c->weight;
+            sf_real variance = sf_power2(s->published.mean[i] * leap->std[i]), by = leap->reading[i] * c->weight;
             for (int t = 0; t <= c->kept; t++) s->front.history[t * 2 * K + i] -= by;
             s->shift[i] += by;
             for (int j = 0; j < SF_MODES; j++) s->belief.covariance[j * N * N + (2 * K + i) * (N + 1)] += variance;
@@ -1882,7 +1872,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
             sf_copy(s->published.mean, published, M);
             s->linked = 0;
         } else {
-            sf_lasting(c, m, s, &tare, lasting);
+            sf_lasting(c, m, s, lasting);
             sf_moment_rows_of(c, m, s->pending, n, published, lasting, sf_all_there(c, &s->faults) ? 0 : s->faults.spare, w);
             if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
             if (flag < 0) {

@@ -53,8 +53,9 @@ KEPT_TIME = 1.5
 LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-PRODUCT_TIME = 20.0
-"""Time in s over which a zero that drifts is one error and not many."""
+STAND_IN_TIME = 20.0
+"""Time in s over which the error of a force that is made of others is one error and not many: as long as
+shares of load are learnt over."""
 
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
@@ -151,7 +152,7 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            tare=TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0),
+            tare=TareState(zero, np.full(feet, -1.0), FIRST_RATE, 0),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
@@ -209,15 +210,14 @@ class MomentFilter:
     def _begin_again(self, state: MomentState) -> MomentState:
         """Know nothing but the readings' faults and what feet in the air showed."""
         fresh = self.init(state.front.raw)
-        belief, tare = self.tare.repeat(fresh.belief, state.tare)
+        belief = self.tare.repeat(fresh.belief, state.tare)
         published = self._weigh(belief, 0.0).publish(belief.chance)
         return self.blocks.break_off(state)._replace(
             belief=belief,
             drifted=0.0,
-            tare=tare,
             suspects=fresh.suspects,
             published=published,
-            covariance=self._map_covariance(published, tare.rate),
+            covariance=self._map_covariance(published, state.tare.rate),
             kept=Kept(belief, published, belief, published, 0.0),
             status=0,
         )
@@ -232,9 +232,10 @@ class MomentFilter:
         walked = self.spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
-        for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
-            at = np.arange(part.start, part.stop)
-            covariance[:, at, at] += variance
+        at = np.arange(columns.scale.stop)
+        drift = at + columns.drift.start
+        covariance[:, at, at] += walked[0]
+        covariance[:, drift, drift] += walked[1] * state.published.mean[at] ** 2
         return state._replace(
             belief=state.belief._replace(covariance=covariance),
             drifted=state.drifted + float(walked[0, 0]),
@@ -264,7 +265,8 @@ class MomentFilter:
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         whole = not faults.lost.any()
-        rows = self.model.rows(block, published, self._lasting(state, tare), None if whole else faults.spare)
+        spare = None if whole else faults.spare
+        rows = self.model.rows(block, published, self._lasting(state), spare)
         columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows = bool(state.linked and state.track.valid)
@@ -322,20 +324,13 @@ class MomentFilter:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
-    def _lasting(self, state: MomentState, tare: TareState) -> Array:
-        """Return variances of forces in W^2 by what no unknown stands for, shape (K,).
+    def _lasting(self, state: MomentState) -> Array:
+        """Return variances of forces in W^2 that last and that no unknown stands for, shape (K,).
 
-        Open errors of scale and drift together last longer than an outside wrench does: their variance is as
-        much larger as it is shorter. Channels that are out are made of the others.
+        Channels that are out are made of the others. Their errors last longer than an outside wrench: the
+        variance is as much larger as that is shorter.
         """
-        columns = self.columns
-        variance = np.diagonal(state.published.covariance)
-        since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
-        longer, longest = (
-            np.maximum(np.minimum(time, PRODUCT_TIME) / (2.0 * FREE.time), 1.0) for time in (since, np.inf)
-        )
-        product = longer * variance[columns.scale] * variance[columns.drift]
-        lasting: Array = product + longest * (state.faults.spare_std / self.setup.weight) ** 2
+        lasting: Array = STAND_IN_TIME / (2.0 * FREE.time) * (state.faults.spare_std / self.setup.weight) ** 2
         return lasting
 
     def _weigh(self, belief: Belief, drifted: float) -> Weighed:
@@ -350,8 +345,7 @@ class MomentFilter:
     def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""
         columns, mean = self.columns, state.published.mean
-        a = mean[columns.scale]
-        return a, (mean[columns.offset] + a * mean[columns.drift]) * self.setup.weight
+        return mean[columns.scale], (mean[columns.offset] + mean[columns.drift]) * self.setup.weight
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: float, rows: float

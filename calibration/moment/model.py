@@ -1,6 +1,6 @@
 r"""A block's effect on the momentum, and its measurement: linear in the unknowns.
 
-With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + a u,
+With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + u,
 
     end of the block:   p + sum_n dt_n ((1 + m) C_n f_n + g_n + w)
     mean over it:       p + sum_n s_n dt_n ((1 + m) C_n f_n + g_n + w)
@@ -92,8 +92,8 @@ class Model:
 
         Args:
             block: The samples.
-            published: Scales, offsets and drift, about which forces are linear, shape (M,).
-            lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
+            published: Scales, offsets and drift, of which the point o is, shape (M,).
+            lasting: Variance of each channel's force in W^2 that lasts and that no unknown stands for,
                 shape (K,).
             spare: How forces are made of those of the channels that are not out, shape (K, K); ``None`` where
                 none is.
@@ -102,8 +102,7 @@ class Model:
         T, C = block.duration, columns.components
         a, b, u = (published[part] for part in (columns.scale, columns.offset, columns.drift))
         com, sole, rotation = block.com, block.sole, block.rotation
-        felt = block.force + u
-        force = a * felt + b
+        force = a * block.force + b + u
         point = self._point(force if spare is None else force @ spare.T, sole, rotation, dt)
         own = self._of_channels(sole - point, rotation)
         unit = own if spare is None else own @ spare
@@ -118,19 +117,16 @@ class Model:
             H = np.zeros((C, columns.size))
             weighted = unit * share[:, None, None]
             reach = weighted.sum(axis=0)
-            H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
-            H[:, columns.offset], H[:, columns.drift] = reach, reach * a
+            H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, block.force)
+            H[:, columns.offset], H[:, columns.drift] = reach, reach
             shown = block.force[:, self.talk_from]
             H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self.talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
-            pulled = share @ gravity
             H[:, columns.mass] = (share @ summed)[:, None]
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
             H[:, columns.momentum] = np.eye(C)
             H[:, columns.wrench] = share.sum() * np.eye(C)
-            # a u is linear about the published map.
-            rest = pulled - reach @ (a * u)
-            return H, rest
+            return H, share @ gravity
 
         mean, mean_rest = add_up(dt * after)
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]

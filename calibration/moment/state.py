@@ -41,14 +41,12 @@ class TareState(NamedTuple):
 
     Attributes:
         reading: Mean reading of each channel in W, shape (K,).
-        centre: Reading that the offset belongs to: the first tare's, shape (K,).
         time: When it ended in s, -1 before the first, shape (F,).
         rate: By how many times sensors drift faster than stated.
         followed: From how many tares that was learnt.
     """
 
     reading: Array
-    centre: Array
     time: Array
     rate: float
     followed: int

@@ -125,7 +125,7 @@ class Suspects:
         Args:
             state: Evidence so far.
             rows: The block.
-            known: The unknowns before the momentum, about which rows are linear, shape (M,).
+            known: The unknowns before the momentum, shape (M,).
             covariance: Theirs, shape (M, M).
             others: How each force follows from the others of its foot, shape (K, K).
             others_std: How far that is off in W, shape (K,).
@@ -138,7 +138,7 @@ class Suspects:
         """
         columns = self._columns
         H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
-        e, e_before = (self._error(state, rows, known, one) for one in (known, state.known))
+        e, e_before = (self._error(state, rows, one) for one in (known, state.known))
         larger = np.sqrt(state.noise)
         S = (2.0 * rows.variance + rows.walk + H @ covariance @ H.T) * np.outer(larger, larger)
         span = rows.mean[:, columns.wrench].max(axis=0)
@@ -156,7 +156,7 @@ class Suspects:
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
         arm[0] = 0.0
-        weight = (rows.mean_rest + reach @ (known[columns.scale] * known[columns.drift]))[:, None]
+        weight = rows.mean_rest[:, None]
         nothing = _evidence(S, e[:, None])[0]
         lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
         decay = np.exp(-duration / HELD.time)
@@ -179,22 +179,19 @@ class Suspects:
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
 
-    def miss(
-        self, state: SuspectState, rows: Rows, about: Array, known: Array, others: Array
-    ) -> tuple[Array, Array]:
+    def miss(self, state: SuspectState, rows: Rows, known: Array, others: Array) -> tuple[Array, Array]:
         """Return the error of a block, and its changes by channels that are out; torques over the height.
 
         Args:
             state: Evidence so far.
             rows: The block.
-            about: The unknowns before the momentum, about which rows are linear, shape (M,).
-            known: The unknowns to judge by, shape (M,).
+            known: The unknowns before the momentum to judge by, shape (M,).
             others: How each force follows from the others of its foot, shape (K, K).
         """
         reach = rows.mean[:, self._columns.offset]
         arm = np.where(force_and_wrench(len(reach)) > 0.0, 1.0, rows.height)
         changes = self._changes(rows.crossed, reach, known, others)[:, self.out]
-        return self._error(state, rows, about, known) / arm, changes / arm[:, None]
+        return self._error(state, rows, known) / arm, changes / arm[:, None]
 
     def read(self, state: SuspectState, force: Array) -> SuspectState:
         """Note the readings F0 of a block in W, shape (n, K)."""
@@ -252,14 +249,15 @@ class Suspects:
                             found, most = Leap(together * leap, together * np.sqrt(variance)), seen
         return found
 
-    def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:
-        """Return the innovation of rows that are linear about ``about``, shape (C,)."""
+    def _error(self, state: SuspectState, rows: Rows, known: Array) -> Array:
+        """Return the innovation of rows, shape (C,)."""
         columns = self._columns
         robot = slice(columns.map.stop, columns.momentum.start)
         a, reach = known[columns.scale], rows.mean[:, columns.offset]
-        weight = rows.mean_rest + reach @ (about[columns.scale] * about[columns.drift])
         force = np.einsum("ckk->ck", rows.crossed) @ a + reach @ _zero(known, columns)
-        error: Array = rows.measured - state.before - weight - force - rows.mean[:, robot] @ known[robot]
+        error: Array = (
+            rows.measured - state.before - rows.mean_rest - force - rows.mean[:, robot] @ known[robot]
+        )
         return error
 
     def _changes(self, crossed: Array, reach: Array, known: Array, others: Array) -> Array:
@@ -275,8 +273,8 @@ class Suspects:
 
 
 def _zero(known: Array, columns: Columns) -> Array:
-    """Return b + a u in W, shape (K,)."""
-    zero: Array = known[columns.offset] + known[columns.scale] * known[columns.drift]
+    """Return b + u in W, shape (K,)."""
+    zero: Array = known[columns.offset] + known[columns.drift]
     return zero
 
 

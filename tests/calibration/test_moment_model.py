@@ -63,7 +63,7 @@ def block(layout=LAYOUT, seed=0):
 
 def momentum_of(block, layout, point, x, columns):
     """Add up sample by sample what acts, about a point, in another way: the momenta at the samples' ends."""
-    a, b, u = x[columns.scale], x[columns.offset], x[columns.drift]
+    a, zero = x[columns.scale], x[columns.offset] + x[columns.drift]
     d, m = x[columns.com], float(x[columns.mass][0])
     momentum, total = np.concatenate([x[columns.momentum], np.zeros(6 - columns.components)]), []
     wrench = np.concatenate([x[columns.wrench], np.zeros(6 - columns.components)])
@@ -71,7 +71,7 @@ def momentum_of(block, layout, point, x, columns):
     H = np.array([momentum[1], momentum[2], momentum[5]])
     shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
-        f = (1.0 + m) * (a * block.force[n] + b + a * u)
+        f = (1.0 + m) * (a * block.force[n] + zero)
         f[to] += x[columns.talk] * block.force[n, origin]
         P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - 1.0])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
@@ -274,7 +274,8 @@ def test_a_hand_that_takes_hold_accuses_no_channel():
         Suspects(LAYOUT, np.ones(8, dtype=bool), columns),
         rows.mean[:, columns.wrench].max(axis=0),
     )
-    beliefs = known, before, np.full((8, 8), 1.0 / 7.0) * (1.0 - np.eye(8)), np.full(8, 0.05)
+    others, none = np.full((8, 8), 1.0 / 7.0) * (1.0 - np.eye(8)), np.zeros(8)
+    beliefs = known, before, others, np.full(8, 0.05), none, none
     state, most = suspects.init(50), 0.0
     for k in range(6):
         unexplained = suspects.weigh(state, rows, *beliefs, 0.1)[0].error * span
