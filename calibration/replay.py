@@ -74,25 +74,32 @@ def replay(
         if "cutoff" in getattr(method_entry(name).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
     calibrator = FootCalibrator(layout, name, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
-    learnt_from: NDArray[np.float64] = readings
-    learnt_with: Reference | MomentumReference = log
+    front_end = FrontEnd(calibrator.setup)
+    learnt_from, learnt_with = readings, log
     if cutoff is not None:
-        front_end = FrontEnd(calibrator.setup)
-        front = front_end.init(readings[0])
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
         learnt_with = _filter_accelerations(log, cutoff, nominal)
-    estimates = []
-    for k in watch(range(len(readings))):
-        step = float(steps[k])
-        estimate = calibrator.update(learnt_from[k], _row(learnt_with, k), step)
-        if cutoff is not None:
-            front, sample = front_end.observe(front, readings[k], _row(log, k), step)
-            learnt = Parameters(estimate.scale, estimate.offset).relative_to(calibrator.setup.initial)
-            unfiltered = front_end.estimate(sample, *learnt, covariance=estimate.covariance)
-            estimate = unfiltered._replace(flags=estimate.flags | sample.flags)
-        estimates.append(estimate)
+    estimates = [
+        calibrator.update(learnt_from[k], _row(learnt_with, k), float(steps[k]))
+        for k in watch(range(len(readings)))
+    ]
+    if cutoff is not None:
+        estimates = _estimate_unfiltered(front_end, readings, log, steps, estimates)
     columns: list[Any] = list(zip(*estimates, strict=True))
     return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
+
+
+def _estimate_unfiltered(
+    front_end: FrontEnd, readings: NDArray[np.float64], log: Any, steps: Any, learnt: list[Estimate]
+) -> list[Estimate]:
+    """Return the estimates of readings as they are, by maps that were learnt from filtered ones."""
+    front, found = front_end.init(readings[0]), []
+    for k, one in enumerate(learnt):
+        front, sample = front_end.observe(front, readings[k], _row(log, k), float(steps[k]))
+        own = Parameters(one.scale, one.offset).relative_to(front_end.setup.initial)
+        estimate = front_end.estimate(sample, *own, covariance=one.covariance)
+        found.append(estimate._replace(flags=one.flags | sample.flags))
+    return found
 
 
 def _check_log(

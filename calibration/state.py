@@ -88,15 +88,7 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
         ) from error
     if str(entries.get("format")) != _FORMAT:
         raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
-    for name, text in notes.items():
-        if f"note.{name}" not in entries:
-            raise ValueError(f"'{path}' holds no {name}, but '{text}' is wanted: another's file.")
-        saved = str(entries[f"note.{name}"])
-        if name == "method":
-            method, space, options = saved.partition(" ")
-            saved = OLD_NAMES.get(method, method) + space + options
-        if saved != text:
-            raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
+    _check_notes(path, entries, notes)
     leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}
     here, there = _robots(wanted), _robots(leaves)
     if here != there:
@@ -117,6 +109,19 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
             )
     check_leaves(leaves, limits, f"'{path}' is no state to go on with")
     return _rebuild(like, leaves, "")
+
+
+def _check_notes(path: AnyPath, entries: Mapping[str, Any], notes: Mapping[str, str]) -> None:
+    """Raise ValueError unless a file was saved with these texts."""
+    for name, text in notes.items():
+        if f"note.{name}" not in entries:
+            raise ValueError(f"'{path}' holds no {name}, but '{text}' is wanted: another's file.")
+        saved = str(entries[f"note.{name}"])
+        if name == "method":
+            method, space, options = saved.partition(" ")
+            saved = OLD_NAMES.get(method, method) + space + options
+        if saved != text:
+            raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
 
 
 def _robots(leaves: Mapping[str, Any]) -> int:

@@ -1,12 +1,47 @@
 """Checks of arguments and of configurations, and configurations from mappings (JSON, TOML)."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from types import MappingProxyType
-from typing import Any, TypeGuard, TypeVar
+from math import inf
+from types import MappingProxyType, NoneType
+from typing import Annotated, Any, NamedTuple, TypeGuard, TypeVar, get_args
 
 Config = TypeVar("Config")
+
+
+class ErrorField(NamedTuple):
+    """Marks a field of a configuration as an error: it grows with the severity, and zero is no error.
+
+    Attributes:
+        most: The largest value to which a severity above 1 takes it. Beyond, readings would fall under a
+            growing load (nonlinearity, hysteresis), more would stay of an overload than there was, more
+            readings would be wrong than there are, no reading would be new, or a sensor would lose an axis.
+    """
+
+    most: float = inf
+
+
+class Rule(NamedTuple):
+    """A rule for a field of a configuration: in words, and whether a value keeps it."""
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+NotNegative = Annotated[
+    float, Rule("be finite and not negative", lambda value: _is_number(value) and 0.0 <= value < inf)
+]
+Positive = Annotated[
+    float, Rule("be finite and positive", lambda value: _is_number(value) and 0.0 < value < inf)
+]
+Whole = Annotated[int, Rule("be a positive whole number", lambda value: is_whole(value) and value > 0)]
+Error = Annotated[NotNegative, ErrorField()]
+"""A number that is an error."""
 
 OLD_NAMES: Mapping[str, str] = MappingProxyType(
     {
@@ -57,25 +92,15 @@ def require(condition: bool, config: object, field: str, rule: str) -> None:
         raise ValueError(f"{type(config).__name__}.{field} must {rule}, got {getattr(config, field)!r}.")
 
 
-def require_not_negative(config: object, *names: str) -> None:
-    """Raise ValueError if a field is negative or not finite."""
-    for name in names:
-        value = getattr(config, name)
-        require(_is_number(value) and 0.0 <= value < float("inf"), config, name, "be finite and not negative")
-
-
-def require_positive(config: object, *names: str) -> None:
-    """Raise ValueError if a field is not positive or not finite."""
-    for name in names:
-        value = getattr(config, name)
-        require(_is_number(value) and 0.0 < value < float("inf"), config, name, "be finite and positive")
-
-
-def require_whole(config: object, *names: str) -> None:
-    """Raise ValueError if a field is no positive whole number."""
-    for name in names:
-        value = getattr(config, name)
-        require(is_whole(value) and value > 0, config, name, "be a positive whole number")
+def check_fields(config: Any) -> None:
+    """Raise ValueError if a field does not keep the rule that its type names."""
+    for field in fields(config):
+        value, types = getattr(config, field.name), (field.type, *get_args(field.type))
+        if value is None and NoneType in types:
+            continue
+        for rule in (rule for kind in types for rule in getattr(kind, "__metadata__", ())):
+            if isinstance(rule, Rule):
+                require(rule.holds(value), config, field.name, rule.words)
 
 
 def current_names(mapping: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,7 +146,3 @@ def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
         return tuple(value) if isinstance(value, list) else value
 
     return kind(**{key: plain(key, value) for key, value in mapping.items()})
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)

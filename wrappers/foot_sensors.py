@@ -1,5 +1,6 @@
 """Sensors between an environment's truth and who observes it."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any, SupportsFloat, Unpack
@@ -18,7 +19,15 @@ from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
 from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
-from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
+from surefoot.wrappers.source import (
+    Source,
+    check_clock,
+    check_order,
+    find_source,
+    split_options,
+    warning_of_true_forces,
+    with_source,
+)
 
 
 class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -98,6 +107,8 @@ class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.Recor
         equipment = Equipment("FootSensors", source.drawing, joints, dt, given, seldom)
         self.instruments = equipment.instruments
         check_order("FootSensors", self.env, source)
+        if warning := warning_of_true_forces(self.env):
+            warnings.warn(warning, stacklevel=2)
         shown: Any = self.env.observation_space
         if "foot_raw" in getattr(shown, "spaces", ()):
             raise TypeError(

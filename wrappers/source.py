@@ -120,6 +120,20 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
     return env
 
 
+def warning_of_true_forces(env: gym.Env[Any, Any]) -> str:
+    """Return a warning if the observation of a robot of Gymnasium's holds the true forces of its contacts."""
+    bare: Any = env.unwrapped
+    if not getattr(bare, "observation_structure", {}).get("cfrc_ext"):
+        return ""
+    if spaces.flatdim(env.observation_space) < spaces.flatdim(bare.observation_space):
+        return ""  # a wrapper has left something out
+    return (
+        f"The observation of {bare} holds 'cfrc_ext', the true forces of its contacts, beside the sensors: a "
+        "policy sees the truth that the sensors are to hide. Leave it out with gym.make(..., "
+        "include_cfrc_ext_in_observation=False)."
+    )
+
+
 def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
     """Raise TypeError if truth was mixed with observations before it is taken out.
 

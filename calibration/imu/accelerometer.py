@@ -128,9 +128,6 @@ def calibrate_accelerometer(
         tolerance: Singular values at or below this share of the largest, with columns scaled to one length,
             count as not determined.
 
-    Returns:
-        The calibration.
-
     Raises:
         ValueError: If the shape is wrong or the model unknown.
         CalibrationRefused: If there are too few samples or orientations, the unit seems to be another one, or
@@ -143,28 +140,9 @@ def calibrate_accelerometer(
     check_value("gravity", gravity, positive=True)
     if model not in _UNKNOWNS:
         raise ValueError(f"'model' must be one of {', '.join(map(repr, _UNKNOWNS))}, got {model!r}.")
-    every = np.asarray(specific_force, dtype=np.float64)
-    if every.ndim != 2 or every.shape[1] != 3:
-        raise ValueError(f"'specific_force' must have shape (n, 3), got {every.shape}.")
     unknowns = _UNKNOWNS[model]
-    force = every[np.isfinite(every).all(axis=1)] / gravity
-    dropped = len(every) - len(force)
-    _check_samples(force, gravity, unknowns, dropped)
-    check_gravity_spread(
-        force - force.mean(axis=0), float(np.sqrt(len(force))), minimum_spread, "the bias across it", _CURE
-    )
-
-    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
-
-    start, scale = _robust_start(force, unknowns)
-    # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
-    # fewer, none counts as moved.
-    still = np.abs(_distances(start, force)) <= _OUTLIER * scale
-    if len(force) <= 2 * unknowns:
-        still[:] = True
-    kept, gated = force[still], int(np.sum(~still))
-    plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
-    solved = least_squares(_distances, start, args=(kept,), **plain)
+    force, dropped = _read_samples(specific_force, gravity, unknowns, minimum_spread)
+    solved, kept = _fit_ellipsoid(force, unknowns)
     back, singular = _determine(_slopes(solved.x, kept), model, tolerance)
     bias, K = _unpack(solved.x)
     square = float(np.sum(solved.fun**2))
@@ -179,7 +157,7 @@ def calibrate_accelerometer(
         stats=FitStats(
             samples=len(kept),
             dropped=dropped,
-            gated=gated,
+            gated=len(force) - len(kept),
             residual_rms=gravity * float(np.sqrt(square / len(kept))),
             rank=unknowns,
             unknowns=unknowns,
@@ -229,6 +207,19 @@ def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
     """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
     return max(float(MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
+
+
+def _fit_ellipsoid(force: NDArray[np.float64], unknowns: int) -> tuple[Any, NDArray[np.float64]]:
+    """Fit samples that did not move; return SciPy's result, and these samples."""
+    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
+
+    start, scale = _robust_start(force, unknowns)
+    # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
+    # fewer, none counts as moved.
+    still = np.abs(_distances(start, force)) <= _OUTLIER * scale
+    kept = force[still] if len(force) > 2 * unknowns else force
+    plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
+    return least_squares(_distances, start, args=(kept,), **plain), kept
 
 
 def _robust_start(force: NDArray[np.float64], unknowns: int) -> tuple[NDArray[np.float64], float]:
@@ -301,8 +292,20 @@ def _determine(
     return (right.T / singular) / length[:, None], singular
 
 
-def _check_samples(force: NDArray[np.float64], gravity: float, unknowns: int, dropped: int) -> None:
-    """Raise CalibrationRefused for too few samples, and for readings in another unit."""
+def _read_samples(
+    specific_force: ArrayLike, gravity: float, unknowns: int, minimum_spread: float
+) -> tuple[NDArray[np.float64], int]:
+    """Return finite samples in units of gravity, shape (n, 3), and the number of others.
+
+    Raises:
+        ValueError: If the shape is wrong.
+        CalibrationRefused: If they are too few, in another unit, or of too few orientations.
+    """
+    every = np.asarray(specific_force, dtype=np.float64)
+    if every.ndim != 2 or every.shape[1] != 3:
+        raise ValueError(f"'specific_force' must have shape (n, 3), got {every.shape}.")
+    force = every[np.isfinite(every).all(axis=1)] / gravity
+    dropped = len(every) - len(force)
     if len(force) <= unknowns:
         without = f" ({dropped} samples without a finite value left out)" if dropped else ""
         raise CalibrationRefused(
@@ -316,3 +319,7 @@ def _check_samples(force: NDArray[np.float64], gravity: float, unknowns: int, dr
             "another unit.",
             "Give m/s^2, or gravity=1.0 for readings in g.",
         )
+    check_gravity_spread(
+        force - force.mean(axis=0), float(np.sqrt(len(force))), minimum_spread, "the bias across it", _CURE
+    )
+    return force, dropped

@@ -93,9 +93,6 @@ def fit_cop_correction(
         tolerance: Singular values below this share of the largest, with columns scaled to one length, count
             as not excited; it should lie above the noise's share of the forces.
 
-    Returns:
-        The correction.
-
     Raises:
         ValueError: If the shapes do not belong together.
         CalibrationRefused: If there were too few placements, holes or weights.

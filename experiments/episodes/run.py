@@ -217,7 +217,9 @@ def read_rows(path: Path) -> Frame:
     try:
         return pd.read_parquet(path)
     except Exception as error:  # Whatever a damaged file raises.
-        raise ValueError(f"'{path}' is no table of Parquet, or is damaged: {error}.") from error
+        raise ValueError(
+            f"'{path}' is no table of Parquet, or is damaged: {f'{error}'.rstrip('.')}."
+        ) from error
 
 
 def read_episodes(path: Path, controller: str = "") -> Frame:

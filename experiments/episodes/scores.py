@@ -7,7 +7,8 @@ not run are left out.
 A difference is *clear* if its 95 % interval leaves zero out.
 
 **The share of a loss that is won back** is that of means over the seeds in common; its interval is a
-bootstrap over these seeds.
+bootstrap over these seeds. It cannot be told where drifting feet do not clearly cost something, nor where its
+interval is wider than a hundred percent to either side.
 
 **The severity at which half fall** is where the share of falls crosses one half, linearly between the
 severities that were run, once it is made not to decrease (isotonic regression); its 95 % interval is that of
@@ -31,6 +32,7 @@ from surefoot.experiments.study.tables import Column, Frame, Verdict, decimal
 _SHARE_RESAMPLES = 4000  # bootstrap samples of the seeds behind a share that is won back
 _CROSSING_RESAMPLES = 2000  # resamples of the seeds behind the severity at which half fall
 _STREAM = 0x5EED  # seed of these resamples
+WIDEST = 2.0  # widest interval of a share that says something; within a wider one all is won, or lost again
 
 
 class Run(NamedTuple):
@@ -76,24 +78,36 @@ def difference(frame: Frame, first: Run, second: Run, severity: float | None = N
     return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
 
 
-def recovery_share(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
-    """Return the share of a controller's loss on drifting feet that a feed wins back, and its 95 % interval.
+class Recovery(NamedTuple):
+    """The share of a controller's loss on drifting feet that a feed wins back, with its 95 % interval."""
 
-    ``None`` if it is no calibration, shares no seeds with true and drifting feet, or these do not clearly
-    differ.
-    """
+    share: float
+    low: float
+    high: float
+    loss: Interval  # in return; the share is NaN unless it is clear
+
+    @property
+    def told(self) -> bool:
+        """Whether the share says anything."""
+        return self.high - self.low <= WIDEST
+
+
+def recovery_share(frame: Frame, feed: str, severity: float) -> Recovery | None:
+    """Return the share that a feed wins back; ``None`` if it is no calibration, or shares no seeds."""
     if feed in ("true", "none"):
         return None
     runs = [_returns(frame, Run(name), severity) for name in (feed, "none", "true")]
     common = runs[0].index.intersection(runs[1].index).intersection(runs[2].index)
     own, drifting, true = (run[common].to_numpy() for run in runs)
+    if common.empty:
+        return None
     loss = mean_interval(true - drifting)
     if not (loss.apart and loss.mean > 0.0):
-        return None
+        return Recovery(*(float("nan"),) * 3, loss)
     draws = np.random.default_rng(0).integers(len(own), size=(_SHARE_RESAMPLES, len(own)))
     won: Floats = (own - drifting)[draws].mean(axis=1) / (true - drifting)[draws].mean(axis=1)
     low, high = np.quantile(won, [0.025, 0.975])
-    return float((own - drifting).mean() / (true - drifting).mean()), float(low), float(high)
+    return Recovery(float((own - drifting).mean() / (true - drifting).mean()), float(low), float(high), loss)
 
 
 def _returns(frame: Frame, run: Run, severity: float | None) -> Column:

@@ -27,6 +27,8 @@ from surefoot.experiments.study.tables import (
     interval_text,
     mean_of,
     number,
+    plural,
+    span,
     table_of,
     with_interval,
 )
@@ -86,7 +88,7 @@ _WORST: Mapping[str, Cell] = {
 def score_table(frame: Frame, name: str = "policy", title: str = "Feet of different kinds") -> Table:
     """Return a row for each controller (named if several), feed, input and severity."""
     if same_seeds(frame):
-        means = f"Means of {frame['seed'].nunique()} paired episodes"
+        means = f"Means of {plural(frame['seed'].nunique(), 'paired episode')}"
     else:
         means = "Means of as many episodes as 'falls' says, not of the same seeds in all rows,"
     controllers = controllers_of(frame)
@@ -95,8 +97,14 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
 
     def share(runs: Frame) -> str:
         first = runs.iloc[0]
-        share = recovery_share(own[first["controller"]], first["feed"], first["severity"])
-        return "" if share is None else percent_interval(share)
+        found = recovery_share(own[first["controller"]], first["feed"], first["severity"])
+        if found is None:
+            return ""
+        if found.told:
+            return percent_interval(found[:3])
+        clear = found.share == found.share
+        seen = f"{span(100 * found.low, 100 * found.high, '.0f')} %" if clear else interval_text(found.loss)
+        return Valued.of(f"cannot be told ({'' if clear else 'cost '}{seen})", None)
 
     columns: dict[str, Cell] = {
         "controller": lambda runs: brief[runs["controller"].iloc[0]],
@@ -111,8 +119,9 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     keys = ["feed", "cop_input", "severity"]
     rows = [runs for part in own.values() for _, runs in part.groupby(keys, sort=False)]
     note = (
-        f"{means} with 95 % intervals; 'loss won back' only where drifting feet cost something beyond the "
-        f"interval; of fewer than {FEW_FALLS} falls the shortest and the longest time."
+        f"{means} with 95 % intervals; 'loss won back' cannot be told where drifting feet cost nothing "
+        "beyond the interval, or that of the share is wider than 100 % to either side; of fewer than "
+        f"{FEW_FALLS} falls the shortest and the longest time."
     )
     return table_of(name, title, columns, rows, note)
 

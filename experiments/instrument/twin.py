@@ -76,22 +76,8 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
         CalibrationRefused: If there are no times, no scale in newtons, or no rest.
         LogError: If times do not increase, or the recording's own command cannot read it.
     """
-    if not recording.has_times:
-        raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
-    if recording.kind == "six-axis sensor":
-        raise CalibrationRefused(
-            f"{recording.file}: is of a six-axis sensor, and twins are made of load cells.",
-            "'surefoot check' shows its noise and drift, 'surefoot calibrate ft' its matrix and offset.",
-        )
-    check_increasing(recording.time, recording.file)
-    if recording.refusal:
-        raise LogError(recording.refusal)
     heaviest = 0.0 if recording.load is None else float(np.nanmax(np.abs(recording.load)))
-    if capacity and capacity * OVERLOAD < heaviest:
-        raise LogError(
-            f"{recording.file}: has loads of {heaviest:.4g} N, and no cell of {capacity:g} N bears them; "
-            "give the rated load of one cell in N."
-        )
+    _check(recording, capacity, heaviest)
     recording, cut = _leave_out_cut(recording)
     scale = _scale(recording)
     rates = [_rate(recording, conversions(raw)) for raw in recording.raw.T]
@@ -128,6 +114,25 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     periods = np.array([np.nan if one is None else 1.0 / one.value for one in rates])
     tests = compare(recording, preset, periods, size)
     return Twin(recording, preset, parameters, tests, cut + notes)
+
+
+def _check(recording: Recording, capacity: float | None, heaviest: float) -> None:
+    """Refuse a recording that is not one of load cells over time that bear its heaviest load in N."""
+    if not recording.has_times:
+        raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
+    if recording.kind == "six-axis sensor":
+        raise CalibrationRefused(
+            f"{recording.file}: is of a six-axis sensor, and twins are made of load cells.",
+            "'surefoot check' shows its noise and drift, 'surefoot calibrate ft' its matrix and offset.",
+        )
+    check_increasing(recording.time, recording.file)
+    if recording.refusal:
+        raise LogError(recording.refusal)
+    if capacity and capacity * OVERLOAD < heaviest:
+        raise LogError(
+            f"{recording.file}: has loads of {heaviest:.4g} N, and no cell of {capacity:g} N bears them; "
+            "give the rated load of one cell in N."
+        )
 
 
 def _leave_out_cut(recording: Recording) -> tuple[Recording, tuple[str, ...]]:

@@ -71,7 +71,8 @@ class Motion:
     def env(self) -> gym.Env[Any, Any]:
         """Make it, with soles under feet without area."""
         if not self.packaged:
-            env = gym.make(self.robot)
+            seen = {"include_cfrc_ext_in_observation": False} if "Humanoid" in self.robot else {}
+            env = gym.make(self.robot, **seen)
             return InstrumentedEnv(env, soles=True, spec=_stand_up(env) if "Standup" in self.robot else None)
         if self.name == "exercise":
             return gym.make("surefoot/Exercise-v0", robot=self.robot, duration=None)

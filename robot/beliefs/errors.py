@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from surefoot.sensors.configuration import from_mapping, require, require_not_negative
+from surefoot.sensors.configuration import NotNegative, check_fields, from_mapping, require
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class BeliefErrors:
 
     mass: float = 0.005
     com: float = 0.003
-    scale: float = 0.001
-    offset: float = 0.02
+    scale: NotNegative = 0.001
+    offset: NotNegative = 0.02
 
     def __post_init__(self) -> None:
         """Raise ValueError if a field has no meaning."""
         for name in ("mass", "com"):
             require(0.0 <= getattr(self, name) < 1.0, self, name, "lie in 0 to 1")
-        require_not_negative(self, "scale", "offset")
+        check_fields(self)
 
 
 USUAL: Final = BeliefErrors()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import tau
 from typing import Any
 
-from surefoot.sensors.configuration import require, require_not_negative
+from surefoot.sensors.configuration import Error, check_fields, require
 from surefoot.sensors.corruption import Corruption, chain, device
 from surefoot.sensors.stages.affine import drift
 from surefoot.sensors.stages.converter import quantize, white_noise
@@ -17,16 +17,16 @@ class Encoders:
     bits: int = 12
     """Bits a turn; 0 does not round."""
 
-    bias_std: float = 1.0e-3
+    bias_std: Error = 1.0e-3
     """Standard deviation of the joint's offset in rad, constant from power-up."""
 
-    noise_std: float = 3.0e-4
+    noise_std: Error = 3.0e-4
     """Noise of one reading in rad."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
         require(isinstance(self.bits, int) and 0 <= self.bits <= 32, self, "bits", "lie in 0 to 32")
-        require_not_negative(self, "bias_std", "noise_std")
+        check_fields(self)
 
     @property
     def resolution(self) -> float:

@@ -21,12 +21,20 @@ sensor, with creep, hysteresis, temperature and crossed gauges.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.configuration import (
+    Error,
+    ErrorField,
+    NotNegative,
+    Positive,
+    Whole,
+    check_fields,
+    require,
+)
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
@@ -49,49 +57,49 @@ class ForceTorque:
     were up to 290 N; the defaults take the offsets of a sensor that was tared before it was mounted.
     """
 
-    sensors: int = 2
+    sensors: Whole = 2
     """Number of sensors: (left, right)."""
 
-    full_scale_force: float = 1500.0
+    full_scale_force: Positive = 1500.0
     """Largest force along each axis in N, where the converter clips."""
 
-    full_scale_torque: float = 35.0
+    full_scale_torque: Positive = 35.0
     """Largest torque about each axis in N m, where the converter clips. With the largest force it also sets
     what cross-talk between forces and torques means: shares of the full scales."""
 
-    resolution_force: float = 0.06
+    resolution_force: NotNegative = 0.06
     """What a count stands for by the maker's matrix in N; 0, for both resolutions together, leaves the
     converter out: readings are in N and N m then, without rounding or clipping."""
 
-    resolution_torque: float = 0.0011
+    resolution_torque: NotNegative = 0.0011
     """What a count stands for by the maker's matrix in N m."""
 
-    noise_force: float = 0.12
+    noise_force: Error = 0.12
     """Standard deviation of the noise of a reading in N."""
 
-    noise_torque: float = 0.0025
+    noise_torque: Error = 0.0025
     """Standard deviation of the noise of a reading in N m."""
 
-    initial_scale_std: float = 0.08
+    initial_scale_std: Error = 0.08
     """Standard deviation of the relative error of each axis's scale at power-up."""
 
-    cross_talk_std: float = 0.01
+    cross_talk_std: Error = 0.01
     """Standard deviation of what one axis feels of another, in shares of the full scales; constant from
     power-up."""
 
-    initial_offset_force_std: float = 5.0
+    initial_offset_force_std: Error = 5.0
     """Standard deviation of a force's offset at power-up in N."""
 
-    initial_offset_torque_std: float = 0.1
+    initial_offset_torque_std: Error = 0.1
     """Standard deviation of a torque's offset at power-up in N m."""
 
-    scale_drift: float = 0.002 * PER_SQRT_MINUTE
+    scale_drift: Error = 0.002 * PER_SQRT_MINUTE
     """Random walk of each axis's scale per sqrt(s); 0.2 % per square root of a minute."""
 
-    offset_drift_force: float = 0.2 * PER_SQRT_MINUTE
+    offset_drift_force: Error = 0.2 * PER_SQRT_MINUTE
     """Random walk of a force's offset in N/sqrt(s); 0.2 N per square root of a minute."""
 
-    offset_drift_torque: float = 0.004 * PER_SQRT_MINUTE
+    offset_drift_torque: Error = 0.004 * PER_SQRT_MINUTE
     """Random walk of a torque's offset in N m/sqrt(s); 4 mN m per square root of a minute."""
 
     averaged: bool = True
@@ -99,21 +107,12 @@ class ForceTorque:
     second and averages, and so stands for the middle of that time; ``False`` takes the value of the instant.
     """
 
-    wire: Wire = DIRECT
+    wire: Annotated[Wire, ErrorField()] = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require_whole(self, "sensors")
-        require_positive(self, "full_scale_force", "full_scale_torque")
-        require_not_negative(
-            self,
-            *(
-                name
-                for name in self.__dataclass_fields__
-                if name not in ("sensors", "full_scale_force", "full_scale_torque", "averaged", "wire")
-            ),
-        )
+        check_fields(self)
         require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
         require(
             not (self.wire.wrong_words and not self.converts),

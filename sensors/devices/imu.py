@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors.configuration import require, require_not_negative
+from surefoot.sensors.configuration import Error, NotNegative, check_fields, require
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 
@@ -21,44 +21,44 @@ class Imu:
     zeroing of the gyroscope at rest.
     """
 
-    accelerometer_noise: float = 2.0e-3
+    accelerometer_noise: Error = 2.0e-3
     """Noise density of the specific force in m/s^2/sqrt(Hz)."""
 
-    gyroscope_noise: float = 5.0e-4
+    gyroscope_noise: Error = 5.0e-4
     """Noise density of the angular velocity in rad/s/sqrt(Hz)."""
 
-    accelerometer_bias_std: float = 0.05
+    accelerometer_bias_std: Error = 0.05
     """Standard deviation of the bias at power-up in m/s^2."""
 
-    gyroscope_bias_std: float = 1.0e-3
+    gyroscope_bias_std: Error = 1.0e-3
     """Standard deviation of the bias at power-up in rad/s."""
 
-    accelerometer_walk: float = 2.0e-4
+    accelerometer_walk: Error = 2.0e-4
     """Random walk of the bias in m/s^2/sqrt(s)."""
 
-    gyroscope_walk: float = 5.0e-5
+    gyroscope_walk: Error = 5.0e-5
     """Random walk of the bias in rad/s/sqrt(s)."""
 
-    accelerometer_resolution: float = 0.0096
+    accelerometer_resolution: NotNegative = 0.0096
     """Smallest step in m/s^2; 0 does not round."""
 
-    gyroscope_resolution: float = 2.7e-4
+    gyroscope_resolution: NotNegative = 2.7e-4
     """Smallest step in rad/s; 0 does not round."""
 
-    accelerometer_range: float = 2.0 * 9.81
+    accelerometer_range: NotNegative = 2.0 * 9.81
     """Largest specific force in m/s^2; 0 does not clip."""
 
-    gyroscope_range: float = 8.72665
+    gyroscope_range: NotNegative = 8.72665
     """Largest angular velocity in rad/s (500 degrees/s); 0 does not clip."""
 
-    accelerometer_scale_std: float = 0.0
+    accelerometer_scale_std: Error = 0.0
     """Standard deviation of the relative error of each accelerometer's scale, constant from power-up; 0.01 to
     0.03 is typical of consumer chips."""
 
-    gyroscope_scale_std: float = 0.0
+    gyroscope_scale_std: Error = 0.0
     """The same for each gyroscope; 0.01 to 0.03 as well."""
 
-    misalignment_std: float = 0.0
+    misalignment_std: Error = 0.0
     """Standard deviation of the angles by which each sensor's axis is tilted towards the two others, in rad,
     constant from power-up; 0.01 is a chip's by its data sheet, mounting on a robot adds as much."""
 
@@ -68,8 +68,7 @@ class Imu:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        numbers = [name for name in self.__dataclass_fields__ if name != "averaged"]
-        require_not_negative(self, *numbers)
+        check_fields(self)
         require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
 
 

@@ -1,11 +1,20 @@
 """A set of load cells: its data sheet, its errors and the map that a robot may know."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.configuration import (
+    Error,
+    ErrorField,
+    NotNegative,
+    Positive,
+    Whole,
+    check_fields,
+    require,
+)
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
 from surefoot.sensors.stages.shear import AXES
@@ -17,19 +26,19 @@ from surefoot.sensors.transport.wire import DIRECT, Wire
 class LoadCells:
     """A set of load cells; the defaults are HX711 chips under an uncalibrated robot."""
 
-    channels: int = 8
+    channels: Whole = 8
     """Number of cells: four a foot, (left FL, FR, RL, RR, right FL, FR, RL, RR)."""
 
-    capacity: float = 98.1
+    capacity: Positive = 98.1
     """Rated load of a cell in N: where the bridge puts out its rated output."""
 
-    rated_output: float = 1.0e-3
+    rated_output: Positive = 1.0e-3
     """Bridge voltage at the rated load per volt of excitation (1 mV/V)."""
 
-    excitation: float = 5.0
+    excitation: Positive = 5.0
     """Supply of the bridge in V; the converter is ratiometric to it."""
 
-    adc_gain: float = 128.0
+    adc_gain: Positive = 128.0
     """Gain of the amplifier before the converter: 128 on channel A of an HX711."""
 
     adc_bits: int = 24
@@ -43,7 +52,7 @@ class LoadCells:
     polarity: tuple[int, ...] = (-1, 1, -1, 1)
     """Sign of each bridge, +1 or -1, repeated along the channels. Han's shoes alternate."""
 
-    input_noise: float = 90.0e-9
+    input_noise: Error = 90.0e-9
     """Noise of one conversion in V rms at the converter's input (HX711 at 80 SPS)."""
 
     rate: tuple[float, float] | None = (78.0, 94.0)
@@ -54,52 +63,51 @@ class LoadCells:
     """Whether cells without a clock give the mean load since they were last read, as ideal ones do, or the
     load of that instant. Those with a clock average over their conversions, whatever this says."""
 
-    initial_scale_std: float = 0.12
+    initial_scale_std: Error = 0.12
     """Standard deviation of the relative error of a scale at power-up; 0.12 for cells never calibrated."""
 
-    initial_offset_std: float = 1.5
+    initial_offset_std: Error = 1.5
     """Standard deviation of an offset at power-up in N."""
 
-    scale_drift: float = 0.02 * PER_SQRT_MINUTE
+    scale_drift: Error = 0.02 * PER_SQRT_MINUTE
     """Random walk of the scale's relative error per sqrt(s); 2 % per square root of a minute."""
 
-    offset_drift: float = 1.0 * PER_SQRT_MINUTE
+    offset_drift: Error = 1.0 * PER_SQRT_MINUTE
     """Random walk of the offset in N/sqrt(s); 1 N per square root of a minute."""
 
-    scale_tempco: float = 0.0
+    scale_tempco: Error = 0.0
     """Standard deviation of the relative change of a scale per kelvin in 1/K, each cell its own; 5e-5 is
     typical of a bar cell."""
 
-    offset_tempco: float = 0.0
+    offset_tempco: Error = 0.0
     """Standard deviation of the change of an offset per kelvin in N/K, each cell its own; 0.005 (5e-5 of the
     capacity) is a good cell's, 0.03 a cheap one's, and the converter adds 1.2e-4."""
 
-    temperature_ramp: float = 0.0
+    temperature_ramp: NotNegative = 0.0
     """Rate at which the cells warm up from power-up on in K/s; 0.033 is 20 K in ten minutes."""
 
-    temperature_rise: float = 0.0
+    temperature_rise: NotNegative = 0.0
     """Where the warming levels off in K, exponentially; 0 for a ramp that goes on. 14 with a ramp of 14/900
     is what a robot's foot was seen to do."""
 
-    shear_std: float = 0.0
+    shear_std: Error = 0.0
     """Standard deviation of the share of a horizontal force that a cell reads as a vertical one, newtons a
     newton, along each axis of the sole, each cell its own; such a cell feels three forces. Data sheets of bar
     cells do not give it; 0.1 is chosen, for a bar that a sole above its axis bends."""
 
-    settling: int = 1
+    settling: Whole = 1
     """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings
     1.5 conversions later than 1 does."""
 
-    mechanics: Mechanics = IDEAL
+    mechanics: Annotated[Mechanics, ErrorField()] = IDEAL
     """What happens to a load before the bridge: nonlinearity, hysteresis, creep, jumps of the offset."""
 
-    wire: Wire = DIRECT
+    wire: Annotated[Wire, ErrorField()] = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require_whole(self, "channels", "settling")
-        require_positive(self, "capacity", "rated_output", "excitation", "adc_gain")
+        check_fields(self)
         require(
             isinstance(self.adc_bits, int) and 0 <= self.adc_bits <= 32, self, "adc_bits", "lie in 0 to 32"
         )
@@ -112,19 +120,6 @@ class LoadCells:
             self,
             "polarity",
             f"hold +1 or -1 for each of the {self.channels} channels, or a pattern that repeats along them",
-        )
-        require_not_negative(
-            self,
-            "input_noise",
-            "initial_scale_std",
-            "initial_offset_std",
-            "scale_drift",
-            "offset_drift",
-            "scale_tempco",
-            "offset_tempco",
-            "temperature_ramp",
-            "temperature_rise",
-            "shear_std",
         )
         require(
             self.rate is None

@@ -15,13 +15,23 @@ anywhere, walk at random and, where the cells warm up, follow the temperature. A
 it is the *nominal* map F_0 = c_0 s + d_0 with c_0 = 1 / k and d_0 = -s_0 / k.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain, check_channels, device, limit
+from surefoot.sensors.corruption import (
+    Array,
+    Corruption,
+    Rng,
+    chain,
+    check_channels,
+    device,
+    limit,
+    stateless,
+)
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
@@ -114,54 +124,42 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
 def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """Build load cells with their stages fused, for speed.
 
-    ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes
-    true loads in N in S equal substeps that fill dt, shape (S, K), or (S, 3 K) of cells that feel shear
-    (:mod:`~surefoot.sensors.stages.shear`), and returns counts, shape (K,). Cells with
-    a clock average the load over each conversion; others take the last substep's, or the mean if they are
-    ``averaged``.
+    ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes true
+    loads in N in S equal substeps that fill dt, shape (S, K), or (S, 3 K) of cells that feel shear
+    (:mod:`~surefoot.sensors.stages.shear`), and returns counts, shape (K,). Cells with a clock average the
+    load over each conversion; others take the last substep's, or the mean if they are ``averaged``.
 
     The spring elements are stepped once a block, at the load of its last conversion; the conversions before
     it, which the host never reads, leave no trace in them.
 
     In cells that remember loads (``mechanics``, ``settling``), the conversion of a load that is not finite
     reads NaN and leaves no trace; the next block goes on from the last finite load.
-
-    Args:
-        config: The instrument.
     """
-    low, high = config.code_range
-    zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
-    averaged = config.averaged
-    noise, slope, errors = config.noise_counts, config.slope, _Errors(config)
-    drawn_per_step = len(errors.walking) + (noise > 0.0)
-    settling = config.settling
-    average = moving_average(settling)
-    element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
-    way = _wire(config) if config.wire.acts else None
-    sideways = shear(config.shear_std) if config.shear_std else None
-    remembers = element is not None or settling > 1
+    rate, averaged, settling, errors = config.rate, config.averaged, config.settling, _Errors(config)
+    drawn_per_step = len(errors.walking) + (config.noise_counts > 0.0)
+    average, convert = moving_average(settling), _converter(config)
+    element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else _NOTHING
+    way = _wire(config) if config.wire.acts else _NOTHING
+    sideways = shear(config.shear_std) if config.shear_std else _NOTHING
+    remembers = config.mechanics.acts or settling > 1
 
     def init(shape: tuple[int, ...], rng: Rng) -> LoadCellState:
         check_channels(shape, config.channels)
         nothing = np.zeros(shape)
-        shares = sideways.init(shape, rng) if sideways else ()
+        shares = sideways.init(shape, rng)
         period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng)
         window: Any = ()
         if settling > 1:
             window = average.init(shape, rng) if rate is None else init_window(settling, shape)
-        felt = element.init(shape, rng) if element else ()
-        error, thermal = errors.init(shape, rng)
-        brought = way.init(shape, rng) if way else ()
-        return LoadCellState(
-            period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought, shares
-        )
+        felt, (error, thermal) = element.init(shape, rng), errors.init(shape, rng)
+        held, brought = np.full(shape, np.nan), way.init(shape, rng)
+        return LoadCellState(period, due, nothing, held, error, thermal, window, felt, brought, shares)
 
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
         if block.ndim != 2 or block.shape[1] != config.loads:
             raise ValueError(f"Loads must have the shape (S, {config.loads}), got {block.shape}.")
         period, due, charge, held, error, thermal, window, felt, brought, shares = state
-        if sideways:
-            block, _ = sideways.apply(block, shares, rng, dt)
+        block, _ = sideways.apply(block, shares, rng, dt)
         if remembers:
             block = np.where(np.isfinite(block), block, np.nan)
         load = block.mean(axis=0) if averaged else block[-1] + 0.0
@@ -170,8 +168,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             number, at, due = latest_conversion(period, due, dt)
             converts = number >= 0.0
             load, charge = integrate(block, charge, period, number, at, dt)
-        if element:
-            load, felt = element.apply(load, felt, rng, dt)
+        load, felt = element.apply(load, felt, rng, dt)
         drawn = normal(rng, (drawn_per_step, *load.shape)) if drawn_per_step else np.zeros(0)
         error, thermal = errors.drift(error, thermal, drawn, dt)
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
@@ -179,17 +176,28 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             bridge, window = average.apply(bridge, window, rng, dt)
         elif settling > 1 and rate is not None:
             bridge, window = settle(window, bridge, number, most_conversions(rate, dt))
-        counts = bridge * slope + zero_code
-        if noise:
-            counts = counts + noise * drawn[-1]
-        if clipped:
-            counts = np.rint(limit(counts, low, high))
-        counts = held = np.where(converts, counts, held)
-        if way:
-            counts, brought = way.apply(counts, brought, rng, dt)
+        held = np.where(converts, convert(bridge, drawn), held)
+        counts, brought = way.apply(held, brought, rng, dt)
         return counts, LoadCellState(period, due, charge, held, error, thermal, window, felt, brought, shares)
 
     return Corruption(init, apply)
+
+
+_NOTHING: Corruption[Any] = stateless(lambda reading, rng, dt: reading)
+
+
+def _converter(config: LoadCells) -> Callable[[Array, Array], Array]:
+    """Make the converter of bridges in N to counts; its noise is the last row that is drawn."""
+    low, high = config.code_range
+    noise, slope, zero_code, rounds = config.noise_counts, config.slope, config.zero_code, config.adc_bits > 0
+
+    def convert(bridge: Array, drawn: Array) -> Array:
+        counts = bridge * slope + zero_code
+        if noise:
+            counts = counts + noise * drawn[-1]
+        return np.rint(limit(counts, low, high)) if rounds else counts
+
+    return convert
 
 
 class _Errors:

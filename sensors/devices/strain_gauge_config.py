@@ -1,11 +1,20 @@
 """A six-axis sensor of strain gauges: its maker's matrix, its errors and its converter."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
+from surefoot.sensors.configuration import (
+    Error,
+    ErrorField,
+    NotNegative,
+    Positive,
+    check_fields,
+    is_whole,
+    require,
+)
 from surefoot.sensors.devices.force_torque import AXES, per_axis
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import check_creep
@@ -47,41 +56,41 @@ class StrainGauges:
     """The maker's matrix C in N and N m per count, six rows of k. What the gauges put out per N and N m is
     its (pseudo-)inverse A: for more than six gauges, whose A is known, give the pseudo-inverse of it."""
 
-    full_scale_force: float = 1500.0
+    full_scale_force: Positive = 1500.0
     """Largest force along each axis in N: what cross-talk and hysteresis are shares of."""
 
-    full_scale_torque: float = 35.0
+    full_scale_torque: Positive = 35.0
     """Largest torque about each axis in N m: what cross-talk and hysteresis are shares of."""
 
-    scale_error_std: float = 0.2
+    scale_error_std: Annotated[Error, ErrorField(0.5)] = 0.2
     """How far each axis's scale has changed since the matrix was made: standard deviation of its logarithm.
     The scales of one iCub's foot were off by 11 to 19 %."""
 
-    cross_talk_std: float = 0.03
+    cross_talk_std: Annotated[Error, ErrorField(0.5)] = 0.03
     """Standard deviation of what one axis has come to feel of another, in shares of the full scales. With a
     scale error of 0.2 the maker's matrix shows the weight of a leg of 4.9 kg as an ellipsoid whose longest
     axis is 1.9 times the shortest in the median, 1.4 to 2.8 times in 80 % of sensors; the old one in an
     iCub's leg showed 1.7 to 1.9 (in-situ paper, Table I: 77, 44 and 40 N with no mass added)."""
 
-    offset_force: float = 290.0
+    offset_force: Error = 290.0
     """Offsets of the gauges at power-up lie uniformly within what the maker's matrix shows as this force in
     N on each axis (up to 290 N were seen in the legs of an iCub) ..."""
 
-    offset_torque: float = 1.0
+    offset_torque: Error = 1.0
     """... and this torque in N m, for which nobody has published a figure. With a leg of 4.9 kg and 0.7 kg at
     its foot, swung by 45 degrees, 0.7 % of such sensors reach the end of the converter."""
 
-    noise_force: float = 0.1
+    noise_force: Error = 0.1
     """Standard deviation of a reading's white noise, as the maker's matrix shows it, in N; 0.10 to 0.15 N
     were measured on an iCub at rest."""
 
-    noise_torque: float = 0.0025
+    noise_torque: Error = 0.0025
     """The same for torques in N m; 0.002 to 0.003 N m were measured."""
 
     adc_bits: int = 16
     """Bits of the converter: counts are whole and end at +-(2^(bits - 1) - 1). 0 leaves it out."""
 
-    hysteresis: float = 0.01
+    hysteresis: Annotated[Error, ErrorField(0.08)] = 0.01
     """Width of a loop at mid-load over the load's peak-to-peak swing (see
     :func:`~surefoot.sensors.stages.hysteresis.hysteresis`)."""
 
@@ -90,58 +99,55 @@ class StrainGauges:
     behind its own strain. With the latter a small force beside a large torque, which the same gauges feel,
     comes out off by a share of the torque: by 1.7 N along the leg where the former leaves 0.2 N."""
 
-    hysteresis_true_force: float = 50.0
+    hysteresis_true_force: Positive = 50.0
     """Amplitude in N of the cycle whose ends are read without an error of slope (a loop that is as wide at
     every scale is steeper by its share for each doubling): about the weight of a leg ..."""
 
-    hysteresis_true_torque: float = 5.0
+    hysteresis_true_torque: Positive = 5.0
     """... and in N m what that weight does at the hip."""
 
-    nonlinearity: float = 0.0
+    nonlinearity: Annotated[Error, ErrorField(0.08)] = 0.0
     """Largest departure of an axis's cubic term in shares of the full scale, drawn at power-up (see
     :func:`~surefoot.sensors.stages.nonlinearity.cross_nonlinearity`) ..."""
 
-    cross_nonlinearity: float = 0.0
+    cross_nonlinearity: Annotated[Error, ErrorField(0.018)] = 0.0
     """... and of what two axes at their full scales add to each. An affine map left errors up to 16 N of a
     sensor of an iCub3, a polynomial 6 N (arXiv 2312.09846)."""
 
-    creep_shares: tuple[float, ...] = (0.0005, 0.0005)
+    creep_shares: Annotated[tuple[float, ...], ErrorField()] = (0.0005, 0.0005)
     """What a constant load adds to its reading in the end, in shares of it, one exponential each."""
 
     creep_time_constants: tuple[float, ...] = (30.0, 600.0)
     """Time constants of the exponentials in s."""
 
-    offset_drift_force: float = 0.05 * PER_SQRT_MINUTE
+    offset_drift_force: Error = 0.05 * PER_SQRT_MINUTE
     """Random walk of the offsets, as the maker's matrix shows it, in N/sqrt(s); 0.05 N per square root of a
     minute, or 0.4 N in an hour."""
 
-    offset_drift_torque: float = 0.001 * PER_SQRT_MINUTE
+    offset_drift_torque: Error = 0.001 * PER_SQRT_MINUTE
     """The same for torques in N m/sqrt(s)."""
 
-    offset_tempco_force: float = 0.05
+    offset_tempco_force: Error = 0.05
     """Standard deviation of what a kelvin does to the offsets, as the maker's matrix shows it, in N/K, each
     sensor its own; one iCub's went by 0.71 N from 25 to 39 degrees Celsius."""
 
-    offset_tempco_torque: float = 0.001
+    offset_tempco_torque: Error = 0.001
     """The same for torques in N m/K."""
 
-    scale_tempco: float = 2e-4
+    scale_tempco: Error = 2e-4
     """Standard deviation of the relative change of a gauge's scale per kelvin in 1/K, each gauge its own."""
 
-    temperature_ramp: float = 0.0
+    temperature_ramp: NotNegative = 0.0
     """Rate at which the sensor warms up from power-up on in K/s; 0 has been on for long, 14/900 with a rise
     of 14 is what a robot's foot was seen to do."""
 
-    temperature_rise: float = 0.0
+    temperature_rise: NotNegative = 0.0
     """Where the warming levels off in K, exponentially; 0 for a ramp that goes on."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require_positive(self, "full_scale_force", "full_scale_torque")
-        require_positive(self, "hysteresis_true_force", "hysteresis_true_torque")
+        check_fields(self)
         self._check_matrix()
-        others = ("matrix", "adc_bits", "hysteresis_of", "creep_shares", "creep_time_constants")
-        require_not_negative(self, *(name for name in self.__dataclass_fields__ if name not in others))
         for name in ("scale_error_std", "cross_talk_std"):
             require(getattr(self, name) <= 0.5, self, name, "be at most 0.5")
         possible = is_whole(self.adc_bits) and (self.adc_bits == 0 or 2 <= self.adc_bits <= 32)

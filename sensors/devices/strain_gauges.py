@@ -21,6 +21,7 @@ The element bends out of proportion, creeps and lags (see :mod:`surefoot.sensors
 scales (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,9 +78,6 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     true wrenches at the instant of reading in N and N m, at and in the sensor's frame, shape (6,), and
     returns counts, shape (k,).
 
-    Args:
-        config: The instrument.
-
     >>> from surefoot.sensors import preset
     >>> sensor, rng = strain_gauges(preset("icub-ftsens-leg", StrainGauges)), np.random.default_rng(0)
     >>> counts, state = sensor.apply(np.zeros(6), sensor.init((6,), rng), rng, 0.01)
@@ -96,12 +94,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     noisy, walks = config.noisy, config.walks
     noise_map = gauge_map(config, config.noise_force, config.noise_torque).T
     walk_map = gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T
-    of_load = config.hysteresis_of == "load"
-    most, true_at = lag(config)
-    lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
-    creeping = creep(config.creep_shares, config.creep_time_constants)
-    bends = config.bends
-    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
+    begin, carry = _element(config)
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         check_channels(shape, k)
@@ -109,28 +102,13 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         offset = uniform(rng, -1.0, 1.0, shape) @ offset_map
         heat = normal(rng, (2, k))
         tempco = np.stack([config.scale_tempco * heat[0], heat[1] @ tempco_map])
-        return StrainGaugeState(
-            response @ grown,
-            tempco,
-            offset,
-            np.zeros(()),
-            creeping.init((AXES,), rng),
-            lagging.init((AXES if of_load else k,), rng),
-            bending.init((AXES,), rng) if bends else (),
-        )
+        return StrainGaugeState(response @ grown, tempco, offset, np.zeros(()), *begin(rng))
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
         if wrench.shape != (AXES,):
             raise ValueError(f"A wrench must have the shape ({AXES},), got {wrench.shape}.")
         matrix, tempco, offset, before = state[:4]
-        bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
-        load, crept = creeping.apply(bent, state.creep, rng, dt)
-        lagged = state.hysteresis
-        if of_load:
-            load, lagged = lagging.apply(load, lagged, rng, dt)
-        counts = matrix @ load
-        if not of_load:
-            counts, lagged = lagging.apply(counts, lagged, rng, dt)
+        counts, loads = carry(wrench, state, rng, dt)
         if walks:
             drawn = normal(rng, offset.shape)
             offset = offset + dt**0.5 * (drawn @ walk_map)
@@ -140,9 +118,40 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             counts = counts + normal(rng, counts.shape) @ noise_map
         if config.adc_bits:
             counts = np.rint(limit(counts, low, high))
-        return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
+        return counts, StrainGaugeState(matrix, tempco, offset, temperature, *loads)
 
     return Corruption(init, apply)
+
+
+_Loads = tuple[CreepState, HysteresisState, Any]  # the last three of StrainGaugeState
+
+
+def _element(
+    config: StrainGauges,
+) -> tuple[Callable[[Rng], _Loads], Callable[[Array, StrainGaugeState, Rng, float], tuple[Array, _Loads]]]:
+    """Make the element that bends, creeps and lags: its start, and counts without offsets of a wrench."""
+    of_load, bends = config.hysteresis_of == "load", config.bends
+    most, true_at = lag(config)
+    lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
+    creeping = creep(config.creep_shares, config.creep_time_constants)
+    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, config.full_scale)
+
+    def init(rng: Rng) -> _Loads:
+        lagged = lagging.init((AXES if of_load else config.channels,), rng)
+        return creeping.init((AXES,), rng), lagged, bending.init((AXES,), rng) if bends else ()
+
+    def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, _Loads]:
+        bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
+        load, crept = creeping.apply(bent, state.creep, rng, dt)
+        lagged = state.hysteresis
+        if of_load:
+            load, lagged = lagging.apply(load, lagged, rng, dt)
+        counts = state.response @ load
+        if not of_load:
+            counts, lagged = lagging.apply(counts, lagged, rng, dt)
+        return counts, (crept, lagged, bend)
+
+    return init, apply
 
 
 def _grow(step: Array) -> Array:

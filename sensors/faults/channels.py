@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
+from surefoot.sensors.configuration import NotNegative, Positive, check_fields, is_whole, require
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import uniform
 
@@ -60,26 +60,26 @@ class Fault:
     channel: int
     """Number of the channel that it happens to, from 0."""
 
-    start: float = 0.0
+    start: NotNegative = 0.0
     """Time of the first reading that is wrong in s."""
 
-    stop: float | None = None
+    stop: Positive | None = None
     """Time of the first reading that is right again in s; ``None`` for never."""
 
-    level: float | None = None
+    level: Positive | None = None
     """Saturated: the load in N (or N m) by the data sheet beyond which nothing more is read, positive for
     loads that press; ``None`` for a reading at the rail to which such loads drive the converter."""
 
-    rate: float = 1.0
+    rate: Positive = 1.0
     """Spiking: mean number of spikes in a second in 1/s."""
 
-    size: float = 20.0
+    size: Positive = 20.0
     """Spiking: by how much a reading is off in N (or N m) by the data sheet, to either side alike."""
 
     probability: float = 1.0
     """Dropped: share of the readings that is lost in the long run; 1 loses all."""
 
-    burst: float = 0.0
+    burst: NotNegative = 0.0
     """Dropped: mean duration of a gap in s; 0 loses each reading on its own."""
 
     other: int | None = None
@@ -89,13 +89,9 @@ class Fault:
         """Raise ValueError if a value is impossible."""
         require(self.kind in KINDS, self, "kind", f"be one of {KINDS}")
         require(is_whole(self.channel) and self.channel >= 0, self, "channel", "be a whole number from 0")
-        require_not_negative(self, "start", "burst")
-        require_positive(self, "rate", "size")
+        check_fields(self)
         if self.stop is not None:
-            require_positive(self, "stop")
             require(self.stop > self.start, self, "stop", f"come after the start at {self.start} s")
-        if self.level is not None:
-            require_positive(self, "level")
         require(0.0 < self.probability <= 1.0, self, "probability", "lie above 0 and at most at 1")
         swaps = self.kind == "swapped"
         require(

@@ -8,11 +8,11 @@ Every part is off where its field is zero, costs nothing then and draws nothing.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import Error, ErrorField, NotNegative, Positive, check_fields, require
 from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
@@ -31,52 +31,43 @@ SMALLEST_LOOP = 2.0**-7
 class Mechanics:
     """The spring elements of a set of cells and how they are mounted; by default ideal."""
 
-    nonlinearity: float = 0.0
+    nonlinearity: Annotated[Error, ErrorField(0.08)] = 0.0
     """Largest departure from the straight line through zero and the capacity, at half of the capacity, in
     shares of the capacity; each cell draws its own, uniformly and of either sign. 2e-4 is a bar cell of class
     C3's, 5e-4 a cheap one's, 2e-3 a ring's (data sheets)."""
 
-    hysteresis: float = 0.0
+    hysteresis: Annotated[Error, ErrorField(0.12)] = 0.0
     """Width of a loop at mid-load over the load's swing, of loops larger than 1/128 of the capacity. 2e-4,
     5e-4 and 2e-3 by the same data sheets."""
 
-    creep_shares: tuple[float, ...] = ()
+    creep_shares: Annotated[tuple[float, ...], ErrorField()] = ()
     """What each exponential of the creep adds in the end in shares of the load. A cheap bar cell's add up to
     5e-4 in 30 minutes, a good one's to 1.5e-4 (data sheets)."""
 
     creep_time_constants: tuple[float, ...] = ()
     """Time constants of the exponentials in s; most of a kitchen scale's creep was seen within 60 s."""
 
-    mounting_warp_std: float = 0.0
+    mounting_warp_std: Error = 0.0
     """Standard deviation of what an impact adds to each offset along the warp (+, -, -, +) of a foot of four
     cells in N. Offsets of force plates were seen to change by 2.5 and 6 N along it; nobody has published
     what one impact does."""
 
-    mounting_common_std: float = 0.0
+    mounting_common_std: Error = 0.0
     """Standard deviation of what an impact adds to all offsets of a foot alike in N."""
 
-    impact_threshold: float = 10.0
+    impact_threshold: NotNegative = 10.0
     """Change of a foot's load from one reading to the next beyond which there is an impact, in N."""
 
-    overload_share: float = 0.0
+    overload_share: Annotated[Error, ErrorField(1.0)] = 0.0
     """Share of a load's excess over the safe overload that stays in the offset for good. Data sheets do not
     give it."""
 
-    safe_overload: float = 1.5
+    safe_overload: Positive = 1.5
     """Largest load that leaves no trace in shares of the capacity; 1.5 by most data sheets."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require_not_negative(
-            self,
-            "nonlinearity",
-            "hysteresis",
-            "mounting_warp_std",
-            "mounting_common_std",
-            "impact_threshold",
-            "overload_share",
-        )
-        require_positive(self, "safe_overload")
+        check_fields(self)
         require(self.nonlinearity < 1.0 / 12.0, self, "nonlinearity", "be below 1/12")
         require(self.hysteresis < 0.125, self, "hysteresis", "be below 1/8")
         require(self.overload_share <= 1.0, self, "overload_share", "be at most 1")

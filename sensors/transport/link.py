@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import Error, Positive, check_fields, require
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
 
@@ -27,20 +27,18 @@ JITTER_BOUND = 6.0
 class Link:
     """The link of a robot's own telemetry to the host; the defaults are the CoP paper's wireless NAOqi."""
 
-    rate: float | None = 100.0
+    rate: Positive | None = 100.0
     """Packets per second. ``None`` sends one just before the host reads."""
 
-    delay: float = 0.020
+    delay: Error = 0.020
     """Mean delay in s."""
 
-    jitter: float = 0.004
+    jitter: Error = 0.004
     """Standard deviation of the delay in s. A packet never overtakes the one before it."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        if self.rate is not None:
-            require_positive(self, "rate")
-        require_not_negative(self, "delay", "jitter")
+        check_fields(self)
         require(self.rate is not None or self.delay == 0.0, self, "delay", "be 0 for a link without a rate")
 
 

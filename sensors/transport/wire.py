@@ -7,12 +7,20 @@ costs nothing then and draws nothing.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.configuration import (
+    Error,
+    ErrorField,
+    NotNegative,
+    Positive,
+    Whole,
+    check_fields,
+    require,
+)
 from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
@@ -25,42 +33,40 @@ ALONE = 1e-9
 class Wire:
     """The wire from an instrument to the host; by default all codes arrive, right and at once."""
 
-    spike_rate: float = 0.0
+    spike_rate: Error = 0.0
     """Mean number of spikes of a channel in a second in 1/s."""
 
-    spike_size: float = 0.1
+    spike_size: NotNegative = 0.1
     """Standard deviation of a spike in shares of the rated load."""
 
-    wrong_words: float = 0.0
+    wrong_words: Annotated[Error, ErrorField(1.0)] = 0.0
     """Probability that one bit of a reading arrives the wrong way round. 1 to 5 % of the values of one
     bit-banged HX711 were wrong, most of other people's never."""
 
-    stale_repeats: float = 0.0
+    stale_repeats: Annotated[Error, ErrorField(0.95)] = 0.0
     """Probability that the host is handed its last reading again; 0.73 in a log of a NAO's feet."""
 
-    packet_loss: float = 0.0
+    packet_loss: Annotated[Error, ErrorField(0.95)] = 0.0
     """Share of the readings that get lost, each on its own, all channels together."""
 
-    gap_share: float = 0.0
+    gap_share: Annotated[Error, ErrorField(0.95)] = 0.0
     """Share of the time that is lost in bursts, all channels together. A gap of 0.125 s a minute is 0.002."""
 
-    gap_length: float = 0.125
+    gap_length: Positive = 0.125
     """Mean length of a burst in s; gaps of 0.17 s (iCub) and 22.6 s (balance board) were seen."""
 
-    delay: float = 0.0
+    delay: Error = 0.0
     """Mean delay of a reading in s; 0.020 over the CoP paper's wireless network."""
 
-    jitter: float = 0.0
+    jitter: Error = 0.0
     """Standard deviation of the delay in s; 0.004 there. No reading overtakes the one before it."""
 
-    under_way: int = 8
+    under_way: Whole = 8
     """How many readings can be under way: at least the delay over the time between two of them."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require_not_negative(self, *(name for name in self.__dataclass_fields__ if name != "under_way"))
-        require_positive(self, "gap_length")
-        require_whole(self, "under_way")
+        check_fields(self)
         require(self.wrong_words <= 1.0, self, "wrong_words", "be at most 1")
         for name in ("stale_repeats", "packet_loss", "gap_share"):
             require(getattr(self, name) < 1.0, self, name, "be below 1")

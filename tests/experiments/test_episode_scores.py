@@ -1,5 +1,6 @@
 """Numbers of a study's rows: losses won back, the severity at which half fall, shares and bands."""
 
+import re
 from math import inf
 from typing import Any
 
@@ -24,11 +25,12 @@ from surefoot.experiments.study.tables import Verdict
 def test_a_loss_that_is_none_is_not_won_back():
     flat = dict.fromkeys(MEANS, 100.0)
     frame = frame_of(episodes("zero", flat))
-    assert recovery_share(frame, "moment", 1.0) is None
-    assert all(row[3] == "" for row in score_table(frame).rows)
+    assert not recovery_share(frame, "moment", 1.0).told
+    cells = [row[3] for row in score_table(frame).rows]
+    assert {cell for cell in cells if not cell.startswith("cannot be told (cost ")} == {""}
     # Exactly the same returns on all feet: no division by nothing.
     same = frame.assign(**{"return": 100.0})
-    assert recovery_share(same, "window", 2.0) is None
+    assert not recovery_share(same, "window", 2.0).told
     won = {row[:2]: row[3] for row in score_table(frame_of(episodes())).rows}
     assert won["moment", "1"].startswith("94.")
 
@@ -40,7 +42,22 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
     cost = np.where(np.arange(30) < 15, 0.0, 100.0)
     totals = {"true": noise[0], "none": noise[1] - cost, "moment": noise[2][:15]}
     frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
-    assert recovery_share(frame, "moment", 1.0) is None
+    assert not recovery_share(frame, "moment", 1.0).told
+
+
+def test_of_a_small_loss_in_large_noise_no_share_is_told() -> None:
+    # True feet are ahead by a clear 1, and a calibration scatters by 100 around drifting feet.
+    rng = np.random.default_rng(1)
+    totals = {"true": np.full(6, 101.0), "none": np.full(6, 100.0), "moment": rng.normal(100.0, 100.0, 6)}
+    frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
+    share = recovery_share(frame, "moment", 1.0)
+    assert share.loss.apart
+    assert share.high - share.low > 10.0
+    table = score_table(frame)
+    cell = next(cells[3] for cells in table.rows if cells[0] == "moment")
+    assert re.fullmatch(r"cannot be told \(-?\d+ to -?\d+ %\)", cell)
+    assert table.to_plain()["rows"][-1]["loss won back"] is None
+    assert score_table(frame[frame["seed"] == 0]).note.startswith("Means of 1 paired episode with")
 
 
 SEVERITIES = np.array([0.0, 1.0, 2.0, 4.0])
@@ -122,8 +139,8 @@ def test_the_loss_won_back_is_the_share_of_the_means_and_its_interval_holds_it()
     noisy = base + 0.5 * gap + rng.normal(0.0, 3.0, 60)
     totals = {"true": base + gap, "none": base, "moment": base + 0.8 * gap, "window": noisy}
     frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
-    assert recovery_share(frame, "moment", 1.0) == pytest.approx((0.8, 0.8, 0.8))
-    won, low, high = recovery_share(frame, "window", 1.0)
+    assert recovery_share(frame, "moment", 1.0)[:3] == pytest.approx((0.8, 0.8, 0.8))
+    won, low, high, _ = recovery_share(frame, "window", 1.0)
     assert low < won < high
     assert low < 0.5 < high
     interval = difference(frame, Run("true"), Run("none"), 1.0)

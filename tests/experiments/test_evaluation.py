@@ -73,7 +73,7 @@ def test_episodes_are_read_or_refused(tmp_path):
     with pytest.raises(ValueError, match="episodes of policy, clean, which cannot all be called 'mine'"):
         read_episodes(path, "mine")
     path.write_bytes(b"PAR1 and no more")
-    with pytest.raises(ValueError, match="no table of Parquet, or is damaged"):
+    with pytest.raises(ValueError, match=r"no table of Parquet, or is damaged: .*[^.]\.$"):
         read_episodes(path)
     with pytest.raises(ValueError, match="There is no file of episodes"):
         read_episodes(tmp_path / "nowhere")

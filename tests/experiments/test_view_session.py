@@ -291,6 +291,7 @@ def test_another_speed_is_walked_from_the_next_reset_on() -> None:
     assert session.settings["speed"] == 0.03
 
 
+@pytest.mark.filterwarnings("ignore:The observation of .* holds 'cfrc_ext'")
 def test_any_robot_on_two_feet() -> None:
     session = Session("Humanoid-v5", seed=1, soles=True)
     assert session.feeds == ("raw", "calibrated")

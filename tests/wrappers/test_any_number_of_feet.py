@@ -33,7 +33,8 @@ PERFECT = {"imu": "perfect", "encoders": "perfect"}
 
 
 def ant() -> InstrumentedEnv:
-    env = gym.make("Ant-v5", max_episode_steps=10_000, terminate_when_unhealthy=False)
+    blind = {"include_cfrc_ext_in_observation": False}
+    env = gym.make("Ant-v5", max_episode_steps=10_000, terminate_when_unhealthy=False, **blind)
     spec = mujoco.MjSpec.from_file(env.unwrapped.fullpath)
     for body, name in zip([body for body in spec.bodies if not body.name], FEET, strict=True):
         body.name = name

@@ -24,6 +24,8 @@ from surefoot.wrappers import (
 
 ANKLES = "icub-force-torque"
 NAO = {"speed": 0.04, "duration": 12.0}
+BLIND = {"include_cfrc_ext_in_observation": False}
+OPTIONS = {"surefoot/NaoWalk-v0": NAO, "Humanoid-v5": BLIND}
 
 
 class AsItWas(gym.ObservationWrapper):
@@ -37,8 +39,12 @@ class AsItWas(gym.ObservationWrapper):
         return observation["state"]
 
 
+def humanoid() -> gym.Env[Any, Any]:
+    return gym.make("Humanoid-v5", **BLIND)
+
+
 def bare(name: str) -> gym.Env[Any, Any]:
-    env = gym.make(name, **(NAO if "Walk-" in name else {}))
+    env = gym.make(name, **OPTIONS.get(name, {}))
     return AsItWas(env) if name.startswith("surefoot/") else env
 
 
@@ -53,7 +59,7 @@ def bare(name: str) -> gym.Env[Any, Any]:
     ],
 )
 def test_a_null_sensor_changes_nothing(name: str, config: Any, count: int) -> None:
-    env = gym.make(name, **(NAO if "Walk-" in name else {}))
+    env = gym.make(name, **OPTIONS.get(name, {}))
     sensed = AsItWas(FootSensors(env, config, measure_state=False))
     comparison = "skip" if name.startswith("surefoot/") else "superset"
     check_environments_match(bare(name), sensed, num_steps=count, seed=3, info_comparison=comparison)
@@ -70,7 +76,7 @@ def test_null_cells_read_the_truth_that_info_has() -> None:
 
 
 def test_a_null_sensor_reads_the_truth_about_the_ankles() -> None:
-    env = FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE)
+    env = FootSensors(humanoid(), PERFECT_FORCE_TORQUE)
     observation, _ = env.reset(seed=0)
     for _ in range(20):
         truth = env.source.truth.wrench_ankle.mean(axis=0).ravel()
@@ -79,12 +85,10 @@ def test_a_null_sensor_reads_the_truth_about_the_ankles() -> None:
 
 
 STACKS = {
-    "ankles": lambda: FootSensors(gym.make("Humanoid-v5"), ANKLES),
+    "ankles": lambda: FootSensors(humanoid(), ANKLES),
     "planar": lambda: SelfCalibration(FootSensors(gym.make("Walker2d-v5"), ANKLES)),
-    "calibrated": lambda: SelfCalibration(
-        FootSensors(gym.make("Humanoid-v5"), ANKLES), show=("cop", "foot_raw")
-    ),
-    "soles": lambda: SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True)),
+    "calibrated": lambda: SelfCalibration(FootSensors(humanoid(), ANKLES), show=("cop", "foot_raw")),
+    "soles": lambda: SelfCalibration(FootSensors(humanoid(), soles=True)),
 }
 
 
@@ -98,19 +102,11 @@ def steps(env: gym.Env[Any, Any], count: int = 10) -> list[dict[str, Any]]:
 
 
 def test_vector_environments_are_made_of_specs() -> None:
-    env = gym.make_vec("Humanoid-v5", 2, "sync", wrappers=[lambda env: FootSensors(env, ANKLES)])
+    env = gym.make_vec("Humanoid-v5", 2, "sync", **BLIND, wrappers=[lambda env: FootSensors(env, ANKLES)])
     observation, _ = env.reset(seed=0)
     assert observation["foot_raw"].shape == (2, 12)
     assert not np.array_equal(*observation["foot_raw"])
     env.close()
-
-
-def test_sensors_never_touch_the_environments_own_randomness() -> None:
-    env, alone = STACKS["calibrated"](), gym.make("Humanoid-v5")
-    steps(env)
-    steps(alone)
-    states = (one.unwrapped.np_random.bit_generator.state for one in (env, alone))
-    assert next(states) == next(states)
 
 
 def test_listening_shifts_nothing_that_feet_draw() -> None:
@@ -122,7 +118,7 @@ def test_listening_shifts_nothing_that_feet_draw() -> None:
 
 def test_feet_without_soles_have_forces_and_one_centre_of_pressure_together() -> None:
     env = SelfCalibration(
-        FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE),
+        FootSensors(humanoid(), PERFECT_FORCE_TORQUE),
         "none",
         errors=NO_ERRORS,
         show=("vgrf", "cop_valid"),
@@ -138,7 +134,7 @@ def test_feet_without_soles_have_forces_and_one_centre_of_pressure_together() ->
     # The feet's own inertia is felt as well, which a reference a few samples late cannot take off.
     assert np.corrcoef(told, true)[0, 1] > 0.99
     with pytest.raises(ValueError, match=r"The foot 'left_foot' has no area.*six-axis sensors in the ankles"):
-        FootSensors(gym.make("Humanoid-v5"))
+        FootSensors(humanoid())
 
 
 @pytest.mark.slow
@@ -157,15 +153,15 @@ def test_episodes_are_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_cells_are_of_the_robots_size() -> None:
-    nao, humanoid = (
+    nao, large = (
         FootSensors(gym.make("surefoot/NaoStand-v0")),
-        FootSensors(gym.make("Humanoid-v5"), soles=True),
+        FootSensors(humanoid(), soles=True),
     )
     usual = preset("hx711-load-cells")
     assert nao.instruments.parts[0].config == usual
-    (cells,) = (part.config for part in humanoid.instruments.parts)
-    weight = 9.81 * humanoid.unwrapped.model.body_subtreemass[1]
-    assert cells == sized(usual, humanoid.source.drawing.weight)
+    (cells,) = (part.config for part in large.instruments.parts)
+    weight = 9.81 * large.unwrapped.model.body_subtreemass[1]
+    assert cells == sized(usual, large.source.drawing.weight)
     assert 4.0 * cells.capacity > 1.5 * weight
     hopper = FootSensors(gym.make("Hopper-v5"), feet=("foot",), soles=True)
     assert hopper.instruments.channels == 4
@@ -180,12 +176,12 @@ def test_cells_are_of_the_robots_size() -> None:
 )
 def test_sensors_that_are_too_small_are_told_of(config: str, match: str) -> None:
     with pytest.warns(UserWarning, match=match):
-        FootSensors(gym.make("Humanoid-v5"), config, soles=True)
+        FootSensors(humanoid(), config, soles=True)
 
 
 def test_many_robots_get_cells_of_their_size() -> None:
     envs = gym.make_vec(
-        "Humanoid-v5", 2, "sync", wrappers=[lambda env: TruthRow(InstrumentedEnv(env, soles=True))]
+        "Humanoid-v5", 2, "sync", **BLIND, wrappers=[lambda env: TruthRow(InstrumentedEnv(env, soles=True))]
     )
     sensed = VectorFootSensors(envs)
     cells = sensed.sensors.equipment.instruments.parts[0].config
@@ -292,10 +288,10 @@ def test_robots_that_only_fall_hardly_move_their_map(vector: bool) -> None:
     """Until it falls, within a second, a robot stands for some blocks, which show the sum of its forces."""
     env: Any
     if vector:
-        copies = [lambda: TruthRow(InstrumentedEnv(gym.make("Humanoid-v5"), soles=True))] * 2
+        copies = [lambda: TruthRow(InstrumentedEnv(humanoid(), soles=True))] * 2
         env = VectorSelfCalibration(VectorFootSensors(SyncVectorEnv(copies)))
     else:
-        env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True))
+        env = SelfCalibration(FootSensors(humanoid(), soles=True))
     _, info = env.reset(seed=3)
     start, ended = np.array(info["surefoot"]["parameters"]["scale"]), 0
     for _ in range(240):
@@ -305,14 +301,6 @@ def test_robots_that_only_fall_hardly_move_their_map(vector: bool) -> None:
         if terminated is True:
             env.reset()
     assert ended > 2
-
-
-def keep_falling(env: gym.Env[Any, Any], steps: int) -> None:
-    env.reset(seed=3)
-    for _ in range(steps):
-        _, _, terminated, _, _ = env.step(np.zeros(17))
-        if terminated:
-            env.reset()
 
 
 def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> None:
@@ -340,6 +328,22 @@ def test_a_step_that_is_longer_than_dt_is_refused(stilts: str) -> None:
     outside.reset(seed=0)
     for _ in range(3):
         outside.step(np.zeros(4))
+
+
+def test_true_forces_beside_the_sensors_are_told_of_once() -> None:
+    cure = r"holds 'cfrc_ext', .* Leave it out with gym.make\(..., include_cfrc_ext_in_observation=False\)"
+    with pytest.warns(UserWarning, match=cure) as told:
+        FootSensors(gym.make("Humanoid-v5"), ANKLES)
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    with pytest.warns(UserWarning, match=cure) as told:
+        VectorFootSensors(SyncVectorEnv([lambda: TruthRow(gym.make("Humanoid-v5"))] * 3), ANKLES)
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    # Whoever has left them out by a wrapper knows.
+    space = gym.spaces.Box(-np.inf, np.inf, (270,), np.float64)
+    cut = gym.wrappers.TransformObservation(gym.make("Humanoid-v5"), lambda seen: seen[:270], space)
+    FootSensors(cut, ANKLES)
 
 
 def test_an_environments_own_arrays_stay_its_own(stilts: str) -> None:

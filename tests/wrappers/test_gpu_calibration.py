@@ -128,6 +128,9 @@ def compare_with_alone(method, lag, log, given):
     alone = [FootCalibrator(LAYOUT, method, mass=MASS, dt=DT, lag=lag, **options) for _ in range(N)]
     for k in range(110):
         raw, reference = given(log, k)
+        raw = raw.clone()
+        raw[2, 5] = torch.nan if k % 9 == 8 else raw[2, 5]
+        raw[3, 2] = 0.3 if k > 60 else raw[3, 2]  # one cell dies
         if k == 70:
             module.reset([1])
             single.reset([1])
@@ -410,3 +413,20 @@ def test_kernels_compile_for_a_gpu(method, tmp_path):
     for module in modules:
         found = warp.compile_aot_module(module._kernel.module, arch=90, module_dir=tmp_path, use_ptx=True)
         assert ".target sm_90" in found[0].read_text(errors="replace")
+
+
+@pytest.mark.slow
+def test_all_headers_compile_for_a_gpu(tmp_path):
+    """Those that no module uses too, as docs/native.md says."""
+    headers = "moment", "strapdown", "view", "window", "feet", "telemetry"
+    functions = (
+        "sf_moment_step", "sf_window_step", "sf_cells_step", "sf_strain_gauges_step", "sf_beliefs_packet",
+        "sf_view_show", "sf_telemetry_advance",
+    )  # fmt: skip
+    body = "".join(f"((size_t *)found.data)[{i}] = (size_t){name};" for i, name in enumerate(functions))
+    made = kernel("sensors", tuple(f"surefoot_{name}" for name in headers), body, (), (), False)
+    made.module.options["optimization_level"] = 1  # a compiler warns of 0
+    (path,) = warp.compile_aot_module(made.module, arch=90, module_dir=tmp_path, use_ptx=True)
+    text = path.read_text(errors="replace")
+    assert ".target sm_90" in text
+    assert not [name for name in functions if name not in text]

@@ -1,5 +1,6 @@
 """The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any, NamedTuple, Protocol
@@ -99,6 +100,8 @@ class BatchSensors(OfOneVersion):
     ) -> None:
         check_flag("measure_state", measure_state)
         self.drawing, self._meaning = _check_copies(owner, space, attribute)
+        for warning in sorted(set(attribute("warning")) - {""}):
+            warnings.warn(warning, stacklevel=3)
         self._attribute, joints = attribute, self._meaning.joints
         meaning = self._meaning
         self._owner = owner

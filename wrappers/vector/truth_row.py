@@ -22,7 +22,13 @@ from surefoot.envs.instrumentation.means import FootPlaces, foot_places
 from surefoot.envs.instrumentation.robot import TORSO_WIDTH, FootColumns
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
-from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
+from surefoot.wrappers.source import (
+    check_clock,
+    check_order,
+    find_source,
+    warning_of_true_forces,
+    with_source,
+)
 
 if TYPE_CHECKING:
     AnyVectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
@@ -96,6 +102,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     Attributes:
         row_meaning: The meaning of the row.
+        warning: Of other truth in the observation, for the wrapper around all copies to give once.
         lends: Whether the row is lent (:class:`Lent`) to who reads it at once, and not copied.
 
     Raises:
@@ -117,6 +124,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         self._flat = not isinstance(space, spaces.Dict)
         parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
         self.row_meaning = _meaning(source)
+        self.warning = warning_of_true_forces(self.env)
         self._keep_info = keep_info
         if not keep_info and hasattr(source, "tells"):
             source.tells = False
