@@ -1264,7 +1264,7 @@ SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes
     return good;
 }
 
-/* Tare._redefine: define the drift anew by readings without load. */
+/* Tare._redefine: define the drift again by readings without load. */
 SF_API void sf_redefine_drift(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels,
                               int count, const sf_real *reading, const sf_real *variance) {
     int K = c->channels, N = sf_states(c, m);

@@ -319,7 +319,7 @@ class ChannelFaults:
         )
 
     def restart(self, state: ChannelState) -> ChannelState:
-        """Begin anew to hold cells against their plates: readings mean something else from now on."""
+        """Begin again to hold cells against their plates: readings mean something else from now on."""
         zero = np.zeros_like(state.shown)
         return state._replace(shown=zero - 1.0, expected=zero, missed=zero, offered=zero)
 

@@ -16,7 +16,7 @@ from surefoot.calibration.moment.health import (
     map_covariance,
     uncertainty,
 )
-from surefoot.calibration.moment.model import Model
+from surefoot.calibration.moment.model import Model, Rows
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     FREE,
@@ -31,6 +31,7 @@ from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
+from surefoot.calibration.moment.suspects import Leap
 from surefoot.calibration.moment.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -264,35 +265,20 @@ class MomentFilter:
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
-        whole = not faults.lost.any()
-        spare = None if whole else faults.spare
+        spare = faults.spare if faults.lost.any() else None
         rows = self.model.rows(block, published, self._lasting(state), spare)
-        columns, nis, rejected = self.columns, np.nan, False
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
-        follows = bool(state.linked and state.track.valid)
+        follows, rejected = bool(state.linked and state.track.valid), False
         if follows:
-            transition, added = self.model.move(rows.point - state.point, block.velocity.mean(axis=0))
-            belief = belief._replace(
-                mean=belief.mean @ transition.T + added,
-                covariance=transition @ belief.covariance @ transition.T,
-            )
-            likeliest = belief.mean[belief.chance.argmax()]
-            ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
-            state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
+            state, belief, wrong, ahead = self._follow(state, block, rows, published, belief)
             if wrong is not None:
                 return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
-            rejected = bool(abs(ahead) > 0.5 * LARGEST_ERROR * block.duration)
-        if not follows or rejected:
-            belief = begin_momentum(belief, rows, columns)
-            weighed = self._weigh(belief, state.drifted)
+            rejected = abs(ahead) > 0.5 * LARGEST_ERROR * block.duration
+        if follows and not rejected:
+            belief, weighed, nis = self._update(belief, rows, block.duration, state.drifted)
         else:
-            mixed = mix(belief, rows, columns, block.duration, self.config.mass_std)
-            step = learn(mixed, rows, columns, block.duration)
-            nis = step.nis
-            before = self._severity.evidence(mixed.mean, mixed.covariance, state.drifted)
-            belief, weighed = step.belief, self._weigh(step.belief, state.drifted)
-            after = step.likelihood + weighed.evidence
-            belief = belief._replace(chance=weigh_modes(mixed.chance, after - before))
+            belief = begin_momentum(belief, rows, self.columns)
+            weighed, nis = self._weigh(belief, state.drifted), np.nan
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
@@ -312,6 +298,35 @@ class MomentFilter:
             status=status,
         )
         return self._rest(state, block, good=not status), nis, float(len(rows.measured))
+
+    def _follow(
+        self, state: MomentState, block: Block, rows: Rows, published: Array, belief: Belief
+    ) -> tuple[MomentState, Belief, int | Leap | None, float]:
+        """Move on to a block's point, and hold all suspects against the block.
+
+        Returns:
+            The state, the belief, what is wrong, and the innovation of the vertical momentum in W s.
+        """
+        transition, added = self.model.move(rows.point - state.point, block.velocity.mean(axis=0))
+        belief = belief._replace(
+            mean=belief.mean @ transition.T + added,
+            covariance=transition @ belief.covariance @ transition.T,
+        )
+        likeliest = belief.mean[belief.chance.argmax()]
+        ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
+        state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
+        return state, belief, wrong, float(ahead)
+
+    def _update(
+        self, belief: Belief, rows: Rows, duration: float, drifted: float
+    ) -> tuple[Belief, Weighed, float]:
+        """Update all modes by a block; return the posterior, its severities, and the NIS."""
+        mixed = mix(belief, rows, self.columns, duration, self.config.mass_std)
+        step = learn(mixed, rows, self.columns, duration)
+        before = self._severity.evidence(mixed.mean, mixed.covariance, drifted)
+        weighed = self._weigh(step.belief, drifted)
+        chance = weigh_modes(mixed.chance, step.likelihood + weighed.evidence - before)
+        return step.belief._replace(chance=chance), weighed, step.nis
 
     def _rest(self, state: MomentState, block: Block, good: bool) -> MomentState:
         """Keep the state now and then, and learn how cells share loads."""

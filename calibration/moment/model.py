@@ -132,12 +132,7 @@ class Model:
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
-        # Chips have clocks of their own: each channel's change is an error of its own, and the larger the
-        # more samples a reading stands for.
         read = block.read if spare is None else block.read[:, np.diagonal(spare) > 0.5]
-        held = len(dt) / max(float(read.sum(axis=0).min()), 1.0)
-        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
-        change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, C)
         return Rows(
             mean=mean,
             mean_rest=mean_rest,
@@ -146,12 +141,24 @@ class Model:
             measured=dt @ each / T,
             at_end=each[-1],
             variance=variance,
-            walk=change.T @ change,
+            walk=self._walk(force, unit, read, dt),
             crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
             lasting=np.einsum("nck,n->ck", own, dt / T) ** 2 @ lasting,
             point=point,
             height=float((com[:, 2] - point[2]).mean()),
         )
+
+    def _walk(self, force: Array, unit: Array, read: Array, dt: Array) -> Array:
+        """Return the variance of the momentum by forces between the readings, shape (C, C).
+
+        Chips have clocks of their own: each channel's change is an error of its own, and the larger the more
+        samples a reading stands for.
+        """
+        held = len(dt) / max(float(read.sum(axis=0).min()), 1.0)
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
+        change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, unit.shape[1])
+        walk: Array = change.T @ change
+        return walk
 
     def move(self, step: Array, velocity: Array) -> tuple[Array, Array]:
         """Return the transition of the unknowns to a point o that has moved.

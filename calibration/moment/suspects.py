@@ -150,22 +150,11 @@ class Suspects:
         for k in np.flatnonzero(possible[self.out]):
             extra = np.outer(reach[:, k], reach[:, k]) * others_std[k] ** 2
             each[k] = _evidence(S + extra, off[:, [k]])[0]
-        # Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as
-        # rarely as somebody takes hold; a force as large as the weight acts on the robot's body, up to its
-        # height away from its centre of mass.
+        # A force in W, or a torque in W times the height, seen in the mean momentum.
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
-        arm[0] = 0.0
-        weight = rows.mean_rest[:, None]
-        nothing = _evidence(S, e[:, None])[0]
-        lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
-        decay = np.exp(-duration / HELD.time)
-        hand = np.diag(span**2 * wrench_variance(HELD, rows) * (1.0 - decay**2))
-        changing = _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
         rare = float(np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration))
-        changing += rare
-        unknown = _evidence(S + weight @ weight.T + np.diag(arm**2), e[:, None])[0]
-        innocent = max(nothing, lasting, changing, unknown)
+        nothing, innocent = self._excuse(state, rows, S, e, span, arm, rare, duration)
         gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
         score = np.maximum(state.score + gain, 0.0)
         noise, before = state.noise, state.known
@@ -178,6 +167,32 @@ class Suspects:
         leap = self._find_leap(state, S, reach, e_before, there, least, rare) if innocent > nothing else None
         state = state._replace(score=score, noise=noise, error=e / span, known=before)
         return state, leap or self._find_guilty(score)
+
+    def _excuse(
+        self,
+        state: SuspectState,
+        rows: Rows,
+        S: Array,
+        e: Array,
+        span: Array,
+        arm: Array,
+        rare: float,
+        duration: float,
+    ) -> tuple[float, float]:
+        """Return the evidence that nothing is wrong, and that of the best innocent cause.
+
+        Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as
+        rarely as somebody takes hold; a force as large as the weight acts on the robot's body, up to its
+        height away from its centre of mass.
+        """
+        nothing = _evidence(S, e[:, None])[0]
+        lasting = _evidence(2.0 * S, (e - state.error * span)[:, None])[0]
+        decay = np.exp(-duration / HELD.time)
+        hand = np.diag(span**2 * wrench_variance(HELD, rows) * (1.0 - decay**2))
+        changing = rare + _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
+        body = np.outer(rows.mean_rest, rows.mean_rest) + np.diag(np.concatenate([[0.0], arm[1:]]) ** 2)
+        unknown = _evidence(S + body, e[:, None])[0]
+        return nothing, max(nothing, lasting, changing, unknown)
 
     def miss(self, state: SuspectState, rows: Rows, known: Array, others: Array) -> tuple[Array, Array]:
         """Return the error of a block, and its changes by channels that are out; torques over the height.

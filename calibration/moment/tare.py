@@ -225,7 +225,7 @@ class Tare:
     def _redefine(
         self, belief: Belief, channels: NDArray[np.int64], reading: Array, variance: Array
     ) -> Belief:
-        """Define the drift anew by readings without load, of forces of a variance in W^2, shapes (m,)."""
+        """Define the drift again by readings without load, of forces of a variance in W^2, shapes (m,)."""
         columns = self._columns
         drift, turned = channels + columns.drift.start, np.eye(columns.size)
         turned[drift] = -self._write(channels, reading)

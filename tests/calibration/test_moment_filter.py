@@ -223,6 +223,15 @@ def test_the_others_are_tared_while_a_channel_is_lost_and_it_comes_back():
     assert rmse(estimate, log, 14.0) < 0.3 * raw_rmse(log, 14.0)
 
 
+def test_a_fault_is_found_while_a_cell_of_the_other_foot_is_out():
+    log = move(5, 14.0, STATED)
+    log = spoilt(log, "flipped", round(8.03 / DT))
+    log.raw[round(4.0 / DT) :, 2] = np.nan
+    accused = (calibrated(log).flags & ACCUSED) > 0
+    assert (accused.any(axis=0) == np.isin(np.arange(8), (2, 5))).all()
+    assert accused[-1, 2]
+
+
 def test_bursts_and_gaps_teach_as_well():
     log, rng = move(5, 10.0, STATED), np.random.default_rng(0)
     raw, missing = log.raw.copy(), rng.random(len(log.raw)) < 0.3
