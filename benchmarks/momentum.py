@@ -53,6 +53,7 @@ from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Cell, Frame, Table, decimal, table_of
 from surefoot.experiments.walks.record import lift
 from surefoot.experiments.walks.walkers import G1_FEET, make_g1
+from surefoot.native import CALIBRATION, require
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -183,7 +184,11 @@ def _change_constants(part: str) -> Any:
     change = PARTS.get(part, {})
 
     def constants(core: MomentFilter) -> tuple[Any, ...]:
-        return (change(core) if callable(change) else change), *moment_constants(core)
+        changed = change(core) if callable(change) else change
+        unknown = changed.keys() - set(require(CALIBRATION.installed()).places["moment_config"])
+        if unknown:
+            raise KeyError(f"No constant of the filter has the name {', '.join(unknown)}.")
+        return changed, *moment_constants(core)
 
     return patch("surefoot.calibration.native.config.moment_constants", constants)
 

@@ -40,11 +40,13 @@
 #define N_REAL(field) PLACE(moment_state, field, "real")
 #define IN(name, field, kind) PART(moment_state, name, field, kind)
 /* What modes hold, and what is handed out. */
-#define KNOWN(name, belief, published)                                                                       \
+#define KNOWN(name, belief, published, tare)                                                                 \
     IN(name##belief_mean, belief.mean, "real"), IN(name##belief_covariance, belief.covariance, "real"),      \
         IN(name##belief_chance, belief.chance, "real"), IN(name##published_mean, published.mean, "real"),    \
         IN(name##published_covariance, published.covariance, "real"),                                        \
-        IN(name##published_undetermined, published.undetermined, "real")
+        IN(name##published_undetermined, published.undetermined, "real"),                                    \
+        IN(name##tare_reading, tare.reading, "real"), IN(name##tare_time, tare.time, "real"),                \
+        IN(name##tare_rate, tare.rate, "real"), IN(name##tare_followed, tare.followed, "whole")
 #define T_REAL(field) PLACE(tare_state, field, "real")
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
@@ -134,7 +136,7 @@ static const place places[] = {
     PLACE(moment_config, components, "int"), PLACE(moment_config, capacity, "int"),
     PLACE(moment_config, held, "int"), PLACE(moment_config, talks, "int"), PLACE(moment_config, talk_to, "int"),
     PLACE(moment_config, talk_from, "int"), O_REAL(first_variance), O_REAL(walk), O_REAL(block), O_REAL(mass_std), O_REAL(ahead),
-    O_REAL(kept_time), O_REAL(longest_pause), O_REAL(stand_in_time), O_REAL(largest_error), O_REAL(level), O_REAL(least_read), O_REAL(held_chance),
+    O_REAL(kept_time), O_REAL(longest_pause), O_REAL(product_time), O_REAL(largest_error), O_REAL(level), O_REAL(least_read), O_REAL(held_chance),
     O_REAL(velocity_variance), O_REAL(spin_variance), O_REAL(ripple), O_REAL(least_load), O_REAL(tare_variance),
     O_REAL(tare_share), O_REAL(least_apart), O_REAL(rate_share), O_REAL(smallest_rate),
     O_REAL(largest_rate), O_REAL(tare_surprise), O_REAL(stated_rate), O_REAL(first_rate), O_REAL(tare_leap), O_REAL(largest_load), O_REAL(largest_tared),
@@ -150,13 +152,12 @@ static const place places[] = {
     IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"),
     IN(track_adrift, track.adrift, "real"), FAULTS_OF(moment_state),
     N_REAL(pending), N_REAL(before), PLACE(moment_state, waiting, "whole"), PLACE(moment_state, linked, "whole"),
-    N_REAL(point), N_REAL(time), N_REAL(drifted), IN(tare_reading, tare.reading, "real"),
-    IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
-    IN(tare_followed, tare.followed, "whole"), IN(suspects_score, suspects.score, "real"),
+    N_REAL(point), N_REAL(time), N_REAL(drifted), IN(suspects_score, suspects.score, "real"),
     IN(suspects_before, suspects.before, "real"), IN(suspects_error, suspects.error, "real"),
     IN(suspects_noise, suspects.noise, "real"), IN(suspects_known, suspects.known, "real"),
-    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published), N_REAL(covariance),
-    KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
+    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published, tare), N_REAL(covariance),
+    KNOWN(kept_, kept.belief, kept.published, kept.tare),
+    KNOWN(kept_next_, next.belief, next.published, next.tare),
     IN(kept_age, age, "real"), PLACE(moment_state, status, "whole"),
 
     PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),

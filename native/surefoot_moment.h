@@ -50,7 +50,7 @@
 typedef struct {
     int components, capacity, held, talks;
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
-    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, stand_in_time;
+    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
@@ -74,16 +74,18 @@ typedef struct {
     sf_real mean[SF_WEIGHED], covariance[SF_WEIGHED * SF_WEIGHED], undetermined[SF_CHANNELS];
 } sf_publication;
 
-typedef struct {
-    sf_modes belief;
-    sf_publication published;
-} sf_known_then;
-
 /* TareState */
 typedef struct {
     sf_real reading[SF_CHANNELS], time[SF_FEET], rate;
     sf_whole followed;
 } sf_tares;
+
+/* Kept, one of two */
+typedef struct {
+    sf_modes belief;
+    sf_publication published;
+    sf_tares tare;
+} sf_known_then;
 
 /* Track: where the axes of the last sample lie, and what was added up. */
 typedef struct {
@@ -1223,7 +1225,7 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m,
     return sf_fabs(total) <= m->largest_sum ? seconds : 0;
 }
 
-/* Tare._follow: by how many times sensors drift faster than stated. */
+/* Tare._learn_rate: by how many times sensors drift faster than stated. */
 SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, const sf_real *change,
                                 const sf_real *expected, int count) {
     sf_real mean = 0, surprise = 0, share = sf_max(m->rate_share, 1 / ((sf_real)s->followed + m->stated_rate));
@@ -1335,12 +1337,13 @@ SF_API void sf_copy_published(const sf_config *c, sf_publication *to, const sf_p
 }
 
 SF_API void sf_copy_known(const sf_config *c, const sf_moment_config *m, sf_known_then *to, const sf_modes *belief,
-                          const sf_publication *published) {
+                          const sf_publication *published, const sf_tares *tare) {
     sf_copy_modes(c, m, &to->belief, belief);
     sf_copy_published(c, &to->published, published);
+    to->tare = *tare;
 }
 
-/* MomentFilter._break: forget the samples that wait, and what the momentum is. */
+/* Blocks.break_off: forget the samples that wait, and what the momentum is. */
 SF_API void sf_break(const sf_config *c, const sf_moment_config *m, sf_moment_state *s) {
     sf_track_begin(m, &s->track);
     memset(s->pending, 0, (size_t)(m->capacity * sf_waiting(c)) * sizeof(sf_real));
@@ -1375,7 +1378,10 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     sf_break(c, m, s);
     sf_copy_modes(c, m, &s->belief, &s->kept.belief);
     sf_copy_published(c, &s->published, &s->kept.published);
-    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+    /* How fast zeros drift was seen, whatever came of it. */
+    s->kept.tare.rate = s->tare.rate, s->kept.tare.followed = s->tare.followed;
+    s->tare = s->kept.tare;
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
     sf_map_covariance(c, m, &s->published, s->tare.rate, s->covariance);
     s->age = 0;
 }
@@ -1385,8 +1391,10 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
     int channels[SF_CHANNELS], count = 0;
     sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], none[SF_CHANNELS] = {0};
     for (int i = 0; i < c->channels; i++) {
-        if (s->tare.time[c->foot_of_channel[i]] < 0) continue;
+        sf_real last = s->tare.time[c->foot_of_channel[i]];
+        if (last < 0 || s->faults.lost[i] > (sf_real)0.5) continue;
         noise[count] = m->tare_variance[i] / m->block;
+        noise[count] += s->tare.rate * s->tare.rate * m->walk[c->channels + i] * (s->time - last);
         reading[count] = s->tare.reading[i];
         channels[count++] = i;
     }
@@ -1417,8 +1425,8 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     sf_weigh(c, m, &s->belief, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
-    sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
-    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+    sf_copy_known(c, m, &s->kept, &s->belief, &s->published, &s->tare);
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
 }
 
 /* MomentFilter.init: the state before any sample. */
@@ -1445,19 +1453,28 @@ SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_sta
         for (int i = 0; i < K; i++) w->force[t * K + i] = a[i] * s->pending[t * wide + i] * c->weight + b[i];
     sf_fault_learn(c, &s->faults, w->force, n, good);
     if (s->age + duration >= m->kept_time) {
-        sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published);
-        sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+        sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published, &s->next.tare);
+        sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
         s->age = 0;
     } else s->age += duration;
 }
 
-/* MomentFilter._lasting: variances of forces in W^2 by what no unknown stands for. */
-SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, sf_real *lasting) {
-    sf_real longer = m->stand_in_time / (2 * m->mode_time[0]);
-    for (int i = 0; i < c->channels; i++) lasting[i] = longer * sf_power2(s->faults.spare_std[i] / c->weight);
+/* MomentFilter._lasting: variances of forces in W^2 that last and that no unknown stands for. */
+SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, const sf_tares *tare,
+                       sf_real *lasting) {
+    int K = c->channels, M = sf_weighed(c);
+    sf_real longest = sf_max(m->product_time / (2 * m->mode_time[0]), 1);
+    for (int i = 0; i < K; i++) {
+        sf_real since = s->time - sf_max(tare->time[c->foot_of_channel[i]], 0);
+        sf_real longer = sf_max(sf_min(since, m->product_time) / (2 * m->mode_time[0]), 1);
+        sf_real drifted = m->walk[K + i] * (tare->rate * tare->rate) * since;
+        drifted = sf_min(drifted, s->published.covariance[(2 * K + i) * M + 2 * K + i]);
+        lasting[i] = longer * s->published.covariance[i * M + i] * drifted;
+        lasting[i] += longest * sf_power2(s->faults.spare_std[i] / c->weight);
+    }
 }
 
-/* MomentFilter._begin_momentum: let the momentum begin with what is measured at the block's end. */
+/* begin_momentum: let the momentum begin with what is measured at the block's end. */
 SF_API void sf_begin_momentum(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows, sf_modes *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m);
     for (int j = 0; j < SF_MODES; j++) {
@@ -1561,7 +1578,8 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                         sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, left[SF_COMPONENTS], by[SF_CHANNELS], std[SF_CHANNELS];
-    sf_real smallest = m->smallest_step * m->smallest_step;
+    sf_real smallest = m->smallest_step * m->smallest_step, all = 0;
+    for (int i = 0; i < K; i++) all += lost[i] < (sf_real)0.5;
     for (int at = 0; at < 2 * m->capacity; at++) {
         const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
         for (int of = -1; of < c->feet; of++) {
@@ -1583,7 +1601,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 /* Loads that step do so each by its own, and by any size. */
                 seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
                 /* A push on a robot that stands evenly comes on all of its cells alike. */
-                if (of < 0) seen += rare;
+                if (count == all) seen += rare;
                 if (!(seen > m->contrast && largest <= (tared ? m->largest_tared : m->largest_load))) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
@@ -1730,7 +1748,7 @@ SF_API void sf_read_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     for (int t = 0; t < n; t++) sf_copy(s->force + (kept - n + t) * K, samples + t * wide, K);
 }
 
-/* MomentFilter._suspect: hold the readings' faults against the block of w->rows. */
+/* Repairs.weigh: hold the readings' faults against the block of w->rows. */
 SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int n, const sf_real step[3],
                       const sf_real *published, int likeliest, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), M = sf_weighed(c), guilty;
@@ -1747,7 +1765,7 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     return guilty;
 }
 
-/* MomentFilter._convict and _shift: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
+/* Repairs.repair: put right what is wrong, and drop what was learnt of it; -2 is a leap. */
 SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int guilty,
                        const sf_leap *leap) {
     int K = c->channels, N = sf_states(c, m), each[SF_SUSPECTS][2], *both = each[guilty < 0 ? 0 : guilty];
@@ -1784,7 +1802,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
     s->faults.kind[both[1]] ^= SF_SWAPPED;
 }
 
-/* The part of MomentFilter._learn that takes rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
+/* MomentFilter._follow and _update: take rows in; returns a flag of what forbids it, 0, or less: -3 less who is guilty. */
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
@@ -1872,7 +1890,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
             sf_copy(s->published.mean, published, M);
             s->linked = 0;
         } else {
-            sf_lasting(c, m, s, lasting);
+            sf_lasting(c, m, s, &tare, lasting);
             sf_moment_rows_of(c, m, s->pending, n, published, lasting, sf_all_there(c, &s->faults) ? 0 : s->faults.spare, w);
             if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
             if (flag < 0) {
@@ -1902,7 +1920,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
     s->waiting = 1;
 }
 
-/* MomentFilter._collect: put a sample to those that wait. */
+/* Blocks.collect: put a sample to those that wait. */
 SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, const sf_reference *reference,
                        sf_real dt) {
     int K = c->channels;

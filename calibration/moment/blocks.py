@@ -1,7 +1,7 @@
 """Samples that wait until a block's time is full, and blocks made of them.
 
 A block with a gap, a bad reference or a foot that is not read teaches nothing, and the robot's momentum
-is starts again behind it.
+starts again behind it.
 """
 
 from math import ceil

@@ -10,7 +10,7 @@ from surefoot.calibration.front_end.readings import FrontEnd, Sample
 from surefoot.calibration.moment.blocks import Block, Blocks
 from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
 from surefoot.calibration.moment.config import Moment
-from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.moment.faults import ChannelFaults, ChannelState
 from surefoot.calibration.moment.health import (
     contact_probability,
     map_covariance,
@@ -54,9 +54,8 @@ KEPT_TIME = 1.5
 LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-STAND_IN_TIME = 20.0
-"""Time in s over which the error of a force that is made of others is one error and not many: as long as
-shares of load are learnt over."""
+PRODUCT_TIME = 20.0
+"""Time in s over which a zero that drifts is one error and not many."""
 
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""
@@ -140,6 +139,7 @@ class MomentFilter:
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
+        tare = TareState(zero, np.full(feet, -1.0), FIRST_RATE, 0)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
             front=front,
@@ -153,24 +153,26 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            tare=TareState(zero, np.full(feet, -1.0), FIRST_RATE, 0),
+            tare=tare,
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
             covariance=self._map_covariance(published, 1.0),
-            kept=Kept(belief, published, belief, published, 0.0),
+            kept=Kept.begin(belief, published, tare),
             status=0,
         )
 
     def retract(self, state: MomentState) -> MomentState:
         """Take back the last seconds' learning; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
-        kept = state.kept
-        belief, published = kept.belief, kept.published
+        belief, published, tare = state.kept[:3]
+        # How fast zeros drift was seen, whatever came of it.
+        tare = tare._replace(rate=state.tare.rate, followed=state.tare.followed)
         return self.blocks.break_off(state)._replace(
             belief=belief,
             published=published,
-            covariance=self._map_covariance(published, state.tare.rate),
-            kept=Kept(belief, published, belief, published, 0.0),
+            tare=tare,
+            covariance=self._map_covariance(published, tare.rate),
+            kept=Kept.begin(belief, published, tare),
         )
 
     def update(
@@ -208,18 +210,19 @@ class MomentFilter:
             kinds = kinds | state.faults.kind
         return state, self._estimate(state, sample, kinds, nis, rows)
 
-    def _begin_again(self, state: MomentState) -> MomentState:
+    def _begin_again(self, state: MomentState, faults: ChannelState) -> MomentState:
         """Know nothing but the readings' faults and what feet in the air showed."""
         fresh = self.init(state.front.raw)
-        belief = self.tare.repeat(fresh.belief, state.tare)
+        belief = self.tare.repeat(fresh.belief, state.tare, state.time, faults.lost)
         published = self._weigh(belief, 0.0).publish(belief.chance)
         return self.blocks.break_off(state)._replace(
+            faults=faults,
             belief=belief,
             drifted=0.0,
             suspects=fresh.suspects,
             published=published,
             covariance=self._map_covariance(published, state.tare.rate),
-            kept=Kept(belief, published, belief, published, 0.0),
+            kept=Kept.begin(belief, published, state.tare),
             status=0,
         )
 
@@ -250,7 +253,7 @@ class MomentFilter:
         faults, idle = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
         if idle:
             # All that was learnt made up for a cell that bore nothing.
-            return self._begin_again(state)._replace(faults=faults), np.nan, 0.0
+            return self._begin_again(state, faults), np.nan, 0.0
         if (faults.lost > state.faults.lost).any():
             # The last seconds' learning came from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
@@ -266,7 +269,7 @@ class MomentFilter:
             state = state._replace(published=zeros, linked=0)
             return self._rest(state, block, good=False), np.nan, 0.0
         spare = faults.spare if faults.lost.any() else None
-        rows = self.model.rows(block, published, self._lasting(state), spare)
+        rows = self.model.rows(block, published, self._lasting(state, tare), spare)
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows, rejected = bool(state.linked and state.track.valid), False
         if follows:
@@ -334,18 +337,26 @@ class MomentFilter:
         faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept
         if kept.age + block.duration >= KEPT_TIME:
-            kept = Kept(kept.next_belief, kept.next_published, state.belief, state.published, 0.0)
+            kept = kept.keep(state.belief, state.published, state.tare)
         else:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
-    def _lasting(self, state: MomentState) -> Array:
+    def _lasting(self, state: MomentState, tare: TareState) -> Array:
         """Return variances of forces in W^2 that last and that no unknown stands for, shape (K,).
 
-        Channels that are out are made of the others. Their errors last longer than an outside wrench: the
-        variance is as much larger as that is shorter.
+        The force that a zero has drifted by since its tare is as unsure as the scale is, and channels that
+        are out are made of the others. Both last longer than an outside wrench: the variance is as much
+        larger as that is shorter.
         """
-        lasting: Array = STAND_IN_TIME / (2.0 * FREE.time) * (state.faults.spare_std / self.setup.weight) ** 2
+        variance = np.diagonal(state.published.covariance)
+        since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
+        longer, longest = (
+            np.maximum(np.minimum(time, PRODUCT_TIME) / (2.0 * FREE.time), 1.0) for time in (since, np.inf)
+        )
+        drifted = np.minimum(self.spread.walk[1] * tare.rate**2 * since, variance[self.columns.drift])
+        product = longer * variance[self.columns.scale] * drifted
+        lasting: Array = product + longest * (state.faults.spare_std / self.setup.weight) ** 2
         return lasting
 
     def _weigh(self, belief: Belief, drifted: float) -> Weighed:

@@ -92,7 +92,7 @@ class Model:
 
         Args:
             block: The samples.
-            published: Scales, offsets and drift, of which the point o is, shape (M,).
+            published: Scales, offsets and drift, by which the point o is found, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and that no unknown stands for,
                 shape (K,).
             spare: How forces are made of those of the channels that are not out, shape (K, K); ``None`` where

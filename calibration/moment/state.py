@@ -58,16 +58,29 @@ class Kept(NamedTuple):
     Attributes:
         belief: The modes' posteriors, the last time but one.
         published: The posterior that was published then.
+        tare: Results of tares until then.
         next_belief: The modes' posteriors the last time.
         next_published: The posterior that was published then.
+        next_tare: Results of tares until then.
         age: Time in s since the last time.
     """
 
     belief: Belief
     published: Publication
+    tare: TareState
     next_belief: Belief
     next_published: Publication
+    next_tare: TareState
     age: float
+
+    @classmethod
+    def begin(cls, belief: Belief, published: Publication, tare: TareState) -> "Kept":
+        """Keep one state, and no other."""
+        return cls(belief, published, tare, belief, published, tare, 0.0)
+
+    def keep(self, belief: Belief, published: Publication, tare: TareState) -> "Kept":
+        """Keep another state, and forget the older one."""
+        return Kept(self.next_belief, self.next_published, self.next_tare, belief, published, tare, 0.0)
 
 
 class SuspectState(NamedTuple):

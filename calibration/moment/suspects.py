@@ -246,7 +246,7 @@ class Suspects:
         # Readings are brought to one moment, between two of each channel's.
         steps = state.force[2:] - state.force[:-2]
         for before, step in zip(state.force[:-2], steps, strict=True):
-            for place, together in enumerate(self._together * there):
+            for together in self._together * there:
                 count, force = max(together.sum(), 1.0), together * a
                 size = together @ step**2 / count
                 alike = np.full(len(step), together @ step / count)
@@ -256,7 +256,7 @@ class Suspects:
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
                     # A push on a robot that stands evenly comes on all of its cells alike.
-                    seen += rare * (place == 0)
+                    seen += rare * (together.sum() == there.sum())
                     if seen > CONTRAST and np.abs(together * leap).max() <= largest:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]

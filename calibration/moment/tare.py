@@ -107,15 +107,19 @@ class Tare:
             )
         return belief, published, state
 
-    def repeat(self, belief: Belief, state: TareState) -> Belief:
+    def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
 
         Args:
             belief: The modes' posteriors, with scales of 1.
             state: Results of tares before.
+            time: Now in s.
+            lost: Channels that are out (0 or 1), shape (K,).
         """
-        at = np.flatnonzero(state.time[self._foot_of_channel] >= 0.0)
-        return self._learn(belief, at, state.reading[at], np.zeros(len(at)), self.variance[at] / self._block)
+        last = state.time[self._foot_of_channel]
+        at = np.flatnonzero((last >= 0.0) & (lost < 0.5))
+        variance = self.variance / self._block + state.rate**2 * self._drift * (time - last)
+        return self._learn(belief, at, state.reading[at], np.zeros(len(at)), variance[at])
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
         """Write the rows of the feet that hang in a block.
@@ -197,7 +201,7 @@ class Tare:
             walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
             steady = change**2 <= LEAP**2 * walked
             if time - last > LEAST_APART:
-                rate, followed = self._follow(rate, followed, change, walked), followed + 1
+                rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
         variance, asked = a**2 * noise, -a * change
         belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
         if last >= 0.0:
@@ -234,7 +238,7 @@ class Tare:
         covariance[:, drift, drift] += variance
         return belief._replace(mean=belief.mean @ turned.T, covariance=covariance)
 
-    def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
+    def _learn_rate(self, rate: float, followed: int, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by changes since the last tare.
 
         A change that a foot's channels share is not drift alone: a sole's own inertia is in it.

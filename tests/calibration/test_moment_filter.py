@@ -223,6 +223,21 @@ def test_the_others_are_tared_while_a_channel_is_lost_and_it_comes_back():
     assert rmse(estimate, log, 14.0) < 0.3 * raw_rmse(log, 14.0)
 
 
+def test_a_zero_that_leapt_before_the_filter_goes_back_spoils_no_scale():
+    """What a foot in the air reads is held against the tare that the filter went back to."""
+    log = move(0, 18.0, STATED)
+    raw, leapt = log.raw.copy(), round(12.2 / DT)
+    raw[leapt:, 1] += 0.2 * WEIGHT / NOMINAL.scale[1]
+    calibrator = FootCalibrator(LAYOUT, "moment", mass=MASS, initial=NOMINAL, dt=DT, lag=0)
+    error = []
+    for k, reading in enumerate(raw):
+        if k == round(13.9 / DT):
+            calibrator.retract()
+        estimate = calibrator.update(reading, MomentumReference(*(part[k] for part in log.reference)))
+        error.append(np.asarray(estimate.force) - log.force[k])
+    assert np.sqrt(np.mean(np.square(error[round(15.0 / DT) :]))) < 0.008 * WEIGHT
+
+
 def test_a_fault_is_found_while_a_cell_of_the_other_foot_is_out():
     log = move(5, 14.0, STATED)
     log = spoilt(log, "flipped", round(8.03 / DT))

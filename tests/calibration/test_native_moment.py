@@ -173,8 +173,8 @@ def test_a_robot_that_is_held_is_said_to_be(library):
 def test_accelerations_are_added_up_alike(library, layout, event):
     """Both are equal but for rounding.
 
-    The made-up ankles contradict what the filter knows of shear, so that it grows fast, and a foot that hangs
-    on has a zero that is the small difference of large numbers.
+    Rounding grows fast on the made-up ankles, which contradict what the filter knows of shear, and on a foot
+    that hangs on: its zero is the small difference of large numbers.
     """
     log = Log(layout)
     event(log)
