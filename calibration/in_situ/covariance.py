@@ -31,7 +31,7 @@ _MOST_DOUBLINGS = 8
 UNIFORM = 12.0**-0.5
 """Deviation of what lies anywhere in a span, as a share of it."""
 
-_KINDS = (slice(0, 3), slice(3, 6))
+_KINDS = [slice(0, 3), slice(3, 6)]
 """Forces and torques."""
 
 
@@ -47,16 +47,22 @@ class OpenErrors(NamedTuple):
     offset: Matrix
 
 
-def disagreement(solution: Solution) -> Vector:
+def disagreement(solution: Solution, beside: OpenErrors | None = None) -> Vector:
     """Return by which factor each signal's rows deviate more than their noise says, shape (s,).
 
     At the frequency of the limb's motion no residual is left to show a spectrum. The noise along a signal
     shows in the difference between one common response and the sets' own maps, as far as their rows are free.
+    Errors that are no noise may have a part in it.
     """
     left, _ = solution.basis
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
     used = np.array([np.diag(part.unwhiten) > 0.0 for part in solution.problem.sets])
-    shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
+    residual = solution.residual
+    if beside is not None:
+        along, size, _ = np.linalg.svd(solution.project(beside.rows)[: residual.size], full_matrices=False)
+        part = along.T @ residual.ravel() * (1.0 - (1.0 + size**2) ** -0.5)
+        residual = residual - (along @ part).reshape(residual.shape)
+    shown = np.where(used, np.sum(residual**2, axis=2), 0.0).sum(axis=0)
     rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
     return np.asarray(np.sqrt((_BELIEVED + shown) / (_BELIEVED + rows)))
 
@@ -94,11 +100,11 @@ def answer_root(solution: Solution, beside: OpenErrors, root: Matrix) -> Matrix:
     return np.concatenate([root, own], axis=1)
 
 
-def unknowns_root(solution: Solution) -> Matrix:
-    """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
+def unknowns_root(solution: Solution, beside: OpenErrors | None = None) -> Matrix:
+    """Return a root of the covariance of (W A row by row, phi, rotation) by noise and prior, shape (u, u)."""
     left, inverse = solution.basis
     of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
-    of_sets = disagreement(solution)[:, None, None] * of_sets
+    of_sets = disagreement(solution, beside)[:, None, None] * of_sets
     rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
     return np.asarray(inverse @ triangle(rows).T)
 
@@ -147,7 +153,11 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     lagging, changes, kinds = A, np.einsum("ca,ab->acb", A, np.eye(AXES)), _KINDS
     if solution.problem.channel_lags:
         loads = [one @ A.T for one in loads]
-        lagging, changes, kinds = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A), [slice(None)]
+        lagging, changes, kinds = (
+            np.eye(len(A)),
+            np.einsum("ac,cb->acb", np.eye(len(A)), A),
+            [slice(0, len(A))],
+        )
     law = solution.problem.law
     stored = lagging * _stored_load(law, shares, loads)
     if law is Law.BACKLASH:

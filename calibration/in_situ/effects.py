@@ -34,7 +34,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from surefoot.calibration.imu.static import savitzky_golay
@@ -102,9 +101,10 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     """
     if not shows_loops(plain.problem):
         return plain, [plain]
-    at = _Motion.of(sets, plain.problem)
-    laws = {at.lag_loads: 1, at.lag_with_backlash: 2, at.lag_channels: 1}
-    loops = {make: fit for make, rounds in laws.items() if (fit := _try(make, plain, rounds))}
+    at, of_loads = _begin(sets, plain)
+    loops = {at.lag_loads: of_loads} if of_loads else {}
+    laws = {at.lag_with_backlash: 2, at.lag_channels: 1}
+    loops |= {make: fit for make, rounds in laws.items() if (fit := _try(make, plain, rounds))}
     # A signal that leads the load is no hysteresis but two clocks that disagree.
     lagging = {make: fit for make, fit in loops.items() if _lags(fit)}
     make = min(lagging, key=lambda one: criterion(lagging[one]), default=None)
@@ -123,7 +123,18 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
 
 def lag_loads(sets: Sequence[InSituSet], plain: Solution) -> Solution:
     """Return the fit with loops in proportion to the loads; the plain one where that leads nowhere."""
-    return _try(_Motion.of(sets, plain.problem).lag_loads, plain, 1) or plain
+    return _begin(sets, plain)[1] or plain
+
+
+def _begin(sets: Sequence[InSituSet], plain: Solution) -> tuple["_Motion", Solution | None]:
+    """Return the motion with the likelier beginning of the loops of loads, and the fit with these.
+
+    Sets begin behind a load that came from nothing, or in the middle of a loop.
+    """
+    behind = _Motion.of(sets, plain.problem)
+    motions = (behind, behind._replace(behind=False))
+    fits = [(at, _try(at.lag_loads, plain, 1)) for at in motions]
+    return min(fits, key=lambda one: np.inf if one[1] is None else criterion(one[1]))
 
 
 def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int) -> Solution | None:
@@ -170,6 +181,8 @@ class _Motion(NamedTuple):
     """Samples in a step."""
     steps: list[float]
     """Time of a step in s; NaN without times."""
+    behind: bool = True
+    """Whether sets begin behind a load that came from nothing, or in the middle of a loop."""
 
     @classmethod
     def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
@@ -191,10 +204,33 @@ class _Motion(NamedTuple):
             found.append(np.stack([np.interp(part.source.places, places, one) for one in lag.T], axis=1))
         return found
 
+    def plays(
+        self, loads: Sequence[Matrix], half_widths: Matrix | Vector, weights: Matrix | float = 1.0
+    ) -> list[Matrix]:
+        """Return weighted sums of the plays of each axis or channel, (n_j, a) each."""
+        slack = np.max([np.ptp(load, axis=0) / 2.0 for load in loads], axis=0)[:, None] * half_widths
+        longest = max(len(load) for load in loads)
+        every = np.stack(
+            [np.pad(one, ((0, longest - len(one)), (0, 0)), mode="edge") for one in loads], axis=1
+        )
+        first = every[0][..., None]
+        play = np.clip(0.0 if self.behind else first, first - slack, first + slack)
+        sums = np.empty_like(every)
+        for begin in range(0, longest, _BLOCK):
+            block = every[begin : begin + _BLOCK, ..., None]
+            low, high = block - slack, block + slack
+            plays = np.empty_like(low)
+            for i in range(len(block)):
+                play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
+            sums[begin : begin + _BLOCK] = np.sum(plays * weights, axis=-1)
+        return [sums[: len(load), j] for j, load in enumerate(loads)]
+
     def lag_loads(self, fit: Solution) -> Problem:
         """Let the loads of the axes lag by loops in proportion to the swing."""
         loads = self.loads(fit)
-        return beside_loads(self.plain, self.rows(_out_of_phase(_plays(loads), loads)), _SHARE_STD)
+        return beside_loads(
+            self.plain, self.rows(_out_of_phase(self.plays(loads, _HALF_WIDTHS), loads)), _SHARE_STD
+        )
 
     def lag_by_creep(self, fit: Solution) -> Problem:
         """Let the loads of the axes creep; one that hangs for long has crept in all octaves of time."""
@@ -206,7 +242,7 @@ class _Motion(NamedTuple):
     def lag_channels(self, fit: Solution) -> Problem:
         """Let the loads of the channels lag."""
         loads = [load @ fit.A.T for load in self.loads(fit)]
-        return beside_channels(self.plain, self.rows(_out_of_phase(_plays(loads), loads)))
+        return beside_channels(self.plain, self.rows(_out_of_phase(self.plays(loads, _HALF_WIDTHS), loads)))
 
     def lag_with_backlash(self, fit: Solution) -> Problem:
         """Let the loads of the axes lag by the one width that a share says itself."""
@@ -217,7 +253,7 @@ class _Motion(NamedTuple):
             half = np.clip(0.5 * shares, _HALF_WIDTHS[-1], _HALF_WIDTHS[0])[:, None]
 
         def lag(loads: Sequence[Matrix]) -> list[Matrix]:
-            plays = _play_sums(loads, half, 0.5 / half)
+            plays = self.plays(loads, half, 0.5 / half)
             return [play - load * (0.5 / half)[:, 0] for play, load in zip(plays, loads, strict=True)]
 
         bodies = fit.limb + fit.problem.added
@@ -273,32 +309,6 @@ def _turn(load: Matrix, body: Vector) -> _Turn:
     torque = np.einsum("ana->na", np.cross(across[:, None], load[:, :3]))
     added = np.concatenate([np.zeros_like(torque), size / body[MASS] * torque], axis=1)
     return _Turn(added, across[_TORQUES - 3, _MOMENTS - 1] / size)
-
-
-def _plays(loads: Sequence[Matrix]) -> list[Matrix]:
-    """Sum plays of all widths: loops in proportion to the swing."""
-    return _play_sums(loads, _HALF_WIDTHS, 1.0)
-
-
-def _play_sums(
-    loads: Sequence[Matrix], half_widths: NDArray[np.float64], weights: NDArray[np.float64] | float
-) -> list[Matrix]:
-    """Return weighted sums of the plays of each axis or channel, (n_j, a) each.
-
-    A set begins as a load that came from nothing leaves the plays: behind it.
-    """
-    slack = np.max([np.ptp(load, axis=0) / 2.0 for load in loads], axis=0)[:, None] * half_widths
-    longest = max(len(load) for load in loads)
-    every = np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), mode="edge") for one in loads], axis=1)
-    play, sums = np.clip(0.0, every[0][..., None] - slack, every[0][..., None] + slack), np.empty_like(every)
-    for first in range(0, longest, _BLOCK):
-        block = every[first : first + _BLOCK, ..., None]
-        low, high = block - slack, block + slack
-        plays = np.empty_like(low)
-        for i in range(len(block)):
-            play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
-        sums[first : first + _BLOCK] = np.sum(plays * weights, axis=-1)
-    return [sums[: len(load), j] for j, load in enumerate(loads)]
 
 
 def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:
