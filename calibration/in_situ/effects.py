@@ -101,7 +101,9 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     """
     if not shows_loops(plain.problem):
         return plain, [plain]
-    at, of_loads = _begin(sets, plain)
+    middle = _Motion.of(sets, plain.problem)
+    begins = [(at, _try(at.lag_loads, plain, 1)) for at in (middle._replace(behind=True), middle)]
+    at, of_loads = min(begins, key=lambda one: np.inf if one[1] is None else criterion(one[1]))
     loops = {at.lag_loads: of_loads} if of_loads else {}
     laws = {at.lag_with_backlash: 2, at.lag_channels: 1}
     loops |= {make: fit for make, rounds in laws.items() if (fit := _try(make, plain, rounds))}
@@ -122,19 +124,11 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
 
 
 def lag_loads(sets: Sequence[InSituSet], plain: Solution) -> Solution:
-    """Return the fit with loops in proportion to the loads; the plain one where that leads nowhere."""
-    return _begin(sets, plain)[1] or plain
+    """Return the fit with loops in proportion to the loads; the plain one where that leads nowhere.
 
-
-def _begin(sets: Sequence[InSituSet], plain: Solution) -> tuple["_Motion", Solution | None]:
-    """Return the motion with the likelier beginning of the loops of loads, and the fit with these.
-
-    Sets begin behind a load that came from nothing, or in the middle of a loop.
+    Sets that contradict each other do not say how their loops begin.
     """
-    behind = _Motion.of(sets, plain.problem)
-    motions = (behind, behind._replace(behind=False))
-    fits = [(at, _try(at.lag_loads, plain, 1)) for at in motions]
-    return min(fits, key=lambda one: np.inf if one[1] is None else criterion(one[1]))
+    return _try(_Motion.of(sets, plain.problem).lag_loads, plain, 1) or plain
 
 
 def _try(make: Callable[[Solution], Problem], fit: Solution, rounds: int) -> Solution | None:
@@ -181,8 +175,8 @@ class _Motion(NamedTuple):
     """Samples in a step."""
     steps: list[float]
     """Time of a step in s; NaN without times."""
-    behind: bool = True
-    """Whether sets begin behind a load that came from nothing, or in the middle of a loop."""
+    behind: bool = False
+    """Whether sets begin behind a load that came from nothing, rather than in the middle of a loop."""
 
     @classmethod
     def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
