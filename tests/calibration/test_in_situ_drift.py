@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import NOISE, SENSORS, noisy_sets, random_gravity
+from _in_situ import NOISE, SENSORS, noisy_sets, random_gravity, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 
@@ -54,6 +55,16 @@ def test_a_drift_is_followed_to_its_end_as_surely_as_is_claimed():
         errors.append([mean - drift[200], mean - drift[-1]] + weights @ read)
     claimed = np.sqrt(variances)
     np.testing.assert_allclose(np.std(errors, axis=0), claimed, rtol=0.15)
+
+
+def test_an_offset_that_walks_is_as_sure_as_a_filter_is():
+    rng, step, gravity = np.random.default_rng(39), 0.1, swept_gravity(1000)
+    noise = step * np.cumsum(rng.standard_normal((1000, 6)), axis=0) + rng.standard_normal((1000, 6))
+    raw = gravity @ rng.normal(0.0, 10.0, (3, 6)) + noise
+    (part,) = compress([InSituSet(raw, gravity, time=np.arange(1000.0))], InSituOptions(), False, False)
+    # A Kalman filter's variance settles at the step times the deviation of a sample, a smoother's at half of it.
+    assert part.end.variance == pytest.approx(step, rel=0.3)
+    assert part.middle.variance == pytest.approx(step / 2.0, rel=0.3)
 
 
 def rasters(sensor, rng, drift, rows=1500):
