@@ -62,7 +62,7 @@ def test_an_offset_that_walks_is_as_sure_as_a_filter_is():
     noise = step * np.cumsum(rng.standard_normal((1000, 6)), axis=0) + rng.standard_normal((1000, 6))
     raw = gravity @ rng.normal(0.0, 10.0, (3, 6)) + noise
     (part,) = compress([InSituSet(raw, gravity, time=np.arange(1000.0))], InSituOptions(), False, False)
-    # A Kalman filter's variance settles at the step times the deviation of a sample, a smoother's at half of it.
+    # A Kalman filter's variance settles at the step times a sample's deviation, a smoother's at half of that.
     assert part.end.variance == pytest.approx(step, rel=0.3)
     assert part.middle.variance == pytest.approx(step / 2.0, rel=0.3)
 
