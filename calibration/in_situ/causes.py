@@ -369,7 +369,7 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         (bent, BENT_CURE, squares, 0, 2),
         (bent, BENT_CURE, cubes, 0, 2),
         (pulls, loose, postures, STATIC, 2),
-        ("something drags at the limb against its turning, such as a cable", loose, against, 0, 2),
+        (pulls, loose, against, 0, 2),
     ):
         yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
