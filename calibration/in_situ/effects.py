@@ -113,7 +113,7 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     best = plain if make is None or criterion(lagging[make]) >= criterion(plain) else lagging[make]
     if all(data.time is not None for data in sets):
         creep = _try(at.lag_by_creep, plain, 1)
-        # Creep follows loops of another make as well: it must explain clearly more than those from the middle.
+        # Creep follows loops of another make too: it must explain clearly more than those from the middle.
         if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
             before, after, alike = (criterion(one) for one in (plain, creep, begins[1][1] or plain))
             if after < criterion(best) and before - alike < _NEARLY * (before - after):
