@@ -159,7 +159,7 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
             [slice(0, len(A))],
         )
     law = solution.problem.law
-    stored = lagging * _stored_load(law, shares, loads)
+    stored = lagging * _doubt_of_load(law, shares, loads)
     if law is Law.BACKLASH:
         # It gives as much at any swing.
         return np.zeros((C.size, 0)), stored
@@ -168,7 +168,7 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
     return (C @ changes @ C).reshape(len(changes), -1).T, stored
 
 
-def _stored_load(law: Law, shares: Vector, loads: Sequence[Matrix]) -> Vector:
+def _doubt_of_load(law: Law, shares: Vector, loads: Sequence[Matrix]) -> Vector:
     """Return by how much the offset is off for loads that were borne before, of loads (n_j, a) a set.
 
     The offset is that without load: how the load came from there to about its mean in the last set takes the
