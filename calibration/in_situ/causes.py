@@ -525,10 +525,12 @@ def _try_masses(evidence: Evidence) -> Iterator[Cause]:
     """
     count, added = len(evidence.sets), evidence.problem.added
     if count > ENOUGH_MASSES:
-        growth = evidence.change((np.arange(count)[:, None] * (evidence.solution.limb + added))[None])
-        words = f"the sensor's scale changes by {100.0 * float(growth.changes[0]):+.1f} % from set to set"
+        fit = evidence.change((np.arange(count)[:, None] * (evidence.solution.limb + added))[None])
+        change = float(fit.changes[0])
+        words = f"the sensor's scale changes by {100.0 * change:+.1f} % from set to set"
         cure = "Let the sensor warm up, and check the supply of its amplifier."
-        yield Cause(words, cure, growth, 1, 1)
+        if limits.LEAST_GAIN < 1.0 + (count - 1) * change < limits.LARGEST_GAIN:
+            yield Cause(words, cure, fit, 1, 1)
     for j, data in enumerate(evidence.sets):
         given, at, name = data.added_mass, data.added_com, data.name
         if given > 0.0:
