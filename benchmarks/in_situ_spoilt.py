@@ -479,7 +479,7 @@ SPOILTS: dict[str, Spoilt] = {
         r"sensor", {"set 4": readings(lambda raw, _, log, __: raw @ mix_channels(log).T, 3)}
     ),
     "scale grows": Spoilt(
-        r"sets disagree|readings of|added mass of",
+        r"scale changes",
         {"6 %": readings(lambda raw, _, __, j: (1.0 + 0.02 * j) * raw)},
     ),
     "axis of all places": Spoilt(

@@ -244,22 +244,22 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
     """Return findings, the worst contradiction with its likeliest cause."""
     drift = next((one for one in findings if one.name == "slow turning"), None)
     refused = any(one.refuses for one in findings)
-    worst = next((one for one in findings if one.refuses == refused and (one.contradicts or drift)), None)
+    # A drift may be why a fit is refused that nothing contradicts.
+    doubted = (one for one in findings if one.refuses == refused and (one.contradicts or (drift and refused)))
+    worst = next(doubted, drift)
     if worst is None:
         return findings
-    cure, symptom = "", worst
-    if drift is not None:
-        cure, symptom = drift.cure, worst.with_cause(drift.reason, drift.cure)
+    symptom = worst.with_cause(drift.reason, drift.cure) if drift and worst is not drift else worst
     # A delay that is longer than those of sound logs is one of the causes.
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
     with suppress(np.linalg.LinAlgError):
         found, moved = find_causes(_gather_evidence(solved.task, sets))
-        symptom = tell_causes(symptom, found, cure)
+        symptom = tell_causes(symptom, found, drift.cure if drift else "")
         # Without times hysteresis that nobody sees looks like many a cause.
         clear = solved.task.timed and found and found[0].gain > limits.CLEARER and moved > limits.MOVED
         symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
-    return [symptom if one is worst else one for one in findings]
+    return [symptom if one is worst else one for one in findings if one is worst or one is not drift]
 
 
 def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:

@@ -33,6 +33,7 @@ from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
+    ENOUGH_MASSES,
     MASS,
     MOMENT,
     STATIC,
@@ -346,17 +347,19 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that bends, a sensor that is not linear, a cable that pulls, and motion taken for rest.
 
     A limb bends by gravity, a sensor by its load, which grows with the added mass. A cable pulls by posture,
-    alike in all sets, as no rigid limb does. A limb that moves has forces by each product of its rates.
+    or drags against the turning, alike in all sets, as no rigid limb does. A limb that moves has forces by
+    each product of its rates.
     """
     problem = evidence.problem
     channels, gravity = len(problem.whitening), [part.source.signals[:, DIRECT] for part in problem.sets]
     squares = [bending_signals(g) for g in gravity]
-    loads = [np.nan_to_num(signals(data, problem.moving)) for data in evidence.sets]
-    loads = [u @ T[:, : u.shape[1]].T for u, T in zip(loads, evidence.solution.loads, strict=True)]
+    every = [np.nan_to_num(signals(data, problem.moving)) for data in evidence.sets]
+    loads = [u @ T[:, : u.shape[1]].T for u, T in zip(every, evidence.solution.loads, strict=True)]
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     cubes = evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
     postures = [np.column_stack([g, g2, (g / GRAVITY) ** 3]) for g, g2 in zip(gravity, squares, strict=True)]
+    against = evidence.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
     bent = "the limb bends as it turns, or the sensor is not linear"
     pulls, loose = (
         "something pulls at the limb as it turns, such as a cable",
@@ -365,7 +368,8 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     for words, cure, columns, known, choices in (
         (bent, BENT_CURE, squares, 0, 2),
         (bent, BENT_CURE, cubes, 0, 2),
-        (pulls, loose, postures, STATIC, 1),
+        (pulls, loose, postures, STATIC, 2),
+        (pulls, loose, against, 0, 2),
     ):
         yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
@@ -514,11 +518,19 @@ def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _try_masses(evidence: Evidence) -> Iterator[Cause]:
-    """Yield another mass or place of what was added in a set, and another limb from a set on.
+    """Yield a scale that grows, another mass or place of a set, and another limb from a set on.
 
-    Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach.
+    Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach. A sensor
+    that reads more from set to set reads all that hangs there as so much more.
     """
     count, added = len(evidence.sets), evidence.problem.added
+    if count > ENOUGH_MASSES:
+        fit = evidence.change((np.arange(count)[:, None] * (evidence.solution.limb + added))[None])
+        change = float(fit.changes[0])
+        words = f"the sensor's scale changes by {100.0 * change:+.1f} % from set to set"
+        cure = "Let the sensor warm up, and check the supply of its amplifier."
+        if limits.LEAST_GAIN < 1.0 + (count - 1) * change < limits.LARGEST_GAIN:
+            yield Cause(words, cure, fit, 1, 1)
     for j, data in enumerate(evidence.sets):
         given, at, name = data.added_mass, data.added_com, data.name
         if given > 0.0:

@@ -84,7 +84,7 @@ class Colour:
     def weights(self, rows: int, spacing: float) -> Vector:
         """Compute weights that take the drift off the modes 0, 1, ... of a set, shape (rows,), at most one.
 
-        The constant has the weight of the slowest mode.
+        The constant is the offset, which no drift makes less sure.
 
         Args:
             rows: Their number.
@@ -92,7 +92,9 @@ class Colour:
         """
         frequency = _frequencies(rows, spacing)
         beside = 1.0 + self.hysteresis.power(frequency)
-        return np.asarray(beside / (beside + self.drift.power(frequency)))
+        weights = beside / (beside + self.drift.power(frequency))
+        weights[0] = 1.0
+        return np.asarray(weights)
 
     def power_after(self, rows: int, spacing: float) -> Vector:
         """Power of the weighted rows, of mean one, shape (rows,)."""
@@ -122,7 +124,6 @@ class Colour:
         if self.drift.corner == 0.0:
             return np.zeros((len(places), rows)), np.zeros(len(places))
         share = 1.0 - self.weights(rows, spacing)
-        share[0] = 0.0
         row = places * (rows - 1)
         modes = np.cos(np.pi * (row[:, None] + 0.5) / rows * np.arange(rows)) * np.sqrt(2.0 / rows)
         variance = modes**2 @ (share * self.power_after(rows, spacing))

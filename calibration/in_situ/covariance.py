@@ -19,12 +19,11 @@ from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.problem import CREEPING, Law
 from surefoot.calibration.in_situ.solve import Solution
 
 _BELIEVED = 4.0
-"""Free rows that must speak of the noise along a signal to count for as much as its spectrum. They raise it
-only: loops in a fit take hysteresis with them that the rows do not show. Lowered by them, covariances of
-rasters with loops came out at a squared error of 1.5 (NEES), and 0.9 without."""
+"""Free rows that must speak of the noise along a signal to count for as much as its spectrum."""
 
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
@@ -32,7 +31,7 @@ _MOST_DOUBLINGS = 8
 UNIFORM = 12.0**-0.5
 """Deviation of what lies anywhere in a span, as a share of it."""
 
-_KINDS = (slice(0, 3), slice(3, 6))
+_KINDS = [slice(0, 3), slice(3, 6)]
 """Forces and torques."""
 
 
@@ -48,18 +47,24 @@ class OpenErrors(NamedTuple):
     offset: Matrix
 
 
-def disagreement(solution: Solution) -> Vector:
-    """Return by how much larger each signal's rows deviate than their noise says, shape (s,).
+def disagreement(solution: Solution, beside: OpenErrors | None = None) -> Vector:
+    """Return by which factor each signal's rows deviate more than their noise says, shape (s,).
 
     At the frequency of the limb's motion no residual is left to show a spectrum. The noise along a signal
     shows in the difference between one common response and the sets' own maps, as far as their rows are free.
+    Errors that are no noise may have a part in it.
     """
     left, _ = solution.basis
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
     used = np.array([np.diag(part.unwhiten) > 0.0 for part in solution.problem.sets])
-    shown = np.where(used, np.sum(solution.residual**2, axis=2), 0.0).sum(axis=0)
+    residual = solution.residual
+    if beside is not None:
+        along, size, _ = np.linalg.svd(solution.project(beside.rows)[: residual.size], full_matrices=False)
+        part = along.T @ residual.ravel() * (1.0 - (1.0 + size**2) ** -0.5)
+        residual = residual - (along @ part).reshape(residual.shape)
+    shown = np.where(used, np.sum(residual**2, axis=2), 0.0).sum(axis=0)
     rows = np.where(used, free.sum(axis=2), 0.0).sum(axis=0)
-    return np.asarray(np.sqrt(np.maximum((_BELIEVED + shown) / (_BELIEVED + rows), 1.0)))
+    return np.asarray(np.sqrt((_BELIEVED + shown) / (_BELIEVED + rows)))
 
 
 def invert_response(response: Matrix, noise: Matrix) -> Matrix:
@@ -95,11 +100,11 @@ def answer_root(solution: Solution, beside: OpenErrors, root: Matrix) -> Matrix:
     return np.concatenate([root, own], axis=1)
 
 
-def unknowns_root(solution: Solution) -> Matrix:
-    """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
+def unknowns_root(solution: Solution, beside: OpenErrors | None = None) -> Matrix:
+    """Return a root of the covariance of (W A row by row, phi, rotation) by noise and prior, shape (u, u)."""
     left, inverse = solution.basis
     of_sets = left[: solution.residual.size].reshape(*solution.residual.shape, -1)
-    of_sets = disagreement(solution)[:, None, None] * of_sets
+    of_sets = disagreement(solution, beside)[:, None, None] * of_sets
     rows = np.concatenate([of_sets.reshape(-1, left.shape[1]), left[solution.residual.size :]])
     return np.asarray(inverse @ triangle(rows).T)
 
@@ -137,11 +142,7 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
 
     An axis, or a channel, gives by its share of loops, fitted or hidden, more for twice the swing, by that of
     creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
-    at least the share of the others. The offset is that without load: how the load came from there to about
-    its mean in the last set takes the slope of a swing as large, where the set shows that of its own; creep
-    goes on in all octaves of time. Beside that loops wider than a set's own swing stay anywhere, by loads
-    that were borne in the others, and one stroke reads all of a loop on one side, where many
-    there and back cancel.
+    at least the share of the others.
     """
     A, sets = solution.A, solution.problem.sets
     shares = np.full(AXES, hidden)
@@ -149,23 +150,43 @@ def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
         shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
-    if not solution.problem.channel_lags:
-        doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
-        lagging, changes = A, np.einsum("ca,ab->acb", A, np.eye(AXES))
-    else:
+    lagging, changes, kinds = A, np.einsum("ca,ab->acb", A, np.eye(AXES)), _KINDS
+    if solution.problem.channel_lags:
         loads = [one @ A.T for one in loads]
-        doublings = _doublings(loads)
-        lagging, changes = np.eye(len(A)), np.einsum("ac,cb->acb", np.eye(len(A)), A)
+        lagging, changes, kinds = (
+            np.eye(len(A)),
+            np.einsum("ac,cb->acb", np.eye(len(A)), A),
+            [slice(0, len(A))],
+        )
+    law = solution.problem.law
+    stored = lagging * _doubt_of_load(law, shares, loads)
+    if law is Law.BACKLASH:
+        # It gives as much at any swing.
+        return np.zeros((C.size, 0)), stored
+    doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in kinds])
     changes = (shares * doublings)[:, None, None] * changes
-    swing, reach = _swing_and_reach(loads[-1:])
-    at_rest = solution.problem.at_rest
-    came = shares * loads[-1].mean(axis=0) * (np.log2(reach / swing) if at_rest is None else at_rest)
+    return (C @ changes @ C).reshape(len(changes), -1).T, stored
+
+
+def _doubt_of_load(law: Law, shares: Vector, loads: Sequence[Matrix]) -> Vector:
+    """Return by how much the offset is off for loads that were borne before, of loads (n_j, a) a set.
+
+    The offset is that without load: how the load came from there to about its mean in the last set takes the
+    slope of a swing as large, where the set shows that of its own; creep goes on in all octaves of time.
+    Beside that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and
+    one stroke reads all of a loop on one side, where many there and back cancel. Backlash stays anywhere
+    where no swing is as wide.
+    """
     widths = np.array([np.ptp(one, axis=0) for one in loads])
-    strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0) / np.maximum(
-        widths[-1], np.finfo(float).tiny
-    )
-    stored = UNIFORM * shares * np.hypot(widths[-1] / np.maximum(strokes, 1.0), np.ptp(widths, axis=0))
-    return (C @ changes @ C).reshape(len(changes), -1).T, lagging * np.hypot(came, stored)
+    if law is Law.BACKLASH:
+        backlash = 0.5 * shares * np.max(widths, axis=0)
+        return np.asarray(UNIFORM * backlash * (widths[-1] < backlash))
+    strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0)
+    strokes = np.maximum(strokes / np.maximum(widths[-1], np.finfo(float).tiny), 1.0)
+    swing, reach = _swing_and_reach(loads[-1:])
+    more = len(CREEPING) if law is Law.CREEP else np.log2(reach / swing)
+    stored = UNIFORM * np.hypot(widths[-1] / strokes, np.ptp(widths, axis=0))
+    return np.asarray(shares * np.hypot(loads[-1].mean(axis=0) * more, stored))
 
 
 def _swing_and_reach(loads: Sequence[Matrix]) -> tuple[Vector, Vector]:

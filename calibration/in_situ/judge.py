@@ -204,7 +204,7 @@ def check_axes(fit: InSituFit, solution: Solution) -> list[Finding]:
                 f"Hang masses where they load {name} differently, check that all {fit.matrix.shape[1]} "
                 "channels are connected, each once, or give a factory matrix."
             )
-            found.append(Finding("axis", reason, cure, doubt, limits.AXIS))
+            found.append(Finding("axis", reason, cure, doubt, limits.AXIS, contradicts=True))
     return found
 
 

@@ -5,6 +5,7 @@ Rows of all sets have noise of variance one, so that priors have their weight am
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -60,6 +61,14 @@ class Maker(NamedTuple):
         return rows, right
 
 
+class Law(Enum):
+    """How a sensor lags behind its load: by loops in proportion, by one width at any swing, or in time."""
+
+    LOOPS = "loops"
+    BACKLASH = "backlash"
+    CREEP = "creep"
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A least-squares problem in readings whitened by the noise, z = W r.
@@ -76,8 +85,7 @@ class Problem:
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
         gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
-        at_rest: How much more an axis gives under a load at rest than in swings, in shares of its lag, shape
-            (6,); None for loops and backlash, where it follows from the sizes of both.
+        law: Of the hysteresis.
         changes: Directions in which the added parameters may change, each with an unknown, shape (q, J, p).
     """
 
@@ -92,7 +100,7 @@ class Problem:
     limb: Vector
     limb_root: Matrix
     gains: int = 0
-    at_rest: Vector | None = None
+    law: Law = Law.LOOPS
     changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 1, 1)))
 
     @cached_property
@@ -173,6 +181,10 @@ class Problem:
         """Number of outer unknowns: parameters, the rotation vector where it is unknown, and changes."""
         return self.parameters + 3 * self.rotation + len(self.changes)
 
+
+CREEPING = np.geomspace(4.0, 128.0, 6)
+"""Time constants of creep in s, an octave apart: faster ones look like a clock that is late, slower ones like
+a drift."""
 
 _FEW = 10.0
 """Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""

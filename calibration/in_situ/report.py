@@ -248,7 +248,7 @@ def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ..
 
 def _members_root(solved: Solved, solution: Solution) -> Matrix:
     """Return a root of the answer's covariance: of each member, between members, and of open errors."""
-    whitening, roots = solution.problem.whitening, []
+    whitening, roots, beside = solution.problem.whitening, [], solved.open_errors(solution)
 
     def unknowns(one: Solution) -> Vector:
         return np.concatenate([(whitening @ one.response).ravel(), one.outer])
@@ -256,10 +256,10 @@ def _members_root(solved: Solved, solution: Solution) -> Matrix:
     middle = unknowns(solution)
     for member in solved.members:
         apart = (unknowns(member.solution) - middle)[:, None]
-        roots += [np.sqrt(member.weight) * root for root in (unknowns_root(member.solution), apart)]
+        roots += [np.sqrt(member.weight) * root for root in (unknowns_root(member.solution, beside), apart)]
     if solved.task.mode == "keep":
         roots.append(_doubt_maker(solved.task, solution))
-    return answer_root(solution, solved.open_errors(solution), np.concatenate(roots, axis=1))
+    return answer_root(solution, beside, np.concatenate(roots, axis=1))
 
 
 def _doubt_maker(task: Task, solution: Solution) -> Matrix:
@@ -319,7 +319,8 @@ def _limb_alone(
 
     def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])
-        root = answer_root(alone, solved.open_errors(alone), unknowns_root(alone))
+        beside = solved.open_errors(alone)
+        root = answer_root(alone, beside, unknowns_root(alone, beside))
         mass = FitColumns.of(len(alone.A)).limb.start + MASS
         return float(alone.limb[MASS]), float(np.linalg.norm(root[mass]))
 

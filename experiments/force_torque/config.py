@@ -164,6 +164,12 @@ class InSituConfig(Settings):
         raw = units.get("raw") if isinstance(units, Mapping) else getattr(units, "raw", None)
         return {**given, "factory": given.get("factory") or {"matrix": np.eye(6)}} if raw == "N" else given
 
+    @property
+    def of_driver(self) -> bool:
+        """Whether the matrix that the readings are held against is the driver's own, in which they come."""
+        matrix = self.factory.matrix
+        return self.units.raw == "N" and matrix is not None and np.array_equal(matrix, np.eye(6))
+
     @model_validator(mode="after")
     def _reject_duplicates(self) -> Self:
         twice = [name for name, n in Counter(one.name for one in self.sets or ()).items() if n > 1]

@@ -91,16 +91,13 @@ def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
 
 
 def force_ellipsoids(path: Path, found: Calibrated) -> Path:
-    """Draw each set's forces, calibrated and by the factory matrix, and their ellipsoids (paper, Fig. 6)."""
-    looks = {
-        "calibrated": look_of("moment")._replace(label="calibrated"),
-        "factory": look_of("none")._replace(label="factory matrix"),
-    }
+    """Draw each set's forces, calibrated and by the maker's matrix, and their ellipsoids (paper, Fig. 6)."""
+    looks = (look_of("moment"), look_of("none"))
     panels = []
     for i, data in enumerate(found.sets):
         clouds = [
-            Cloud(found.wrench(i, matrix)[:, :3], data.gravity, looks[name])
-            for name, matrix in found.matrices.items()
+            Cloud(found.wrench(i, matrix)[:, :3], data.gravity, look._replace(label=f"{name} matrix"))
+            for look, (name, matrix) in zip(looks, found.matrices.items(), strict=False)
         ]
         panels.append(Panel(f"set {found.label(i)}: {data.added_mass:.3f} kg", clouds))
     return draw_ellipsoids(path, panels, FORCES)

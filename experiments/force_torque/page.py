@@ -27,8 +27,8 @@ def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
 def _sections(folder: Path, found: tables.Calibrated) -> Iterator[Section]:
     limb = (tables.limb_table(found),)
     yield Section("weight", "Weight of the limb", (_say("weight"),), tables=limb)
-    matrices = "calibrated, and by the factory matrix." if "factory" in found.matrices else "calibrated."
-    caption = f"Force of each set in N while the limb turned, with its fitted ellipsoid: {matrices}"
+    matrices = ", and by ".join(f"the {name} matrix" for name in found.matrices)
+    caption = f"Force of each set in N while the limb turned, with its fitted ellipsoid, by {matrices}."
     shown = (ReportFigure(figures.force_ellipsoids(folder / "forces.png", found), "Figure 1", caption),)
     axes = (tables.semi_axes_table(found),)
     yield Section("spheres", "Spheres", (_say("spheres"),), tables=axes, figures=shown)

@@ -71,9 +71,12 @@ class Calibrated:
 
     @property
     def matrices(self) -> dict[str, Floats]:
-        """The calibrated matrix and, where there is one, the factory's, in N and N m per count, (6, k)."""
-        factory = self.log.config.factory.matrix
-        return {"calibrated": self.fit.matrix} | ({} if factory is None else {"factory": factory})
+        """The calibrated matrix and the factory's or the driver's, if any, in N and N m per count, (6, k)."""
+        config = self.log.config
+        other = {} if config.factory.matrix is None else {"factory": config.factory.matrix}
+        if config.of_driver:
+            other = {"driver's": np.eye(6)}
+        return {"calibrated": self.fit.matrix} | other
 
     def label(self, index: int) -> str:
         """Name of a set in tables."""

@@ -95,6 +95,23 @@ def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share,
     assert nees / len(off) < most
 
 
+def test_backlash_changes_no_gain():
+    sets = lagging_sets(with_backlash, noise=0.3, gravity=raster(), seed=42)
+    gain = np.diag(calibrate_in_situ(sets).matrix @ np.linalg.inv(SENSORS["leg"][0]))
+    # In phase with the loads 3 % of backlash takes 0.4 % off.
+    np.testing.assert_allclose(gain, 1.0, atol=0.0015)
+
+
+@pytest.mark.parametrize("first", [None, np.zeros(6)])
+def test_loops_begin_where_the_sets_show_it(first):
+    def read_load(wrench):
+        return lagging(wrench, 0.015, np.array([50.0, 50.0, 50.0, 10.0, 10.0, 2.0]), first)
+
+    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.1))
+    # 22 counts by the other one.
+    assert fit.stats.residual_rms < 20.0
+
+
 def test_a_late_imu_is_told_from_hysteresis():
     # It cancels part of a loop, and what is left is wrong by as much.
     fit = calibrate_in_situ([read_late(one, 0.06) for one in lagging_sets(in_loops, noise=0.3)])

@@ -14,6 +14,7 @@ import pytest
 
 from surefoot.calibration.in_situ import read_calibration
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque import calibrate as module
 from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
 from surefoot.experiments.force_torque.config import InSituConfig, config_beside
@@ -157,14 +158,19 @@ def test_a_drivers_newtons_are_calibrated_as_counts_are(
     assert matrix is not None
     names = [f"raw_{i}_count" for i in range(6)]
     driven = np.column_stack([counted.column(name).to_numpy() for name in names]) @ matrix.T
-    path = tmp_path / "driver.parquet"
-    table = counted.drop_columns(names)
-    for name, column in zip(WRENCH, driven.T, strict=True):
-        table = table.append_column(name, [column])
-    pq.write_table(table, path)
+
+    def write(path: Path, wrench: Floats) -> Path:
+        table = counted.drop_columns(names)
+        for name, column in zip(WRENCH, wrench.T, strict=True):
+            table = table.append_column(name, [column])
+        pq.write_table(table, path)
+        return path
+
+    path = write(tmp_path / "driver.parquet", driven)
     sheet = {"full_scale": config.sensor.full_scale}
     told = config.model_dump() | {"units": {"raw": "N"}, "factory": {}, "sensor": sheet}
-    result = calibrate_in_situ_log(path, InSituConfig.read(told, "driver.toml"), folder=tmp_path)
+    newtons = InSituConfig.read(told, "driver.toml")
+    result = calibrate_in_situ_log(path, newtons, folder=tmp_path)
     # Where the data leave a matrix to the maker's, each of the two may choose another share of it.
     load = driven - driven.mean(axis=0)
     true = load @ (plain.fit.matrix @ np.linalg.inv(matrix)).T
@@ -176,6 +182,14 @@ def test_a_drivers_newtons_are_calibrated_as_counts_are(
     assert "Offsets (N, N m)" in page
     assert "count" not in page.split("<h2>2.")[1]
     assert json.loads(result.files["calibration"].read_text())["raw_unit"] == "N, N m"
+    # Nobody gave a factory matrix that messages could blame.
+    assert "of full scale of the driver's" in page
+    assert "driver's, longest (N)" in page
+    assert "factory" not in page
+    in_mm = write(tmp_path / "N_mm.parquet", driven * np.repeat([1.0, 1000.0], 3))
+    with pytest.raises(CalibrationRefused, match=r"driver's matrix .* driver's torques are N mm") as no:
+        calibrate_in_situ_log(in_mm, newtons, folder=tmp_path)
+    assert "factory" not in str(no.value)
 
 
 def test_values_and_their_deviations_end_at_one_decimal(result: CalibratedSensor) -> None:
