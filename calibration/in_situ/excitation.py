@@ -181,8 +181,7 @@ def plan_excitation(
         blocks = [design.block(P, mass, size) for mass in range(len(candidates))]
         brought = np.array([sum(pose.information for pose in chosen) for chosen in blocks])
         mass_information = mass_information if poses else brought
-        chosen = blocks[int(np.argmax(brought))]
-        for pose in chosen:
+        for pose in (chosen := blocks[int(np.argmax(brought))]):
             P = design.after(P, pose.orientation, pose.mass)
         poses.extend(chosen)
     return ExcitationPlan(

@@ -125,15 +125,8 @@ def estimate_offset(
     >>> estimate_offset(gravity @ response + 250.0, gravity).offset.round(6)
     array([250., 250., 250., 250., 250., 250.])
     """
-    every_raw, every_gravity = _check_offset_arrays(raw, gravity)
-    channels = every_raw.shape[1]
-    finite = np.isfinite(np.hstack([every_raw, every_gravity])).all(axis=1)
-    r, g = every_raw[finite], every_gravity[finite]
-    n, dropped = len(r), len(every_raw) - len(r)
-    if n == 0:
-        raise CalibrationRefused(
-            f"None of the {dropped} samples was finite.", "Check the names and the units of the columns."
-        )
+    r, g, dropped = _finite_rows(raw, gravity)
+    n, channels = r.shape
     r_mean, g_mean = r.mean(axis=0), g.mean(axis=0)  # (9)
     factor = np.asarray(np.linalg.qr(np.column_stack([g - g_mean, r - r_mean]), mode="r"))
     g_factor, r_factor = factor[:, :3], factor[:, 3:]
@@ -145,24 +138,17 @@ def estimate_offset(
         "Turn the limb about two axes: tilt it sideways as well as back and forth.",
     )
     _, singular, right = np.linalg.svd(r_factor, full_matrices=False)  # (10)
-    if singular[2] <= _EXACT * singular[0]:
-        raise CalibrationRefused(
-            "The readings span fewer than the three dimensions of gravity (Lemma 1), so that the sensor did "
-            "not react to all of it.",
-            "Check that the channels are alive and that the columns are those of this sensor.",
-        )
+    _check_reaction(singular)
     basis = right[:3].T
     # The centred form of (14-17): the mean of U1' (r - r_mean) is zero.
     K = np.linalg.solve(g_factor[:3], r_factor[:3] @ basis).T
     offset = r_mean - basis @ (K @ g_mean)  # (11) with lambda = -K g_mean
 
     residual = r_factor - g_factor @ K.T @ basis.T
-    free = n - 4
     within = float(np.sum((residual @ basis) ** 2))
     outside = float(np.sum(singular[3:] ** 2))
-    scatter = residual.T @ residual / free if free else np.full((channels, channels), np.nan)
+    scatter = residual.T @ residual / (n - 4) if n > 4 else np.full((channels, channels), np.nan)
     leverage = 1.0 / n + float(np.sum(np.linalg.solve(g_factor[:3].T, g_mean) ** 2))
-    conditions = np.linalg.svd(g_factor, compute_uv=False)
     return OffsetFit(
         offset=offset,
         basis=basis,
@@ -171,16 +157,68 @@ def estimate_offset(
         affine_residual=float(np.sqrt(outside / np.sum(singular**2))),
         # The tilt of U1 errs by as much as K does in the other directions, to first order.
         covariance=leverage * scatter,
-        stats=FitStats(
-            samples=n,
-            dropped=dropped,
-            gated=0,
-            residual_rms=float(np.sqrt(within / (3 * n))),
-            rank=12,
-            unknowns=12,
-            condition=float(conditions[0] / conditions[2]),
-        ),
+        stats=_offset_stats(n, dropped, within, g_factor),
     )
+
+
+def _finite_rows(raw: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix, int]:
+    """Return the samples that are finite, and how many are not."""
+    every_raw, every_gravity = _check_offset_arrays(raw, gravity)
+    finite = np.isfinite(np.hstack([every_raw, every_gravity])).all(axis=1)
+    dropped = int(np.sum(~finite))
+    if not finite.any():
+        raise CalibrationRefused(
+            f"None of the {dropped} samples was finite.", "Check the names and the units of the columns."
+        )
+    return every_raw[finite], every_gravity[finite], dropped
+
+
+def _offset_stats(samples: int, dropped: int, square: float, g_factor: Matrix) -> FitStats:
+    """Return the statistics of an offset, for the sum of squares that gravity leaves along its dimensions."""
+    conditions = np.linalg.svd(g_factor, compute_uv=False)
+    return FitStats(
+        samples=samples,
+        dropped=dropped,
+        gated=0,
+        residual_rms=float(np.sqrt(square / (3 * samples))),
+        rank=12,
+        unknowns=12,
+        condition=float(conditions[0] / conditions[2]),
+    )
+
+
+def _check_reaction(singular: Matrix) -> None:
+    """Refuse readings, by their singular values, that gravity does not move along three dimensions."""
+    if singular[2] <= _EXACT * singular[0]:
+        raise CalibrationRefused(
+            "The readings span fewer than the three dimensions of gravity (Lemma 1), so that the sensor did "
+            "not react to all of it.",
+            "Check that the channels are alive and that the columns are those of this sensor.",
+        )
+
+
+def _noise_of_columns(sets: Sequence[InSituSet], factors: list[Matrix], samples: int) -> Matrix:
+    """Return the singular values that white noise of the readings would have, of each column."""
+    # The rows beyond gravity's three hold the part that gravity does not explain.
+    spare = max(samples - 3 * len(sets), 1)
+    noise = np.sqrt(sum(np.sum(factor[3:, 3:] ** 2, axis=0) for factor in factors) / spare)
+    return np.asarray(np.sqrt(3 * len(sets)) * noise)
+
+
+def _check_determined(
+    sets: Sequence[InSituSet], factors: list[Matrix], length: Matrix, tolerance: float, noise: Matrix
+) -> None:
+    """Refuse sets that leave an unknown, one for each of the columns' lengths, undetermined."""
+    explained = np.linalg.svd(_stack(sets, [factor[:3] for factor in factors])[0] / length, compute_uv=False)
+    least = max(tolerance * explained[0], float(np.max(noise / length[: len(noise)])))
+    rank, unknowns = int(np.sum(explained > least)), len(length)
+    if rank < unknowns:
+        raise CalibrationRefused(
+            f"The sets determine {rank} of {unknowns} unknowns of matrix and limb although they hold three "
+            "different added masses: beside the noise of the readings, the centres of mass lie on one line, "
+            "or gravity hardly turned.",
+            "Hang a heavier mass beside that line, and turn the limb about two axes in every set.",
+        )
 
 
 def _check_offset_arrays(
@@ -258,22 +296,10 @@ def estimate_matrix(
     p = directions.shape[1]
     factors = [np.hstack([factor[:, :3], factor[:, 3:] @ directions]) for factor in factors]
 
-    # In a factor, the rows beyond gravity's three hold the part that gravity does not explain.
-    spare = max(samples - 3 * len(sets), 1)
-    noise = np.sqrt(sum(np.sum(factor[3:, 3:] ** 2, axis=0) for factor in factors) / spare)
-    noise = noise_margin * np.sqrt(3 * len(sets)) * noise
+    noise = noise_margin * _noise_of_columns(sets, factors, samples)
     rows, target = _stack(sets, factors)
     rows, length = of_unit_length(rows)
-    explained = np.linalg.svd(_stack(sets, [factor[:3] for factor in factors])[0] / length, compute_uv=False)
-    least = max(tolerance * explained[0], float(np.max(noise / length[:p])))
-    rank, unknowns = int(np.sum(explained > least)), len(length)
-    if rank < unknowns:
-        raise CalibrationRefused(
-            f"The sets determine {rank} of {unknowns} unknowns of matrix and limb although they hold three "
-            "different added masses: beside the noise of the readings, the centres of mass lie on one line, "
-            "or gravity hardly turned.",
-            "Hang a heavier mass beside that line, and turn the limb about two axes in every set.",
-        )
+    _check_determined(sets, factors, length, tolerance, noise)
     left, singular, right = np.linalg.svd(rows, full_matrices=False)
     back = right.T / singular / length[:, None]
     solution = back @ (left.T @ target)
@@ -294,8 +320,8 @@ def estimate_matrix(
             dropped=sum(len(one.raw) for one in sets) - samples,
             gated=0,
             residual_rms=float(np.sqrt(np.sum(square) / (AXES * samples))),
-            rank=rank,
-            unknowns=unknowns,
+            rank=len(length),
+            unknowns=len(length),
             condition=float(singular[0] / singular[-1]),
         ),
     )
