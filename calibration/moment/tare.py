@@ -99,13 +99,26 @@ class Tare:
         Returns:
             The belief, the published map with the drift of now, and the state.
         """
-        in_swing = (state.time >= 0.0) & (time - state.time <= LEAST_APART)
-        before = np.where(in_swing[self._foot_of_channel], state.reading, np.inf)
-        for foot, channels, reading, seconds in self._hanging(block, lost, before, state.reading):
-            belief, published, state = self._tare(
-                foot, channels, reading, seconds, time, belief, published, state
-            )
-        return belief, published, state
+        columns, rate, followed = self._columns, state.rate, state.followed
+        published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
+        in_swing = (times >= 0.0) & (time - times <= LEAST_APART)
+        in_air = np.where(in_swing[self._foot_of_channel], shown, np.inf)
+        for foot, at, reading, seconds in self._hanging(block, lost, in_air, state.reading):
+            a, noise, last = published[columns.scale][at], self.variance[at] / seconds, times[foot]
+            before, steady = reading if last < 0.0 else shown[at], np.ones(len(at), dtype=bool)
+            change = reading - before
+            if last >= 0.0:
+                walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
+                steady = change**2 <= LEAP**2 * walked
+                if time - last > LEAST_APART:
+                    rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
+            variance, asked = a**2 * noise, -a * change
+            belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
+            if last >= 0.0:
+                belief = self._redefine(belief, at, reading, variance)
+            published[columns.drift.start + at] = -a * reading - published[columns.offset.start + at]
+            shown[at], times[foot] = reading, time
+        return belief, published, TareState(shown, times, rate, followed)
 
     def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
@@ -181,35 +194,6 @@ class Tare:
         change = (reading - last) / self._unit[channels]
         in_air = np.abs(change).max() <= LARGEST_LOAD and abs(change.sum()) <= LARGEST_SUM
         return reading, float(block.dt[sure].sum()) * in_air
-
-    def _tare(
-        self,
-        foot: int,
-        channels: NDArray[np.int64],
-        reading: Array,
-        seconds: float,
-        time: float,
-        belief: Belief,
-        published: Array,
-        state: TareState,
-    ) -> tuple[Belief, Array, TareState]:
-        columns, at, last = self._columns, channels, float(state.time[foot])
-        scale, before = at + columns.scale.start, reading if last < 0.0 else state.reading[at]
-        a, noise, change = published[scale], self.variance[at] / seconds, reading - before
-        rate, followed, steady = state.rate, state.followed, np.ones(len(at), dtype=bool)
-        if last >= 0.0:
-            walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
-            steady = change**2 <= LEAP**2 * walked
-            if time - last > LEAST_APART:
-                rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
-        variance, asked = a**2 * noise, -a * change
-        belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
-        if last >= 0.0:
-            belief = self._redefine(belief, at, reading, variance)
-        published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
-        published[at + columns.drift.start] = -a * reading - published[at + columns.offset.start]
-        shown[at], times[foot] = reading, time
-        return belief, published, TareState(shown, times, rate, followed)
 
     def _learn(
         self,
