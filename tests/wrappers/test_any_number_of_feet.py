@@ -112,7 +112,8 @@ def test_zeros_of_single_cells_are_learnt() -> None:
         off.append([env.robot.initial.force(raw) - true, env.estimate.force - true])
     before, found = np.sqrt(np.mean(np.square(off[160:]), axis=0))
     assert found.mean() < 0.6 * before.mean()
-    assert (found < before + 0.01).all()
+    # By 0.2 % of the largest load.
+    assert (found < before + 0.02).all()
 
 
 def test_a_robot_is_the_same_alone_and_among_others() -> None:
