@@ -40,13 +40,11 @@
 #define N_REAL(field) PLACE(moment_state, field, "real")
 #define IN(name, field, kind) PART(moment_state, name, field, kind)
 /* What modes hold, and what is handed out. */
-#define KNOWN(name, belief, published, tare)                                                                 \
+#define KNOWN(name, belief, published)                                                                       \
     IN(name##belief_mean, belief.mean, "real"), IN(name##belief_covariance, belief.covariance, "real"),      \
         IN(name##belief_chance, belief.chance, "real"), IN(name##published_mean, published.mean, "real"),    \
         IN(name##published_covariance, published.covariance, "real"),                                        \
-        IN(name##published_undetermined, published.undetermined, "real"),                                    \
-        IN(name##tare_reading, tare.reading, "real"), IN(name##tare_time, tare.time, "real"),                \
-        IN(name##tare_rate, tare.rate, "real"), IN(name##tare_followed, tare.followed, "whole")
+        IN(name##published_undetermined, published.undetermined, "real")
 #define T_REAL(field) PLACE(tare_state, field, "real")
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
@@ -152,12 +150,13 @@ static const place places[] = {
     IN(track_velocity, track.velocity, "real"), IN(track_spin, track.spin, "real"),
     IN(track_adrift, track.adrift, "real"), FAULTS_OF(moment_state),
     N_REAL(pending), N_REAL(before), PLACE(moment_state, waiting, "whole"), PLACE(moment_state, linked, "whole"),
-    N_REAL(point), N_REAL(time), N_REAL(drifted), IN(suspects_score, suspects.score, "real"),
+    N_REAL(point), N_REAL(time), N_REAL(drifted), IN(tare_reading, tare.reading, "real"),
+    IN(tare_centre, tare.centre, "real"), IN(tare_time, tare.time, "real"), IN(tare_rate, tare.rate, "real"),
+    IN(tare_followed, tare.followed, "whole"), IN(suspects_score, suspects.score, "real"),
     IN(suspects_before, suspects.before, "real"), IN(suspects_error, suspects.error, "real"),
     IN(suspects_noise, suspects.noise, "real"), IN(suspects_known, suspects.known, "real"),
-    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published, tare), N_REAL(covariance),
-    KNOWN(kept_, kept.belief, kept.published, kept.tare),
-    KNOWN(kept_next_, next.belief, next.published, next.tare),
+    IN(suspects_force, suspects.force, "real"), N_REAL(shift), KNOWN(, belief, published), N_REAL(covariance),
+    KNOWN(kept_, kept.belief, kept.published), KNOWN(kept_next_, next.belief, next.published),
     IN(kept_age, age, "real"), PLACE(moment_state, status, "whole"),
 
     PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),
