@@ -84,12 +84,12 @@ def replay(
         for k in watch(range(len(readings)))
     ]
     if cutoff is not None:
-        estimates = _estimate_unfiltered(front_end, readings, log, steps, estimates)
+        estimates = _estimate_by_maps(front_end, readings, log, steps, estimates)
     columns: list[Any] = list(zip(*estimates, strict=True))
     return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
 
 
-def _estimate_unfiltered(
+def _estimate_by_maps(
     front_end: FrontEnd, readings: NDArray[np.float64], log: Any, steps: Any, learnt: list[Estimate]
 ) -> list[Estimate]:
     """Return the estimates of readings as they are, by maps that were learnt from filtered ones."""

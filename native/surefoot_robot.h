@@ -565,7 +565,7 @@ SF_API int sf_all_there(const sf_config *c, const sf_channel_faults *s) {
     return 1;
 }
 
-/* How many channels of a channel's plate are out. */
+/* StandIn.count_lost for one channel. */
 SF_API sf_real sf_lost_of_plate(const sf_config *c, const sf_channel_faults *s, int i) {
     sf_real lost = 0;
     for (int j = 0; j < c->channels; j++) lost += (sf_real)c->together[i * c->channels + j] * s->lost[j];

@@ -177,11 +177,11 @@ def plan_excitation(
     mass_information = np.zeros(0)
     poses: list[PlannedPose] = []
     while len(poses) < count:
-        size = min(block, count - len(poses))
-        blocks = [design.block(P, mass, size) for mass in range(len(candidates))]
+        blocks = [design.block(P, mass, min(block, count - len(poses))) for mass in range(len(candidates))]
         brought = np.array([sum(pose.information for pose in chosen) for chosen in blocks])
         mass_information = mass_information if poses else brought
-        for pose in (chosen := blocks[int(np.argmax(brought))]):
+        chosen = blocks[int(np.argmax(brought))]
+        for pose in chosen:
             P = design.after(P, pose.orientation, pose.mass)
         poses.extend(chosen)
     return ExcitationPlan(

@@ -205,7 +205,7 @@ def _noise_of_columns(sets: Sequence[InSituSet], factors: list[Matrix], samples:
     return np.asarray(np.sqrt(3 * len(sets)) * noise)
 
 
-def _check_determined(
+def _check_rank(
     sets: Sequence[InSituSet], factors: list[Matrix], length: Matrix, tolerance: float, noise: Matrix
 ) -> None:
     """Refuse sets that leave an unknown, one for each of the columns' lengths, undetermined."""
@@ -299,7 +299,7 @@ def estimate_matrix(
     noise = noise_margin * _noise_of_columns(sets, factors, samples)
     rows, target = _stack(sets, factors)
     rows, length = of_unit_length(rows)
-    _check_determined(sets, factors, length, tolerance, noise)
+    _check_rank(sets, factors, length, tolerance, noise)
     left, singular, right = np.linalg.svd(rows, full_matrices=False)
     back = right.T / singular / length[:, None]
     solution = back @ (left.T @ target)

@@ -282,7 +282,7 @@ class ChannelFaults:
 
     def _compare_with_plate(self, state: ChannelState, level: Array) -> tuple[ChannelState, Array]:
         """Find cells that do not change while all others of their plate say so, by the mean of a block."""
-        whole = self.stand_in.together @ state.lost < 0.5
+        whole = self.stand_in.count_lost(state.lost) < 0.5
         change = np.where(state.shown < 0.0, 0.0, level - state.level)
         size = np.abs(change)
         alone = size > _ALONE * (self._plates * size).max(axis=1)  # no plate's load

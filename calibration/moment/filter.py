@@ -259,7 +259,7 @@ class MomentFilter:
         belief, published, tare = self.tare.take(
             block, state.time, state.belief, state.published.mean, state.tare, faults.lost
         )
-        if (self.faults.stand_in.together @ faults.lost > 1.5).any():
+        if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():
             # Nothing stands in for two cells of a plate; zeros are seen without them.
             zeros = state.published._replace(mean=published)
             state = state._replace(published=zeros, linked=0)

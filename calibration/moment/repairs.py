@@ -71,7 +71,7 @@ class Repairs:
         )
         lost = state.faults.lost
         others, std = stand_in.others(state.faults.moments, lost)
-        broken = stand_in.together @ lost > 0.5
+        broken = stand_in.count_lost(lost) > 0.5
         suspects, wrong = self.suspects.weigh(
             suspects, rows, known, covariance, others, std / self._weight, lost, broken, block.duration
         )

@@ -62,6 +62,11 @@ class StandIn:
         self.prior, self.together = prior, together
         self._weight = weight
 
+    def count_lost(self, lost: Array) -> Array:
+        """Count the lost channels of each channel's plate, shape (K,); ``lost`` is 0 or 1, shape (K,)."""
+        count: Array = self.together @ lost
+        return count
+
     def init(self) -> Array:
         """Begin with equal springs: second moments in body weights squared, shape (K, K)."""
         return self.prior.copy()

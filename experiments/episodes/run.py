@@ -218,7 +218,7 @@ def read_rows(path: Path) -> Frame:
         return pd.read_parquet(path)
     except Exception as error:  # Whatever a damaged file raises.
         raise ValueError(
-            f"'{path}' is no table of Parquet, or is damaged: {f'{error}'.rstrip('.')}."
+            f"'{path}' is no table of Parquet, or is damaged: {str(error).rstrip('.')}."
         ) from error
 
 

@@ -87,8 +87,8 @@ class Recovery(NamedTuple):
     loss: Interval  # in return; the share is NaN unless it is clear
 
     @property
-    def told(self) -> bool:
-        """Whether the share says anything."""
+    def narrow(self) -> bool:
+        """Whether the interval is narrow enough for the share to say anything."""
         return self.high - self.low <= WIDEST
 
 

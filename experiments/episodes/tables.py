@@ -1,6 +1,7 @@
 """Tables of both presets: means and shares over episodes, and differences of runs."""
 
 from collections.abc import Mapping, Sequence
+from math import isnan
 from typing import Any
 
 from surefoot.experiments.episodes.scores import (
@@ -100,11 +101,11 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         found = recovery_share(own[first["controller"]], first["feed"], first["severity"])
         if found is None:
             return ""
-        if found.told:
+        if found.narrow:
             return percent_interval(found[:3])
-        clear = found.share == found.share
-        seen = f"{span(100 * found.low, 100 * found.high, '.0f')} %" if clear else interval_text(found.loss)
-        return Valued.of(f"cannot be told ({'' if clear else 'cost '}{seen})", None)
+        if isnan(found.share):
+            return Valued.of(f"cannot be told (cost {interval_text(found.loss)})", None)
+        return Valued.of(f"cannot be told ({span(100 * found.low, 100 * found.high, '.0f')} %)", None)
 
     columns: dict[str, Cell] = {
         "controller": lambda runs: brief[runs["controller"].iloc[0]],

@@ -25,12 +25,12 @@ from surefoot.experiments.study.tables import Verdict
 def test_a_loss_that_is_none_is_not_won_back():
     flat = dict.fromkeys(MEANS, 100.0)
     frame = frame_of(episodes("zero", flat))
-    assert not recovery_share(frame, "moment", 1.0).told
+    assert not recovery_share(frame, "moment", 1.0).narrow
     cells = [row[3] for row in score_table(frame).rows]
     assert {cell for cell in cells if not cell.startswith("cannot be told (cost ")} == {""}
     # Exactly the same returns on all feet: no division by nothing.
     same = frame.assign(**{"return": 100.0})
-    assert not recovery_share(same, "window", 2.0).told
+    assert not recovery_share(same, "window", 2.0).narrow
     won = {row[:2]: row[3] for row in score_table(frame_of(episodes())).rows}
     assert won["moment", "1"].startswith("94.")
 
@@ -42,7 +42,7 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
     cost = np.where(np.arange(30) < 15, 0.0, 100.0)
     totals = {"true": noise[0], "none": noise[1] - cost, "moment": noise[2][:15]}
     frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
-    assert not recovery_share(frame, "moment", 1.0).told
+    assert not recovery_share(frame, "moment", 1.0).narrow
 
 
 def test_of_a_small_loss_in_large_noise_no_share_is_told() -> None:
