@@ -1112,9 +1112,7 @@ SF_API void sf_products(const sf_config *c, const sf_real *S, const sf_real *one
 /* contact_probability of one foot: its load in N, and the variance of that. */
 SF_API sf_real sf_contact(const sf_config *c, const sf_moment_config *m, sf_real load, sf_real variance) {
     sf_real std = sf_sqrt(variance), most = m->most_load * c->weight, far = sf_min(load / std, 30);
-    sf_real below = (sf_real)(0.5 * erfc(-load / std / sqrt(2.0))),
-            beyond = (sf_real)(0.5 * erfc(-(load - most) / std / sqrt(2.0)));
-    sf_real with_load = (below - beyond) / most;
+    sf_real with_load = (sf_real)(0.5 * erfc(-load / std / sqrt(2.0))) / most;
     sf_real without = sf_exp((sf_real)-0.5 * far * far) / (sf_sqrt((sf_real)(2 * 3.141592653589793)) * std);
     /* A pull of no sole counts as no load. */
     if (load <= 0) without = sf_max(without, 1 / most);

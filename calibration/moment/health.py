@@ -9,7 +9,8 @@ from surefoot.calibration.front_end.readings import Sample
 from surefoot.calibration.moment.columns import Columns
 
 MOST_LOAD = 1.5
-"""Load in body weights up to which a foot that stands carries any with the same chance: a landing."""
+"""Body weights over which the chance of a foot's load is spread, each as likely: a step's, and no limit, as a
+G1 by policy lands with 2.5."""
 
 LEAST_ROW = 1e-6
 """Least share of the vertical that a foot sees, squared: a sole that stands on its edge sees nothing."""
@@ -73,7 +74,7 @@ def contact_probability(
     """Return the probability that a foot bears load, shape (F,).
 
     By Bayes, of two things that are as likely beforehand: a foot without load, of which the estimate is off
-    as its covariance says, and one with any load up to :data:`MOST_LOAD`.
+    as its covariance says, and one with any load, of the density that :data:`MOST_LOAD` gives.
 
     Args:
         load: Vertical forces of the feet in N, shape (F,).
@@ -87,7 +88,7 @@ def contact_probability(
     own = np.maximum((rows**2).sum(axis=1), LEAST_ROW) * noise**2
     std = np.sqrt(np.maximum(variances(to_load, learnt), 0.0) + own)
     most = MOST_LOAD * weight
-    with_load = (ndtr(load / std) - ndtr((load - most) / std)) / most
+    with_load = ndtr(load / std) / most
     without = np.exp(-0.5 * np.minimum(load / std, 30.0) ** 2) / (np.sqrt(2.0 * np.pi) * std)
     # A pull of no sole counts as no load.
     without = np.where(load <= 0.0, np.maximum(without, 1.0 / most), without)
