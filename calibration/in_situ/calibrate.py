@@ -120,7 +120,7 @@ def _linear_algebra() -> ThreadpoolController:
 def _answer(task: Task, accept: str) -> InSituFit:
     """Return the answer, or a fit of NaN with the reason why there is none."""
     try:
-        findings = check_sets(task.sets, task.options, leaning=task.factory is not None)
+        findings = check_sets(task.sets, task.options, task.owner)
         if refused := decide(findings, accept).refused:
             return refuse_fit(task.sets, refused)
         solved, found = _solve(task)
@@ -198,7 +198,7 @@ def _fit(
         members, said = _lean(task, replace(chosen.problem, maker=problem.maker), [chosen.outer])
         findings += said
     if not determined:
-        findings.append(Finding("rank", rank.warning(), refuses=False))
+        findings.append(Finding("rank", rank.warning(task.owner), refuses=False))
     return members, fits, findings
 
 
@@ -232,7 +232,7 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
         key=lambda one: float(np.sum((problem.whitening @ (one.A - response)) ** 2)),
     )
     with_maker = replace(problem, maker=prior_of(task, problem.noise))
-    found = check_factory(task.factory, with_maker, by_data, determined=determined)
+    found = check_factory(task, with_maker, by_data, determined=determined)
     if any(one.refuses for one in found) and determined:
         # Sets that contradict each other without the matrix say nothing of it.
         doubted = check_masses(by_data)

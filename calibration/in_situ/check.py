@@ -33,13 +33,13 @@ TOO_FAST = "the limb moved too fast to be taken as at rest"
 """Reason in the message."""
 
 
-def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> list[Finding]:
+def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) -> list[Finding]:
     """Check channels, masses, units and the turning of gravity.
 
     Args:
         sets: As they were given.
         options: Of the fit.
-        leaning: Whether a factory matrix stands in for directions that gravity does not show.
+        owner: Whose matrix stands in for directions that gravity does not show; empty for none.
 
     Raises:
         CalibrationRefused: If a set has no samples to speak of.
@@ -74,9 +74,9 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
         f"{spread[1]:.3f} and {spread[2]:.4f} along its three axes, and {limits.TILT} is needed along each."
     )
     cure = "Tilt the limb about a second axis as well, such as front-back and sideways."
-    leaning &= spread[0] >= limits.TILT
+    leaning = bool(owner) and spread[0] >= limits.TILT
     if leaning:
-        reason, cure = f"{reason} What it does not show leans on the factory matrix.", ""
+        reason, cure = f"{reason} What it does not show leans on the {owner} matrix.", ""
     return [*found, Finding("gravity's turning", reason, cure, spread[2], limits.TILT, refuses=not leaning)]
 
 

@@ -283,6 +283,13 @@ class Task:
         """Whether all sets have times."""
         return all(data.time is not None for data in self.sets)
 
+    @property
+    def owner(self) -> str:
+        """Whose the matrix is, in words: the driver's if it is one, of newtons; empty without a matrix."""
+        if self.factory is None:
+            return ""
+        return "driver's" if np.array_equal(self.factory, np.eye(*self.factory.shape)) else "factory's"
+
 
 def change_motion(data: InSituSet, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> InSituSet:
     """Return a set whose gravity and motion, shape (n, 3) each, are changed alike."""

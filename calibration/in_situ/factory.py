@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
-from surefoot.calibration.in_situ.data import Matrix, Vector
+from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
@@ -35,7 +35,7 @@ _POUND = 0.45359237
 _CURE = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
 
 
-def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
+def check_factory(task: Task, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
@@ -43,12 +43,13 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     the limb that it shows itself. Where it misses much, other ways to read it are causes like all others.
 
     Args:
-        factory: As it was given, shape (6, k).
+        task: With the matrix as it was given.
         problem: With the prior by it.
         solution: Without it, if the readings determine one.
         determined: Whether they do.
     """
-    limb_known = determined or len(problem.limb_root) == STATIC
+    assert task.factory is not None
+    factory, limb_known = task.factory, determined or len(problem.limb_root) == STATIC
     expected = _loads(solution) if limb_known else _hangs(factory, solution)
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
@@ -79,12 +80,14 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         for left, words, matrix in scored[:_TRIED]:
             if left < min(limits.READ_BETTER * now, 1.0):
                 odds = _evidence_of(matrix, problem, solution.rotation, start)
-                tried.append((words, _CURE, odds - penalise(free, rows, len(others))))
+                tried.append(
+                    (words.format(owner=task.owner), _CURE, odds - penalise(free, rows, len(others)))
+                )
     ranked = rank(tried)
     if not ranked or ranked[0].gain < limits.CLEARER:
         return []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    reason = f"The factory matrix {at_odds}."
+    reason = f"The {task.owner} matrix {at_odds}."
     return [tell_causes(Finding("factory matrix", reason, "", ranked[0].gain, limits.CLEARER), ranked)]
 
 
@@ -122,17 +125,17 @@ def _loads(solution: Solution) -> Matrix:
 
 
 _OF_ROWS = {
-    "the sign of gravity or of the factory matrix is turned": (-1.0, -1.0),
-    "all places of the masses, or the factory's torques, are negated": (1.0, -1.0),
-    "the factory's forces are negated": (-1.0, 1.0),
+    "the sign of gravity or of the {owner} matrix is turned": (-1.0, -1.0),
+    "all places of the masses, or the {owner} torques, are negated": (1.0, -1.0),
+    "the {owner} forces are negated": (-1.0, 1.0),
     "masses are in grams": (1e3, 1e3),
     "masses are in lb, and kg are expected": (1.0 / _POUND, 1.0 / _POUND),
     "masses in kg were taken for lb and converted": (_POUND, _POUND),
     "places are in mm, and m are expected": (1.0, 1e3),
     "places are in cm, and m are expected": (1.0, 1e2),
-    "units of the factory's torques are N mm": (1.0, 1e-3),
-    "units of the factory's torques are N cm": (1.0, 1e-2),
-    "units of the factory matrix are kgf": (GRAVITY, GRAVITY),
+    "units of the {owner} torques are N mm": (1.0, 1e-3),
+    "units of the {owner} torques are N cm": (1.0, 1e-2),
+    "units of the {owner} matrix are kgf": (GRAVITY, GRAVITY),
 }
 """Possible errors of a matrix or of units, by the factors of its forces and of its torques."""
 
@@ -145,7 +148,7 @@ def _other_point(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterato
     moved = np.eye(AXES)
     moved[3:, :3] = skew(np.asarray(point, dtype=np.float64))
     where = ", ".join(f"{value:.3f}" for value in -point)
-    yield f"the factory's torques are about the point ({where}) m, not the sensor's origin", moved @ factory
+    yield f"the {{owner}} torques are about the point ({where}) m, not the sensor's origin", moved @ factory
 
 
 def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
@@ -163,23 +166,23 @@ def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
             about = np.round(turn.as_rotvec() / turn.magnitude(), 2).tolist()
             degrees = np.degrees(turn.magnitude())
             words = (
-                f"the factory's frame is turned by {degrees:.0f} degrees about {about} against the sensor's"
+                f"the {{owner}} frame is turned by {degrees:.0f} degrees about {about} against the sensor's"
             )
             yield words, np.kron(np.eye(2), turn.as_matrix()) @ factory
-    yield "rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)
+    yield "rows of the {owner} matrix are torques first", np.roll(factory, 3, axis=0)
     rows, channels = factory.shape
     if rows == channels:
         inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
-        yield "the factory matrix is transposed", factory.T
-        yield "the factory matrix is inverted: counts per N", inverse
-        yield "the factory matrix is inverted and transposed", inverse.T
+        yield "the {owner} matrix is transposed", factory.T
+        yield "the {owner} matrix is inverted: counts per N", inverse
+        yield "the {owner} matrix is inverted and transposed", inverse.T
     for a in range(channels):
         sign = np.where(np.arange(channels) == a, -1.0, 1.0)
-        yield f"channel {a} has the other sign than in the factory matrix", factory * sign
+        yield f"channel {a} has the other sign than in the {{owner}} matrix", factory * sign
         for b in range(a):
             order = np.arange(channels)
             order[[a, b]] = b, a
-            yield f"channels {b} and {a} are exchanged against the factory matrix", factory[:, order]
+            yield f"channels {b} and {a} are exchanged against the {{owner}} matrix", factory[:, order]
 
 
 def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
@@ -191,7 +194,7 @@ def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> Itera
         matrix = factory.copy()
         matrix[row, column] += steps[row, column]
         words = (
-            f"entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, is "
+            f"entry [{row}, {column}] of the {{owner}} matrix, {factory[row, column]:.4g}, is "
             f"{matrix[row, column]:.4g}"
         )
         yield words, matrix

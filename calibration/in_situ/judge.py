@@ -9,7 +9,7 @@ from scipy.special import chdtri
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import invert_response
-from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Vector
+from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.model import (
@@ -92,11 +92,11 @@ class DataRank:
             (cures or [_PLACES])[0],
         )
 
-    def warning(self) -> str:
-        """Say which unknowns lean on the factory matrix."""
+    def warning(self, owner: str) -> str:
+        """Say which unknowns lean on the factory's or the driver's matrix."""
         return (
             f"The data determine {self.found} of {self.found + self.missing} unknowns; the rest of "
-            f"{', '.join(self.open_unknowns)} leans on the factory matrix."
+            f"{', '.join(self.open_unknowns)} leans on the {owner} matrix."
         )
 
 
@@ -138,18 +138,17 @@ def check_rotation(found: Sequence[Solution]) -> list[Finding]:
     return []
 
 
-def check_scale(fit: InSituFit, heaviest: float, *, leaning: bool) -> list[Finding]:
+def check_scale(fit: InSituFit, heaviest: float, owner: str) -> list[Finding]:
     """Return a finding if the limb's mass, and with it the scale of all forces, is unknown.
 
-    ``heaviest`` is the largest added mass in kg. With ``leaning`` a factory matrix has a
-    scale, as unsure as it may be.
+    ``heaviest`` is the largest added mass in kg. The matrix of an ``owner``, if any, has a scale of its own.
     """
     mass, deviation = fit.limb.mass, fit.limb_mass_std
     if mass > 0.0 and deviation <= limits.SCALE * mass:
         return []
     share = deviation / abs(mass)
-    if mass > 0.0 and leaning:
-        reason = "The scale of all forces is the factory matrix's; weigh the limb to know it."
+    if mass > 0.0 and owner:
+        reason = f"The scale of all forces is the {owner}; weigh the limb to know it."
         return [Finding("scale", reason, value=share, limit=limits.SCALE, refuses=False)]
     reason = (
         f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
@@ -165,23 +164,23 @@ def check_scale(fit: InSituFit, heaviest: float, *, leaning: bool) -> list[Findi
     return [Finding("scale", reason, cure, share, limits.SCALE, contradicts=True)]
 
 
-def check_answer(fit: InSituFit, factory: Matrix | None) -> list[Finding]:
+def check_answer(fit: InSituFit, task: Task) -> list[Finding]:
     """Check the answer against limbs and sensors that exist, however small the residual."""
     found = []
     arm = float(np.linalg.norm(fit.limb.com))
     if not arm < limits.LONGEST_ARM:
         reason = f"The limb's centre of mass comes out {arm:.2g} m away from the sensor."
         cure = (
-            "Check the units of torques and places (N mm, mm), the signs of the axes, and that each channel "
-            "is where the factory matrix expects it."
+            "Check the units of torques and places (N mm, mm), the signs of the axes and the order of the "
+            "channels."
         )
         found.append(Finding("centre of mass", reason, cure, arm, limits.LONGEST_ARM, contradicts=True))
-    if factory is None:
+    if task.factory is None:
         return found
-    gain = np.diag(factory @ fit.response)
+    gain = np.diag(task.factory @ fit.response)
     if not limits.LEAST_GAIN < np.min(gain) <= np.max(gain) < limits.LARGEST_GAIN:
         shown = ", ".join(f"{value:.2f}" for value in gain)
-        reason = f"By the readings the sensor's axes give {shown} times what the factory matrix says."
+        reason = f"By the readings the sensor's axes give {shown} times what the {task.owner} matrix says."
         cure = "Check that it is this sensor's, its units, the signs of the axes and the limb's mass."
         off = float(np.max(np.abs(np.log(np.abs(gain)))))
         found.append(Finding("gains", reason, cure, off, contradicts=True))
@@ -263,17 +262,17 @@ def _disagreement(problem: Problem, seen: Matrix) -> Vector:
 
 
 def check_limb(
-    known: KnownLimb, by_data: tuple[float, float] | None, by_maker: tuple[float, float] | None
+    task: Task, by_data: tuple[float, float] | None, by_maker: tuple[float, float] | None
 ) -> list[Finding]:
     """Return whether the readings give the limb another mass than was given.
 
     Args:
-        known: The limb as given.
+        task: With the limb as it was given.
         by_data: The limb's mass and its deviation in kg by the readings alone; None: not determined.
         by_maker: The same by the readings with the factory matrix; None without one.
     """
-    found = by_data or by_maker
-    if found is None:
+    found, known = by_data or by_maker, task.limb
+    if found is None or known is None:
         return []
     mass, deviation = found
     off = abs(mass - known.mass) / float(np.hypot(deviation, known.mass_std))
@@ -281,11 +280,12 @@ def check_limb(
         return []
     blamed, limit = "the added masses, their places or the limb's mass are", limits.MASS
     if by_data is None:
-        blamed, limit = "the limb's mass or the scale of the factory matrix is", limits.FACTORY_APART
+        blamed, limit = f"the limb's mass or the scale of the {task.owner} matrix is", limits.FACTORY_APART
     reason = (
         f"By the readings the limb weighs {mass:.3f} kg, and {known.mass:.3f} kg were given, {off:.0f} "
         f"deviations apart: {blamed} not as given."
     )
-    cure = "Weigh all that hangs beyond the sensor, and nothing else; check the units of the factory matrix."
+    units = f"; check the units of the {task.owner} matrix" if task.owner else ""
+    cure = f"Weigh all that hangs beyond the sensor, and nothing else{units}."
     apart = abs(float(np.log(mass / known.mass))) if mass > 0.0 else np.inf
     return [Finding("limb", reason, cure, apart, limit, refuses=apart > limit)]

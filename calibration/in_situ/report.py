@@ -91,7 +91,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     columns = FitColumns.of(len(problem.noise))
     bends, findings = check_within(solved.sets, problem.sets, solved.hidden)
     findings += slow_turn(solved.sets, problem.sets)
-    doubted = [] if task.limb is None else check_limb(task.limb, *_limb_alone(solved, solution))
+    doubted = [] if task.limb is None else check_limb(task, *_limb_alone(solved, solution))
     # A limb that is not as it was given draws all masses with it.
     findings += doubted or check_masses(solution)
     known = data_share(solution)
@@ -116,10 +116,10 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
         maker_share=maker_share,
     )
     heaviest = float(np.max(problem.added[:, MASS]))
-    findings += check_scale(fit, heaviest, leaning=problem.maker is not None)
+    findings += check_scale(fit, heaviest, task.owner if problem.maker else "")
     if problem.maker is None:
         findings += check_axes(fit, solution)
-    return fit, findings + check_answer(fit, task.factory)
+    return fit, findings + check_answer(fit, task)
 
 
 def _assemble(
@@ -301,7 +301,7 @@ def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None,
     scales = maker.std / maker.std[0, 0]
     moved = float(np.max(np.abs(task.factory @ fit.response - np.eye(AXES)) / scales))
     words = (
-        f"{base}; matrix within {100.0 * moved:.2g} % of full scale of the factory's, "
+        f"{base}; matrix within {100.0 * moved:.2g} % of full scale of the {task.owner}, "
         f"{np.sum(known > 0.5)} of 36 entries by the readings ({loads})"
     )
     if task.options.factory_std:

@@ -1,7 +1,6 @@
 """Calibrate one six-axis sensor from a log of in-situ sets, and write the result."""
 
 import dataclasses
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,8 +87,6 @@ def _fit(log: InSituLog, accept: str) -> InSituFit:
         refuse=False,
         accept=accept,
     )
-    if config.of_driver:
-        fit = _say_driver(fit)
     if fit.result is FitResult.REFUSED:
         first, *others = fit.refusals
         more = "".join(f" Also: {other}" for other in others)
@@ -97,20 +94,6 @@ def _fit(log: InSituLog, accept: str) -> InSituFit:
             more += " If you know better: --accept REASON goes on, and every file says so."
         raise CalibrationRefused(f"{', '.join(log.files)}: {first.reason}", f"{first.cure}{more}")
     return fit
-
-
-def _say_driver(fit: InSituFit) -> InSituFit:
-    """Name the driver in messages about a matrix that nobody gave: the readings come by the driver's."""
-
-    def say(words: str) -> str:
-        return re.sub(r"\bfactory('s)?\b", "driver's", words)
-
-    return dataclasses.replace(
-        fit,
-        warnings=tuple(map(say, fit.warnings)),
-        refusals=tuple(CalibrationRefused(say(no.reason), say(no.cure)) for no in fit.refusals),
-        scope=say(fit.scope),
-    )
 
 
 def _doubt_of_weight(log: InSituLog, fit: InSituFit) -> list[str]:

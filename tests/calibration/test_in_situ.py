@@ -253,7 +253,7 @@ def test_leans_on_the_factory_matrix_where_one_set_shows_nothing():
     limb = KnownLimb(mass, 0.01 * mass, com, 0.002)
     fit = calibrate_in_situ(sets, factory_matrix=aged, limb=limb)
     assert fit.result is FitResult.PARTLY_DETERMINED
-    assert any("leans on the factory matrix" in warning for warning in fit.warnings)
+    assert any("leans on the factory's matrix" in warning for warning in fit.warnings)
     fresh, _ = noisy_sets("foot", np.random.default_rng(15), noise=0.0, count=1)
     expected = fresh[0].gravity @ wrench_of_gravity(mass, com).T
     ours = np.std(fit.wrench(fresh[0].raw) - expected, axis=0)

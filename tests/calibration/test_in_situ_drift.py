@@ -180,7 +180,7 @@ def test_two_moving_sets_say_that_the_factory_matrix_knows_the_scale():
     assert fit.result is FitResult.PARTLY_DETERMINED
     assert fit.data_share[fit.columns.limb][0] < 0.5
     assert abs(fit.limb.mass - mass) < 2.0 * fit.limb_mass_std
-    assert any("leans on the factory matrix" in warning for warning in fit.warnings)
+    assert any("leans on the factory's matrix" in warning for warning in fit.warnings)
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ from surefoot.calibration.results import CalibrationRefused, FitResult
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])
 TRANSFORMS = {
-    "transposed": (lambda F: F.T, "the factory matrix is transposed"),
-    "inverted": (np.linalg.inv, "the factory matrix is inverted"),
-    "torques first": (lambda F: np.roll(F, 3, axis=0), "rows of the factory matrix are torques first"),
+    "transposed": (lambda F: F.T, "the factory's matrix is transposed"),
+    "inverted": (np.linalg.inv, "the factory's matrix is inverted"),
+    "torques first": (lambda F: np.roll(F, 3, axis=0), "rows of the factory's matrix are torques first"),
     "N mm": (lambda F: np.concatenate([F[:3], 1e3 * F[3:]]), "units of the factory's torques are N mm"),
 }
 
@@ -62,7 +62,7 @@ def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor, s
     corrupt = MATRIX.copy()
     corrupt[row, column] *= factor
     message = re.escape(
-        f"Likeliest: entry [{row}, {column}] of the factory matrix, {corrupt[row, column]:.4g}, is "
+        f"Likeliest: entry [{row}, {column}] of the factory's matrix, {corrupt[row, column]:.4g}, is "
     )
     with pytest.raises(CalibrationRefused, match=message):
         calibrate_in_situ(leg_sets()[:sets], factory_matrix=corrupt, **given)
