@@ -123,7 +123,7 @@ class InSituFit:
         maker_share: How far the maker's matrix is off by the readings, as a share of full scale; None without
             one.
         accelerometer_bias: In m/s^2, shape (3,), which was taken off.
-        accelerometer_scale: By which its readings were multiplied.
+        accelerometer_scale: By which its readings were multiplied: one number, or one an axis, shape (3,).
         delay: By which gravity was late against the readings in s, which was undone.
     """
 
@@ -161,7 +161,7 @@ class InSituFit:
     accelerometer_bias: Matrix = field(
         default_factory=lambda: np.zeros(3), metadata=_name("accelerometer_bias_m_s2")
     )
-    accelerometer_scale: float = field(default=1.0, metadata=_name("accelerometer_scale"))
+    accelerometer_scale: Matrix | float = field(default=1.0, metadata=_name("accelerometer_scale"))
     delay: float = field(default=0.0, metadata=_name("accelerometer_delay_s"))
 
     @property

@@ -1,14 +1,14 @@
 r"""Errors of an IMU that gravity shows: bias and scale by gravity's length, and a clock that is late.
 
-.. math:: |g_i - b + K_i p| = \rho, \qquad K = [\dot\omega]_\times + [\omega]_\times [\omega]_\times,
+.. math:: |S (g_i - b) + K_i p| = \rho, \qquad K = [\dot\omega]_\times + [\omega]_\times [\omega]_\times,
 
 where :math:`K p` is the acceleration by rotation at the arm p from the point that the limb turns about.
 Without a gyroscope, gravity's own rotation shows it. A bias would shift the offset by the limb's mass times
 the bias: it is subtracted first. Noise along the length looks like a limb that bends. For a limb at rest it
 is subtracted too, but the acceleration by rotation stays, since the sensor feels it. Bias, scale and arm are
-those of largest posterior probability. Their remaining errors, and the acceleration of a sweep that was
-treated as rest, move the answer by a vector each; the squares of all are part of its covariance
-(:func:`errors_of_imu`).
+those of largest posterior probability; scales S of the axes are one unless the others would be odd without.
+Their remaining errors, and the acceleration of a sweep that was treated as rest, move the answer by a vector
+each; the squares of all are part of its covariance (:func:`errors_of_imu`).
 
 Gravity that was read late by d makes :math:`r = A T u(t + d) + o`, to first order a column :math:`A T \dot u`
 of readings more, which is looked for beside all else that a fit explains. Where a sensor has hysteresis its
@@ -55,6 +55,12 @@ _LENGTH = 0.05
 """Deviation of gravity's length beforehand: a scale to 0.5 % (MPU-6050: 3 %, BMI088: 0.5 %), places on
 Earth 0.02."""
 
+_AXIS = 0.03
+"""Deviation of the ratio of two axes' scales (MPU-6050: 3 %)."""
+
+_RATIOS = np.array([[-1.0, 1.0, 0.0], [-1.0, -1.0, 2.0]]).T / np.sqrt([2.0, 6.0])
+"""Changes of the axes' scales, orthonormal, that leave their mean, shape (3, 2): that is the length's."""
+
 _ARM = 1.0
 """Deviation in m of the arm from the point that a limb turns about: a leg's length."""
 
@@ -94,21 +100,31 @@ class Sphere:
         covariance: Of the bias, shape (3, 3).
         arm: p in m, shape (3,).
         length: rho in m/s^2.
-        scale: By which readings are multiplied: one unless the length cannot be gravity's.
+        axes: By which readings are multiplied first, of mean one, shape (3,): ones unless the length shows
+            that axes differ.
+        scale: By which they are multiplied last: one unless the length cannot be gravity's.
     """
 
     bias: Vector
     covariance: Matrix
     arm: Vector
     length: float
+    axes: Vector
     scale: float
+
+    @property
+    def scales(self) -> Vector | float:
+        """By which readings are multiplied: one number, or one an axis where they differ, shape (3,)."""
+        return self.scale * self.axes if np.ptp(self.axes) > 0.0 else self.scale
 
     @property
     def findings(self) -> list[Finding]:
         """Report corrections that are more than chance."""
         words = []
-        if self.scale != 1.0:
-            words.append(f"its scale is off by {100.0 * (1.0 / self.scale - 1.0):+.1f} %")
+        off = 100.0 * (1.0 / np.atleast_1d(self.scales) - 1.0)
+        if np.any(off != 0.0):
+            shown = ", ".join(f"{value:+.1f}" for value in off)
+            words.append(f"its scale is off by {shown if len(off) == 1 else f'({shown})'} %")
         std = np.sqrt(np.diag(self.covariance))
         if np.any(np.abs(self.bias) > np.maximum(limits.ACCELEROMETER * std, _LENGTH)):
             shown = ", ".join(f"{value:.2f}" for value in self.bias)
@@ -131,32 +147,45 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         gravity.append(data.gravity[rows[whole]])
         turned.append(felt[whole])
     g, K = np.concatenate(gravity), np.concatenate(turned)
-    root = np.concatenate([np.full(3, 1.0 / _BIAS), [1.0 / _LENGTH], np.full(3, 1.0 / _ARM)])
-    before = np.zeros(7)
+    (one_scale, odd), (by_axis, less) = _fit_length(g, K, _RATIOS[:, :0]), _fit_length(g, K, _RATIOS)
+    # How much better a length is explained says little: what is left hangs together in time.
+    return by_axis if odd - less > limits.CLEARER else one_scale
+
+
+def _fit_length(g: Matrix, K: NDArray[np.float64], ratios: Matrix) -> tuple[Sphere, float]:
+    """Return the likeliest errors, with ratios of the axes' scales, (3, q), and how odd they are in nats."""
+    root = 1.0 / np.array([_BIAS, _BIAS, _BIAS, _LENGTH, _ARM, _ARM, _ARM, *[_AXIS] * ratios.shape[1]])
+    before = np.zeros(len(root))
     before[3] = GRAVITY
     x = before.copy()
     x[3] = float(np.median(np.linalg.norm(g, axis=1)))
     for _ in range(_ROUNDS):
-        v = g - x[:3] + K @ x[4:]
+        axes = 1.0 + ratios @ x[7:]
+        v = axes * (g - x[:3]) + K @ x[4:7]
         size = np.linalg.norm(v, axis=1)
         off = size - x[3]
         towards = v / np.maximum(size, np.finfo(float).tiny)[:, None]
         noise = max(float(MAD_TO_STD * np.median(np.abs(off))), _LEAST)
         weight = 1.0 / np.maximum(1.0, np.abs(off) / (_GATE * noise))
         variance = max(float(np.average(off**2, weights=weight)), _LEAST**2)
-        slopes = np.column_stack([-towards, -np.ones(len(g)), np.einsum("na,nab->nb", towards, K)])
+        by_axis = (towards * (g - x[:3])) @ ratios
+        turning = np.einsum("na,nab->nb", towards, K)
+        slopes = np.column_stack([-axes * towards, -np.ones(len(g)), turning, by_axis])
         H = (slopes.T * weight) @ slopes / variance + np.diag(root**2)
         x = x - np.linalg.solve(H, (slopes.T * weight) @ off / variance + root**2 * (x - before))
     covariance = np.linalg.inv(H)
     length, std = float(x[3]), float(np.sqrt(covariance[3, 3]))
     earthly = abs(length / GRAVITY - 1.0) <= limits.EARTH + limits.ACCELEROMETER * std / GRAVITY
-    return Sphere(
+    found = Sphere(
         bias=x[:3],
         covariance=covariance[:3, :3],
-        arm=x[4:],
+        arm=x[4:7],
         length=length,
-        scale=1.0 if earthly else GRAVITY / length,
+        axes=1.0 + ratios @ x[7:],
+        # Where axes differ, so does their mean.
+        scale=1.0 if earthly and not ratios.size else GRAVITY / length,
     )
+    return found, 0.5 * float(np.sum((root * (x - before)) ** 2))
 
 
 def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
@@ -167,7 +196,7 @@ def level(sets: Sequence[InSituSet], sphere: Sphere) -> tuple[InSituSet, ...]:
     """
     found = []
     for data in sets:
-        g = data.gravity - sphere.bias
+        g = (data.gravity - sphere.bias) * sphere.axes
         moved, places = add_turning(data)
         felt = _measure_turning(moved, np.arange(len(places))) @ sphere.arm
         added = np.stack([np.interp(np.arange(len(g)), places, one) for one in felt.T], axis=1)

@@ -156,7 +156,7 @@ def _assemble(
         channel_hysteresis=solution.shares if problem.channel_lags else None,
         data_share=known.share,
         accelerometer_bias=solved.sphere.bias,
-        accelerometer_scale=solved.sphere.scale,
+        accelerometer_scale=solved.sphere.scales,
         delay=solved.delay,
     )
 

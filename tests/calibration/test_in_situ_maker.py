@@ -199,6 +199,21 @@ def test_a_bias_is_found_with_and_without_a_gyroscope(moving):
     assert noise < 0.005
 
 
+@pytest.mark.parametrize("axes", [(1.0, 1.04, 1.0), (1.0, 1.0, 0.96)])
+def test_axes_of_the_accelerometer_that_differ_are_told_from_a_bias(axes):
+    rng = np.random.default_rng(93)
+    sets = [
+        replace(one, gravity=axes * (one.gravity + 0.005 * rng.standard_normal(one.gravity.shape)))
+        for one in noisy_sets("leg", rng)[0]
+    ]
+    sphere = fit_sphere(sets)
+    np.testing.assert_allclose(sphere.scales * axes, 1.0, atol=0.006)
+    assert np.abs(sphere.bias).max() < 0.1  # not the 1.1 of a fit without axes
+    (found,) = sphere.findings
+    assert "its scale is off by (" in found.reason
+    assert "bias" not in found.reason
+
+
 def test_an_acceleration_that_the_gyroscope_does_not_show_is_no_noise():
     rng = np.random.default_rng(92)
     still = moving_sets(rng, noise=1.0)[0]
