@@ -21,7 +21,6 @@ from surefoot.calibration.in_situ import (
     InSituTracker,
     KnownLimb,
     calibrate_in_situ,
-    plan_excitation,
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.config import Moment
@@ -71,7 +70,6 @@ __all__ = [
     "ground_reference",
     "nao_shoe_layout",
     "online_method",
-    "plan_excitation",
     "plan_foot_excitation",
     "posterior_bound",
     "register_method",

@@ -2,29 +2,17 @@
 
 * :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
 * :func:`read_calibration`: a fit that ``surefoot calibrate ft`` wrote.
-* :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, InSituTrackerConfig, KnownLimb
-from surefoot.calibration.in_situ.excitation import (
-    ExcitationPlan,
-    ExcitationPrior,
-    MassCandidate,
-    PlannedPose,
-    plan_excitation,
-    prior_from_factory,
-    prior_from_fit,
-)
 from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
 from surefoot.calibration.in_situ.paper import OffsetFit, PaperMatrixFit, estimate_matrix, estimate_offset
 from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker
 
 __all__ = [
-    "ExcitationPlan",
-    "ExcitationPrior",
     "InSituEstimate",
     "InSituFit",
     "InSituOptions",
@@ -33,16 +21,11 @@ __all__ = [
     "InSituTrackerConfig",
     "KnownLimb",
     "Limb",
-    "MassCandidate",
     "OffsetFit",
     "PaperMatrixFit",
-    "PlannedPose",
     "calibrate_in_situ",
     "estimate_matrix",
     "estimate_offset",
     "in_situ_tracker",
-    "plan_excitation",
-    "prior_from_factory",
-    "prior_from_fit",
     "read_calibration",
 ]
