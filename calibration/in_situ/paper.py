@@ -31,8 +31,8 @@ rank is judged by the readings' part that gravity explains, against the noise.
 **The weakness of the method**: the noise sits in the regressors r. Least squares then shrinks C and, with it,
 the limb's mass (errors in variables). With white noise of 0.3 % of each channel's spread, a leg of 4.9 kg
 under the paper's masses comes out at 3.8 kg while the semi-axes of its forces agree within 3 % and the added
-masses within 0.05 kg: neither check shows it. The covariance knows nothing of it, and more samples do not
-help. For work, fit where the noise is (:func:`~surefoot.calibration.in_situ.calibrate_in_situ`).
+masses within 0.05 kg: neither check shows it, and more samples do not help. So no covariance is given; for
+work, fit where the noise is (:func:`~surefoot.calibration.in_situ.calibrate_in_situ`).
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
@@ -49,13 +48,12 @@ from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.model import (
     AXES,
     ENOUGH_MASSES,
-    STATIC,
     different_masses,
     inertial_parameters,
     stack_equations,
     transform_basis,
 )
-from surefoot.calibration.results import CalibrationRefused, FitStats
+from surefoot.calibration.results import CalibrationRefused
 
 _EXACT = 1e-9
 """Readings that leave the three-space by less than this share of their spread leave it by rounding alone."""
@@ -73,10 +71,6 @@ class OffsetFit:
             (3, 3).
         affine_residual: Residual outside the three-space of Lemma 1 as a share of the readings' spread (root
             of the ratio of the squares), between 0 and 1.
-        covariance: Of the offset in counts^2, shape (k, k), from the scatter of the residuals; NaN for four
-            samples, which leave none. It takes the noise for white: the errors of filtered samples are
-            alike, and the true variance is larger by about the length of the filter.
-        stats: Of Eq. 13, with 12 unknowns; the residual is in counts over its 3 components.
     """
 
     offset: NDArray[np.float64]
@@ -84,8 +78,6 @@ class OffsetFit:
     mean: NDArray[np.float64]
     response: NDArray[np.float64]
     affine_residual: float
-    covariance: NDArray[np.float64]
-    stats: FitStats
 
     def coordinates(self, raw: ArrayLike) -> NDArray[np.float64]:
         """Return readings in the three-space, U1' (r - r_mean) (in-situ paper, Eq. 13, left; Fig. 5).
@@ -125,8 +117,7 @@ def estimate_offset(
     >>> estimate_offset(gravity @ response + 250.0, gravity).offset.round(6)
     array([250., 250., 250., 250., 250., 250.])
     """
-    r, g, dropped = _finite_rows(raw, gravity)
-    n, channels = r.shape
+    r, g = _finite_rows(raw, gravity)
     r_mean, g_mean = r.mean(axis=0), g.mean(axis=0)  # (9)
     factor = np.asarray(np.linalg.qr(np.column_stack([g - g_mean, r - r_mean]), mode="r"))
     g_factor, r_factor = factor[:, :3], factor[:, 3:]
@@ -144,47 +135,28 @@ def estimate_offset(
     K = np.linalg.solve(g_factor[:3], r_factor[:3] @ basis).T
     offset = r_mean - basis @ (K @ g_mean)  # (11) with lambda = -K g_mean
 
-    residual = r_factor - g_factor @ K.T @ basis.T
-    within = float(np.sum((residual @ basis) ** 2))
-    outside = float(np.sum(singular[3:] ** 2))
-    scatter = residual.T @ residual / (n - 4) if n > 4 else np.full((channels, channels), np.nan)
-    leverage = 1.0 / n + float(np.sum(np.linalg.solve(g_factor[:3].T, g_mean) ** 2))
     return OffsetFit(
         offset=offset,
         basis=basis,
         mean=r_mean,
         response=K,
-        affine_residual=float(np.sqrt(outside / np.sum(singular**2))),
-        # The tilt of U1 errs by as much as K does in the other directions, to first order.
-        covariance=leverage * scatter,
-        stats=_offset_stats(n, dropped, within, g_factor),
+        affine_residual=float(np.linalg.norm(singular[3:]) / np.linalg.norm(singular)),
     )
 
 
-def _finite_rows(raw: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix, int]:
-    """Return the samples that are finite, and how many are not."""
-    every_raw, every_gravity = _check_offset_arrays(raw, gravity)
-    finite = np.isfinite(np.hstack([every_raw, every_gravity])).all(axis=1)
-    dropped = int(np.sum(~finite))
+def _finite_rows(raw: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix]:
+    """Return the samples that are finite."""
+    r, g = np.asarray(raw, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
+    if r.ndim != 2 or r.shape[1] < 3:
+        raise ValueError(f"'raw' must have shape (n, k) with k >= 3, got {r.shape}.")
+    if g.shape != (len(r), 3):
+        raise ValueError(f"'gravity' must have shape ({len(r)}, 3) like 'raw', got {g.shape}.")
+    finite = np.isfinite(np.hstack([r, g])).all(axis=1)
     if not finite.any():
         raise CalibrationRefused(
-            f"None of the {dropped} samples was finite.", "Check the names and the units of the columns."
+            f"None of the {len(r)} samples was finite.", "Check the names and the units of the columns."
         )
-    return every_raw[finite], every_gravity[finite], dropped
-
-
-def _offset_stats(samples: int, dropped: int, square: float, g_factor: Matrix) -> FitStats:
-    """Return the statistics of an offset, for the sum of squares that gravity leaves along its dimensions."""
-    conditions = np.linalg.svd(g_factor, compute_uv=False)
-    return FitStats(
-        samples=samples,
-        dropped=dropped,
-        gated=0,
-        residual_rms=float(np.sqrt(square / (3 * samples))),
-        rank=12,
-        unknowns=12,
-        condition=float(conditions[0] / conditions[2]),
-    )
+    return r[finite], g[finite]
 
 
 def _check_reaction(singular: Matrix) -> None:
@@ -221,17 +193,6 @@ def _check_rank(
         )
 
 
-def _check_offset_arrays(
-    raw: ArrayLike, gravity: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r, g = np.asarray(raw, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
-    if r.ndim != 2 or r.shape[1] < 3:
-        raise ValueError(f"'raw' must have shape (n, k) with k >= 3, got {r.shape}.")
-    if g.shape != (len(r), 3):
-        raise ValueError(f"'gravity' must have shape ({len(r)}, 3) like 'raw', got {g.shape}.")
-    return r, g
-
-
 _SAME_MASS = 1e-9
 """Added masses that differ by less, in kg, are one."""
 
@@ -243,27 +204,10 @@ class PaperMatrixFit:
     Attributes:
         matrix: C in N and N m per count, shape (6, k).
         limb: The body beyond the sensor without the added masses.
-        covariance: Of (C row by row, the limb's mass, its first moment), shape (6 k + 4, 6 k + 4), from the
-            scatter of the residuals as if readings were free of noise: it does not know of the attenuation.
-        stats: Of Eq. 21 over all sets, with 40 unknowns; the residual adds N and N m up as the paper does.
     """
 
     matrix: Matrix
     limb: Limb
-    covariance: Matrix
-    stats: FitStats
-
-    def wrench(self, raw: ArrayLike, offset: ArrayLike) -> Matrix:
-        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2).
-
-        Args:
-            raw: Counts, shape (..., k).
-            offset: o in counts, shape (..., k).
-
-        Returns:
-            Wrench of the limb on the robot, at and in the sensor's frame, shape (..., 6).
-        """
-        return np.asarray((np.asarray(raw, dtype=np.float64) - np.asarray(offset)) @ self.matrix.T)
 
 
 def estimate_matrix(
@@ -300,30 +244,10 @@ def estimate_matrix(
     rows, target = _stack(sets, factors)
     rows, length = of_unit_length(rows)
     _check_rank(sets, factors, length, tolerance, noise)
-    left, singular, right = np.linalg.svd(rows, full_matrices=False)
-    back = right.T / singular / length[:, None]
-    solution = back @ (left.T @ target)
-    # Forces and torques share no unknown, and have each a variance of their own.
-    of_torque = np.concatenate([np.repeat([False, True], 3 * len(factor)) for factor in factors])
-    half = np.concatenate([np.repeat([0, 1], 3 * p), [0, 1, 1, 1]])
-    wrong = (target - rows @ (length * solution)) ** 2
-    square = np.array([np.sum(wrong[~of_torque]), np.sum(wrong[of_torque])])
-    free = 3 * samples - np.bincount(half)
-    std = np.sqrt(np.where(free > 0, square / np.maximum(free, 1), np.nan))[half]
-    root = block_diag(np.kron(np.eye(AXES), directions), np.eye(STATIC)) @ (std[:, None] * back)
+    solution = np.linalg.lstsq(rows, target, rcond=None)[0] / length
     return PaperMatrixFit(
         matrix=solution[: AXES * p].reshape(AXES, p) @ directions.T,
         limb=Limb(mass=float(solution[AXES * p]), mass_com=solution[AXES * p + 1 :]),
-        covariance=np.asarray(root @ root.T),
-        stats=FitStats(
-            samples=samples,
-            dropped=sum(len(one.raw) for one in sets) - samples,
-            gated=0,
-            residual_rms=float(np.sqrt(np.sum(square) / (AXES * samples))),
-            rank=len(length),
-            unknowns=len(length),
-            condition=float(singular[0] / singular[-1]),
-        ),
     )
 
 

@@ -16,7 +16,7 @@ from _in_situ import (
     random_gravity,
     with_arrays,
 )
-from _in_situ_stacked import estimate_matrix_stacked, estimate_offset_stacked, wrench_of_gravity
+from _in_situ_stacked import estimate_matrix_stacked, estimate_offset_stacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -36,9 +36,6 @@ def test_offset_and_matrix_are_exact_without_noise(sensor):
     np.testing.assert_allclose(fit.matrix / row_length, matrix / row_length, atol=1e-9)
     np.testing.assert_allclose(fit.limb.mass, mass, rtol=1e-9)
     np.testing.assert_allclose(fit.limb.com, com, atol=1e-9)
-    assert (fit.stats.rank, fit.stats.unknowns) == (40, 40)
-    wrench = sets[1].gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(0.703, sets[1].added_com)).T
-    np.testing.assert_allclose(fit.wrench(sets[1].raw, offset), wrench, atol=1e-8)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.01])
@@ -119,9 +116,6 @@ def test_turning_the_sensor_frame_turns_the_result(sensor):
     np.testing.assert_allclose(other.matrix, both @ fit.matrix, atol=1e-9 * np.abs(fit.matrix).max())
     np.testing.assert_allclose(other.limb.mass, fit.limb.mass, rtol=1e-9)
     np.testing.assert_allclose(other.limb.mass_com, R @ fit.limb.mass_com, rtol=1e-7)
-    np.testing.assert_allclose(
-        other.covariance[-3:, -3:], R @ fit.covariance[-3:, -3:] @ R.T, rtol=1e-6, atol=1e-12
-    )
 
 
 def test_an_unknown_rotation_and_scale_of_the_accelerometer_leave_the_offset():
@@ -147,12 +141,10 @@ def test_samples_that_are_not_finite_are_left_out_and_arguments_untouched():
     raw_before, gravity_before = raw.copy(), gravity.copy()
     fit, clean = estimate_offset(raw, gravity), estimate_offset(raw[kept], gravity[kept])
     np.testing.assert_array_equal(fit.offset, clean.offset)
-    assert (fit.stats.samples, fit.stats.dropped) == (len(raw) - 2, 2)
     holed = [sets[0], with_arrays(sets[1], raw, gravity), *sets[2:]]
     whole = [sets[0], with_arrays(sets[1], raw[kept], gravity[kept]), *sets[2:]]
     found = offsets_of(whole)
     np.testing.assert_array_equal(estimate_matrix(holed, found).matrix, estimate_matrix(whole, found).matrix)
-    assert estimate_matrix(holed, found).stats.dropped == 2
     np.testing.assert_array_equal(raw, raw_before)
     np.testing.assert_array_equal(gravity, gravity_before)
 
@@ -210,20 +202,44 @@ def test_more_channels_than_six_get_the_smallest_matrix():
     ]
     fit = estimate_matrix(sets, offsets_of(sets))
     np.testing.assert_allclose(fit.matrix, matrix, atol=1e-9 * np.abs(matrix).max())
-    assert fit.covariance.shape == (52, 52)
-    assert (fit.stats.rank, fit.stats.unknowns) == (40, 40)
 
 
 def test_a_quarter_of_a_million_samples_need_no_stack():
     sets, offset = paper_sets("foot", np.random.default_rng(19), n=30_000, noise=0.003)
     tracemalloc.start()
     try:
-        fit = estimate_matrix(sets * 2, np.tile(offset, (8, 1)))
+        estimate_matrix(sets * 2, np.tile(offset, (8, 1)))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert fit.stats.samples == 240_000
     assert peak < 20e6  # the stacked system has 460 MB
+
+
+# What the method gets wrong
+
+
+def test_noise_in_the_readings_shrinks_the_limb_and_more_samples_do_not_help():
+    masses = []
+    for samples in (1000, 8000):
+        sets, _ = paper_sets("leg", np.random.default_rng(10), n=samples, noise=0.01)
+        masses.append(estimate_matrix(sets, offsets_of(sets)).limb.mass)
+    assert max(masses) < 0.4 * 4.9
+    assert masses[1] == pytest.approx(masses[0], rel=0.2)
+    foot, _ = paper_sets("foot", np.random.default_rng(10), n=8000, noise=0.01)
+    assert 0.85 * 0.6 < estimate_matrix(foot, offsets_of(foot)).limb.mass < 0.97 * 0.6
+
+
+def test_neither_spheres_nor_added_masses_show_the_shrinking():
+    sets, _ = paper_sets("leg", np.random.default_rng(11), n=8000, noise=0.003)
+    found = offsets_of(sets)
+    fit = estimate_matrix(sets, found)
+    assert fit.limb.mass < 0.85 * 4.9
+    for one, offset, added in zip(sets, found, ADDED_MASS, strict=True):
+        force = (one.raw - offset) @ fit.matrix[:3].T
+        of_gravity = np.linalg.lstsq(one.gravity, force, rcond=None)[0]
+        axes = np.linalg.svd(of_gravity, compute_uv=False)
+        assert axes[0] / axes[2] < 1.04
+        assert np.trace(of_gravity) / 3.0 - fit.limb.mass == pytest.approx(added, abs=0.1)
 
 
 # A real foot
