@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.layout import FeetLayout, FootLayout
+from surefoot.calibration.results import Finding
 from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import save_tables

@@ -11,7 +11,7 @@ way is the same: **data** that the accelerometer's own errors are taken off
 (:mod:`~surefoot.calibration.in_situ.imu`), sets
 **compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
 likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
-in one place (:mod:`~surefoot.calibration.in_situ.findings`), and the answer. The paper's own regression is in
+in one place (:mod:`~surefoot.calibration.results`), and the answer. The paper's own regression is in
 :mod:`~surefoot.calibration.in_situ.paper`.
 """
 
@@ -47,7 +47,6 @@ from surefoot.calibration.in_situ.effects import (
     turns_slowly,
 )
 from surefoot.calibration.in_situ.factory import check_factory
-from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
@@ -55,7 +54,7 @@ from surefoot.calibration.in_situ.maker import AGED, KEPT, Leaning, lean, prior_
 from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
-from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 
 _DELAYS, _SETTLED = 6, 1e-4
 """Fits at most until the delay of an IMU has settled, and its last step in s."""

@@ -28,7 +28,6 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
 from surefoot.calibration.in_situ.compress import change_signals
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -49,6 +48,7 @@ from surefoot.calibration.in_situ.solve import (
     solve,
 )
 from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.results import Finding
 
 _THINNED = 2000
 """Samples of a set in which causes are looked for."""

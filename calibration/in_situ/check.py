@@ -12,10 +12,9 @@ from surefoot.calibration.imu.gravity_spread import gravity_spread
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import DIRECT
 from surefoot.calibration.reference import GRAVITY
-from surefoot.calibration.results import CalibrationRefused
+from surefoot.calibration.results import CalibrationRefused, Finding
 
 _UNITS = {
     1.0: "g (1 g = 9.80665 m/s^2)",

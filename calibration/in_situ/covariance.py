@@ -16,11 +16,11 @@ from surefoot.calibration.arrays import ROUNDING, skew, triangle
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import CREEPING, Law
 from surefoot.calibration.in_situ.solve import Solution
+from surefoot.calibration.results import Finding
 
 _BELIEVED = 4.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum."""

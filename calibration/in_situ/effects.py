@@ -41,7 +41,6 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.covariance import share_deviations
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
 from surefoot.calibration.in_situ.problem import CREEPING, Law, Problem
 from surefoot.calibration.in_situ.solve import (
@@ -51,6 +50,7 @@ from surefoot.calibration.in_situ.solve import (
     criterion,
     follow,
 )
+from surefoot.calibration.results import Finding
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
 """Half-widths of the plays, as shares of the largest amplitude."""

@@ -10,12 +10,12 @@ from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import Problem, weigh_limb
 from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.results import Finding
 
 _REACH = 0.1
 """Lever in m by which moments of masses that all hang at one place are judged."""

@@ -30,7 +30,6 @@ from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -46,6 +45,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.results import Finding
 
 _BIAS = 0.15
 """Deviation of a bias beforehand in m/s^2: sheets of MEMS sensors state 20 to 50 mg (BMI088, MPU-6050), and

@@ -10,7 +10,6 @@ from surefoot.calibration.arrays import of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import invert_response
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -25,7 +24,7 @@ from surefoot.calibration.in_situ.model import (
 from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
 from surefoot.calibration.in_situ.solve import Solution, expand
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
-from surefoot.calibration.results import CalibrationRefused
+from surefoot.calibration.results import CalibrationRefused, Finding
 
 _UNSEEN = 1e-7
 """A direction is unseen if its singular value, for columns of unit length, is this share of the largest."""

@@ -23,7 +23,6 @@ from surefoot.calibration.in_situ.covariance import (
 )
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Task, Vector
 from surefoot.calibration.in_situ.effects import shows_loops
-from surefoot.calibration.in_situ.findings import Finding
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
 from surefoot.calibration.in_situ.judge import (
@@ -38,7 +37,7 @@ from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_o
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Solution, solve
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, FitStats
 
 _MAKER = 0.02
 """Deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import linregress
 from scipy.stats import t as student
 
-from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.results import Finding
 from surefoot.experiments.force_torque.checks import RAILS
 from surefoot.experiments.instrument.noise import (
     FEWEST,

@@ -8,8 +8,7 @@ import numpy as np
 
 from surefoot.calibration import Parameters, Reference
 from surefoot.calibration.in_situ import KnownLimb, calibrate_in_situ
-from surefoot.calibration.in_situ.findings import Finding
-from surefoot.calibration.results import CalibrationRefused
+from surefoot.calibration.results import CalibrationRefused, Finding
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.instrument.channels import (
     ChannelFacts,

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration import CalibrationRefused
-from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.results import Finding, decide
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page

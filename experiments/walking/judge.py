@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surefoot.calibration import Parameters
-from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import (

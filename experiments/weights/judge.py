@@ -18,7 +18,7 @@ from scipy.stats import t as student
 from scipy.stats import theilslopes
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ.findings import Finding
+from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.checks import RAILS

@@ -9,9 +9,8 @@ from _in_situ import SENSORS, make_set, moving_sets, noisy_sets, swept_gravity
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.in_situ.findings import Finding, decide
 from surefoot.calibration.in_situ.imu import fit_sphere, level
-from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 
 FULL_SCALE = np.array([130.0, 130.0, 400.0, 10.0, 10.0, 10.0])
 COUNTED = np.ones(6)
