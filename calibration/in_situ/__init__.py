@@ -10,7 +10,7 @@ from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
 from surefoot.calibration.in_situ.paper import OffsetFit, PaperMatrixFit, estimate_matrix, estimate_offset
-from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker, in_situ_tracker
+from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker
 
 __all__ = [
     "InSituEstimate",
@@ -26,6 +26,5 @@ __all__ = [
     "calibrate_in_situ",
     "estimate_matrix",
     "estimate_offset",
-    "in_situ_tracker",
     "read_calibration",
 ]

@@ -1,4 +1,4 @@
-r"""Loads of the sensor, as a linear map of the IMU's signals, and a sensor's small errors.
+r"""Loads of the sensor, as a linear map of the IMU's signals.
 
 With f = g - a at the sensor's origin, the angular velocity :math:`\omega` and acceleration
 :math:`\dot\omega` of the limb, all in the sensor's frame, Newton and Euler give the wrench that the limb
@@ -12,29 +12,17 @@ which at rest is M(m, c) g (in-situ paper, Eqs. 3-5). It is linear in the signal
 :math:`u = (f, \dot\omega, \omega_i \omega_j)` and in the inertial parameters
 :math:`\varphi = (m, m c, I)`: :math:`w = T(\varphi) u` with :math:`T(\varphi) = \sum_p \varphi_p T_p`.
 At rest the first three signals and the first four parameters are left.
-
-About a calibration (A, o) and a limb :math:`\varphi`, with relative errors D of the response,
-:math:`\delta o` of the offset and :math:`\delta\varphi` of the limb, a reading in the air is to first order
-
-.. math:: r = A (1 + D)\, T(\varphi + \delta\varphi)\, u + o + \delta o + e
-            \approx A w + o + A D w + A\, T(\delta\varphi)\, u + \delta o + e, \qquad w = T(\varphi)\, u.
-
-Readings are whitened by their noise, :math:`W \Sigma W' = 1`, so that rows are independent and of variance
-one (:class:`LinearSensor`). For k > 6 channels D moves A within the space that it spans.
 """
 
 from collections.abc import Sequence
 from functools import cache
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from surefoot.calibration.arrays import Array, skew
+from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.data import InSituSet, Matrix
-from surefoot.calibration.reference import GRAVITY
 
 AXES = 6
 """Components of a wrench."""
@@ -59,10 +47,6 @@ ENOUGH_MASSES = 3
 
 _STEEL = 7850.0
 """Density of added masses in kg/m^3."""
-
-_NOISE_FLOOR = 1e-6
-"""Noise counts as at least this share of a channel's reading of the limb's weight: a simulation may have
-none."""
 
 
 def signals(data: InSituSet, moving: bool, stride: int = 1) -> Matrix:
@@ -183,66 +167,3 @@ def inertia_matrix(parameters: NDArray[np.float64]) -> Matrix:
     return np.asarray(
         sum(_symmetric(pair, value) for pair, value in zip(PAIRS, parameters[INERTIA], strict=True))
     )
-
-
-class LinearSensor:
-    """Rows of readings by the unknowns (D row by row, the limb's m and m c).
-
-    Args:
-        response: A in counts per N and N m, shape (k, 6).
-        noise: Covariance of a sample in counts^2, shape (k, k).
-        parameters: Inertial parameters of the load: (4,), or (10,) with its inertia.
-
-    Attributes:
-        whitening: W, shape (k, k).
-        response: A, shape (k, 6).
-        inertia: Whether the limb's inertia is known, so that it may move.
-    """
-
-    def __init__(self, response: Matrix, noise: Matrix, parameters: NDArray[np.float64]) -> None:
-        self.response = response
-        self.inertia = len(parameters) > STATIC
-        weight = np.einsum("p,pws->ws", parameters[:STATIC], transform_basis(False)) * GRAVITY
-        floor = _NOISE_FLOOR * np.linalg.norm(response @ weight, axis=1)
-        self.whitening = np.linalg.inv(np.linalg.cholesky(noise + np.diag(floor**2)))
-        self._maps = [
-            SimpleNamespace(
-                transform=np.einsum("p,pws->ws", parameters[: len(basis)], basis),
-                basis=np.moveaxis(basis[:STATIC], 0, 1).copy(),
-                whitened=self.whitening @ response,
-            )
-            for basis in (transform_basis(False), transform_basis(True))[: 1 + self.inertia]
-        ]
-
-    def wrench(self, signals: Array) -> Array:
-        """Return w = T u, shape (..., 6), from u, (..., 3) at rest and (..., 12) moving."""
-        return (self._constants(signals).transform @ signals[..., None])[..., 0]
-
-    def rows(self, signals: Array) -> Array:
-        """Return whitened rows by (D, m, m c), shape (..., k, 40)."""
-        known = self._constants(signals)
-        w = self.wrench(signals)
-        relative = known.whitened[..., :, None] * w[..., None, None, :]
-        relative = relative.reshape(*w.shape[:-1], known.whitened.shape[0], RELATIVE_ERRORS)
-        # (6, 4, s) by u: the wrench of a kilogram and of a kilogram metre.
-        limb = (known.basis @ signals[..., None, :, None])[..., 0]
-        return np.concatenate([relative, known.whitened @ limb], axis=-1)
-
-    def _constants(self, signals: Array) -> Any:
-        moving = signals.shape[-1] > DIRECT.stop
-        return self._maps[int(moving)]
-
-
-def offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:
-    """Return the covariance in counts^2 of an offset that shows as a force and a torque, shape (k, k).
-
-    Args:
-        response: A in counts per N and N m, shape (k, 6).
-        force: Standard deviation along each axis in N.
-        torque: The same for torques in N m.
-    """
-    image = response * np.repeat([force, torque], 3)
-    inside = image @ image.T
-    # Readings of redundant channels beyond any wrench move as much as the rest, on average.
-    beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
-    return np.asarray(inside + beyond @ beyond.T * np.trace(inside) / AXES)

@@ -16,7 +16,6 @@ acts: nothing is learnt, and the variance of the drift grows. An offset that has
 :meth:`InSituTracker.doubt` allows for that.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,16 +25,14 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.in_situ.covariance import UNIFORM
-from surefoot.calibration.in_situ.data import InSituTrackerConfig
+from surefoot.calibration.in_situ.data import InSituTrackerConfig, Matrix
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
     PAIRS,
     STATIC,
-    LinearSensor,
     inertial_parameters,
-    offset_covariance,
     transform_basis,
 )
 from surefoot.calibration.reference import GRAVITY
@@ -51,6 +48,10 @@ _LONGEST_PAUSE = 3600.0
 
 _LIGHTEST, _HEAVIEST = 1.0, 100.0
 """Size of g - a in m/s^2 below and above which it is not that of a limb."""
+
+_NOISE_FLOOR = 1e-6
+"""Noise counts as at least this share of a channel's reading of the limb's weight: a simulation may have
+none."""
 
 _FASTEST = 1e3
 """Angular velocity in rad/s that no limb reaches; its square, an acceleration in rad/s^2."""
@@ -100,25 +101,8 @@ class InSituState(NamedTuple):
     middle: Array
 
 
-class InSituMethod(NamedTuple):
-    """``init(raw) -> state`` and ``update(state, raw, gravity, dt, **motion) -> (state, estimate)``."""
-
-    init: Callable[[Array], Any]
-    update: Callable[..., tuple[Any, InSituEstimate]]
-
-
-def in_situ_tracker(fit: InSituFit, config: InSituTrackerConfig | None = None) -> InSituMethod:
-    """Return a tracker as a pair of pure functions.
-
-    Raises:
-        ValueError: If the fit, the calibration to begin from, was refused.
-    """
-    stream = _Stream(fit, config or InSituTrackerConfig())
-    return InSituMethod(stream.init, stream.update)
-
-
 class InSituTracker:
-    """A tracker of one sensor, or of a batch, with the state of :func:`in_situ_tracker` inside.
+    """A tracker of one sensor, or of a batch, with a state; :meth:`init` and :meth:`step` have none.
 
     Args:
         fit: The calibration to begin from.
@@ -133,9 +117,36 @@ class InSituTracker:
     """
 
     def __init__(self, fit: InSituFit, **options: Any) -> None:
-        self.config = InSituTrackerConfig(**options)
-        self._stream = _Stream(fit, self.config)
+        check_calibrated(fit, "The tracker")
+        self.config = config = InSituTrackerConfig(**options)
         self.state: Any = None
+        self.channels = channels = len(fit.offset)
+        self._lag = lag = slice(channels, channels + AXES)
+        self._size = size = lag.stop
+        limb = fit.limb.parameters
+        added_com = np.asarray(config.added_com, dtype=np.float64)
+        limb = limb + inertial_parameters(config.added_mass, added_com, len(limb) > STATIC)
+        bases = [transform_basis(moving) for moving in (False, True)[: 1 + (len(limb) > STATIC)]]
+        maps = [np.einsum("p,pws->ws", limb[: len(basis)], basis) for basis in bases]
+        self._transforms = {T.shape[1]: T for T in maps}  # T of w = T u, by the number of signals
+        weight = maps[0] * GRAVITY
+        floor = _NOISE_FLOOR * np.linalg.norm(fit.response @ weight, axis=1)
+        self._white = np.linalg.inv(np.linalg.cholesky(fit.noise + np.diag(floor**2)))  # W Sigma W' = 1
+        errors, to = error_covariance(fit), ErrorColumns.of(channels)
+        self._errors = errors[to.response.start :, to.response.start :]  # of (D, limb), (40, 40)
+        self._offset, self._matrix, self._response = fit.offset, fit.matrix, fit.response
+        self._turning = self._errors_of_turning(fit, weight)
+        covariance = np.zeros((size, size))
+        covariance[:channels, :channels] = errors[to.offset, to.offset]
+        covariance[lag, lag] = self._turning
+        covariance += self._jump(config.since_fit_force, config.since_fit_torque)
+        self._covariance = covariance  # before the first sample, (N, N)
+        self._drift = self._jump(config.drift_force, config.drift_torque)  # growth in a second, (N, N)
+        self._kept = 0.0 if fit.offset_doubt is None else fit.offset_doubt
+        self._whitened = self._white @ fit.response  # W A, (k, 6)
+        self._unwhiten = fit.matrix @ np.linalg.inv(self._white)  # C W^-1, (6, k)
+        # Wrench below which an innovation is the sensor's, (6,).
+        self._touch = config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3)
 
     def update(
         self,
@@ -164,8 +175,8 @@ class InSituTracker:
             ValueError: If a shape does not fit, or motion is given for a limb without inertia.
         """
         raw = _array(raw)
-        state = self._stream.init(raw) if self.state is None else self.state
-        self.state, estimate = self._stream.update(
+        state = self.init(raw) if self.state is None else self.state
+        self.state, estimate = self.step(
             state,
             raw,
             _array(gravity),
@@ -188,51 +199,16 @@ class InSituTracker:
         """
         if self.state is None:
             raise RuntimeError("There is nothing to doubt before the first update().")
-        self.state = self._stream.doubt(self.state, force, torque)
+        self.state = self.state._replace(covariance=self.state.covariance + self._jump(force, torque))
 
     def reset(self) -> None:
         """Go back to the calibration."""
         self.state = None
 
-
-def _array(values: ArrayLike) -> NDArray[np.float64]:
-    return np.asarray(values, dtype=np.float64)
-
-
-class _Stream:
-    """The tracker for one calibration: ``init`` and ``update`` are pure functions that share constants."""
-
-    def __init__(self, fit: InSituFit, config: InSituTrackerConfig) -> None:
-        check_calibrated(fit, "The tracker")
-        self.config = config
-        self.channels = channels = len(fit.offset)
-        self._lag = lag = slice(channels, channels + AXES)
-        self._size = size = lag.stop
-        limb = fit.limb.parameters
-        added_com = np.asarray(config.added_com, dtype=np.float64)
-        limb = limb + inertial_parameters(config.added_mass, added_com, len(limb) > STATIC)
-        self.sensor = sensor = LinearSensor(fit.response, fit.noise, limb)
-        weight = np.einsum("p,pws->ws", limb[:STATIC], transform_basis(False)) * GRAVITY
-        errors, to = error_covariance(fit), ErrorColumns.of(channels)
-        self._errors = errors[to.response.start :, to.response.start :]  # of (D, limb), (40, 40)
-        self._turning = _errors_of_turning(fit, config.lag, sensor, weight)
-        covariance = np.zeros((size, size))
-        covariance[:channels, :channels] = errors[to.offset, to.offset]
-        covariance[lag, lag] = self._turning
-        covariance += self._jump(config.since_fit_force, config.since_fit_torque)
-        self._covariance = covariance  # before the first sample, (N, N)
-        self._drift = self._jump(config.drift_force, config.drift_torque)  # growth in a second, (N, N)
-        self._offset, self._matrix = fit.offset, fit.matrix
-        self._kept = 0.0 if fit.offset_doubt is None else fit.offset_doubt
-        self._whitened = sensor.whitening @ fit.response  # W A, (k, 6)
-        self._unwhiten = fit.matrix @ np.linalg.inv(sensor.whitening)  # C W^-1, (6, k)
-        # Wrench below which an innovation is the sensor's, (6,).
-        self._touch = config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3)
-
     def _jump(self, force: float, torque: float) -> NDArray[np.float64]:
         """Return the covariance of all unknowns by a leap of the offset, shape (N, N)."""
         more = np.zeros((self._size, self._size))
-        more[: self.channels, : self.channels] = offset_covariance(self.sensor.response, force, torque)
+        more[: self.channels, : self.channels] = _offset_covariance(self._response, force, torque)
         return more
 
     def init(self, raw: Array) -> InSituState:
@@ -247,11 +223,7 @@ class _Stream:
             middle=np.zeros((*batch, DIRECT.stop)),
         )
 
-    def doubt(self, state: InSituState, force: float, torque: float) -> InSituState:
-        """Return a state that allows a leap of the offset, of that deviation in N and N m."""
-        return state._replace(covariance=state.covariance + self._jump(force, torque))
-
-    def update(
+    def step(
         self,
         state: InSituState,
         raw: Array,
@@ -262,9 +234,9 @@ class _Stream:
         angular_acceleration: Array | None = None,
         in_air: bool | Array = True,
     ) -> tuple[InSituState, InSituEstimate]:
-        """Return the state after a sample, and the estimate; see :meth:`InSituTracker.update`."""
-        sensor, white = self.sensor, self.sensor.whitening
-        u = _signals_of(raw, gravity, angular_velocity, angular_acceleration, state.raw, sensor.inertia)
+        """Return the state after a sample, and the estimate; see :meth:`update`."""
+        white, inertia = self._white, len(self._transforms) > 1
+        u = _signals_of(raw, gravity, angular_velocity, angular_acceleration, state.raw, inertia)
         flags, ready, physical, passed = _flags_of(raw, u, dt, self.config.code_range)
         u = np.where(physical[..., None], u, 0.0)
         state = state._replace(raw=np.where(np.isfinite(raw), raw, state.raw))
@@ -273,7 +245,7 @@ class _Stream:
             state, u[..., DIRECT], physical, aloft, min(dt, _LONGEST_PAUSE) if passed else 0.0
         )
 
-        expected = (self._whitened @ sensor.wrench(u)[..., None])[..., 0]
+        expected = (self._whitened @ self._transforms[u.shape[-1]] @ u[..., None])[..., 0]
         innovation = (white @ (state.raw - self._offset)[..., None])[..., 0] - expected
         H = np.concatenate([white, self._whitened], axis=1)
         innovation = innovation - (H @ state.mean[..., None])[..., 0]
@@ -324,7 +296,7 @@ class _Stream:
         J = np.concatenate([self._matrix, np.eye(AXES)], axis=1)
         variance = ((J @ state.covariance) * J).sum(axis=-1)
         # Errors of matrix and limb at the mean load, which the offset takes in.
-        rows = np.linalg.solve(self.sensor.whitening, self.sensor.rows(state.middle))
+        rows = self._slopes(state.middle)
         kept = self._kept + rows @ self._errors @ rows.mT
         covariance = state.covariance[..., : self.channels, : self.channels] + kept
         return InSituEstimate(
@@ -338,24 +310,40 @@ class _Stream:
             flags=flags,
         )
 
+    def _slopes(self, gravity: Array) -> Array:
+        """Return slopes of readings by (D row by row, m, m c), shape (..., k, 40), of g, shape (..., 3)."""
+        w = (self._transforms[3] @ gravity[..., None])[..., 0]
+        relative = self._response[:, :, None] * w[..., None, None, :]
+        limb = np.moveaxis(transform_basis(False), 0, 1) @ gravity[..., None, :, None]
+        parts = (relative.reshape(*w.shape[:-1], self.channels, -1), self._response @ limb[..., 0])
+        return np.concatenate(parts, axis=-1)
 
-def _errors_of_turning(
-    fit: InSituFit, lag: float | None, sensor: LinearSensor, weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the covariance of h, shape (6, 6), over all directions of gravity.
+    def _errors_of_turning(self, fit: InSituFit, weight: Matrix) -> Matrix:
+        """Return the covariance of h, shape (6, 6), over all directions of gravity.
 
-    Anywhere in the loop, and the weight's error by the fit's covariance of matrix and limb.
-    """
-    to = ErrorColumns.of(len(fit.offset))
-    errors = error_covariance(fit)[to.response.start :, to.response.start :]
-    rows = np.linalg.pinv(sensor.whitening @ fit.response) @ sensor.rows(GRAVITY * np.eye(3))
-    covariance = np.mean(rows @ errors @ rows.mT, axis=0)
-    if lag is None and fit.channel_hysteresis is not None:
-        width = fit.channel_hysteresis * np.linalg.norm(fit.response @ weight, axis=1)
-        return np.asarray(covariance + (fit.matrix * (UNIFORM * width) ** 2) @ fit.matrix.T)
-    share = fit.hysteresis if lag is None else lag
-    width = np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
-    return np.asarray(covariance + np.diag((UNIFORM * width) ** 2))
+        Anywhere in the loop, and the weight's error by the fit's covariance of matrix and limb.
+        """
+        rows = np.linalg.pinv(self._white @ fit.response) @ self._white @ self._slopes(GRAVITY * np.eye(3))
+        covariance, lag = np.mean(rows @ self._errors @ rows.mT, axis=0), self.config.lag
+        if lag is None and fit.channel_hysteresis is not None:
+            width = fit.channel_hysteresis * np.linalg.norm(fit.response @ weight, axis=1)
+            return np.asarray(covariance + (fit.matrix * (UNIFORM * width) ** 2) @ fit.matrix.T)
+        share = fit.hysteresis if lag is None else lag
+        width = np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
+        return np.asarray(covariance + np.diag((UNIFORM * width) ** 2))
+
+
+def _array(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:
+    """Return the covariance in counts^2 of an offset that shows as a force and a torque, shape (k, k)."""
+    image = response * np.repeat([force, torque], 3)
+    inside = image @ image.T
+    # Readings of redundant channels beyond any wrench move as much as the rest, on average.
+    beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
+    return np.asarray(inside + beyond @ beyond.T * np.trace(inside) / AXES)
 
 
 def _signals_of(

@@ -16,7 +16,7 @@ from _tracked import (
 )
 
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.in_situ import InSituTracker, InSituTrackerConfig, Limb, in_situ_tracker
+from surefoot.calibration.in_situ import InSituTracker, InSituTrackerConfig, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 DOWN = np.array([0.0, 0.0, 9.81])
@@ -226,11 +226,11 @@ def stream(batch, steps=12):
     raw[4, ..., 1] = np.nan
     gravity = np.broadcast_to(swept_gravity(steps)[(slice(None), *(None,) * len(batch))], (steps, *batch, 3))
     air = rng.random((steps, *batch)) > 0.2
-    init, update = in_situ_tracker(make_fit(), InSituTrackerConfig(lag=0.01))
+    tracker = InSituTracker(make_fit(), lag=0.01)
     state, answers = None, []
     for r, g, a in zip(raw, gravity, air, strict=True):
-        state = init(r) if state is None else state
-        state, estimate = update(state, r, g, 0.1, in_air=a)
+        state = tracker.init(r) if state is None else state
+        state, estimate = tracker.step(state, r, g, 0.1, in_air=a)
         answers.append(estimate)
     return answers
 
@@ -239,22 +239,22 @@ def test_a_batch_is_a_loop():
     together = stream((2, 3))
     assert together[-1].covariance.shape == (2, 3, 6, 6)
     assert stream(())[-1].wrench.shape == (6,)
-    init, update = in_situ_tracker(make_fit())
+    tracker = InSituTracker(make_fit())
     raw = RESPONSE @ WEIGHT + OFFSET + np.arange(12.0).reshape(2, 6)
-    _, both = update(init(raw), raw, np.stack([DOWN, DOWN]), 0.1)
+    _, both = tracker.step(tracker.init(raw), raw, np.stack([DOWN, DOWN]), 0.1)
     for i in range(2):
-        _, one = update(init(raw[i]), raw[i], DOWN, 0.1)
+        _, one = tracker.step(tracker.init(raw[i]), raw[i], DOWN, 0.1)
         np.testing.assert_allclose(both.offset[i], one.offset, rtol=1e-12)
         np.testing.assert_allclose(both.covariance[i], one.covariance, rtol=1e-9, atol=1e-12)
 
 
 def test_arguments_are_left_alone_and_the_state_is_a_value():
-    init, update = in_situ_tracker(make_fit())
+    tracker = InSituTracker(make_fit())
     raw, gravity = RESPONSE @ WEIGHT + OFFSET + 3.0, DOWN.copy()
     kept = raw.copy()
-    state = init(raw)
-    _, first = update(state, raw, gravity, 0.1)
-    _, again = update(state, raw, gravity, 0.1)
+    state = tracker.init(raw)
+    _, first = tracker.step(state, raw, gravity, 0.1)
+    _, again = tracker.step(state, raw, gravity, 0.1)
     np.testing.assert_array_equal(raw, kept)
     np.testing.assert_array_equal(first.offset, again.offset)
 
