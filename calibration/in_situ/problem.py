@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import of_unit_length
+from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Task, Vector
 from surefoot.calibration.in_situ.model import (
@@ -260,7 +261,10 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
     """
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:
-        found.append(_pad(problem, weigh_limb(factory, problem, np.eye(3))))
+        shown = weigh_limb(factory, problem, np.eye(3))
+        # Where a matrix in other units shows a limb, no rank can be told.
+        if np.linalg.norm(shown[MOMENT]) < limits.FARTHEST * abs(shown[MASS]):
+            found.append(_pad(problem, shown))
     largest = float(np.max(problem.added[:, MASS]))
     if largest > 0.0:
         # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at

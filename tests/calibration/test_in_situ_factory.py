@@ -9,6 +9,10 @@ from _in_situ_leg import COM, FREE, LIMB, MASS, MATRIX, RESPONSE, leg_sets
 from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ import InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.compress import compress
+from surefoot.calibration.in_situ.data import Task
+from surefoot.calibration.in_situ.judge import data_rank
+from surefoot.calibration.in_situ.problem import problem_of, starts
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])
@@ -30,6 +34,15 @@ TRANSFORMS = {
 def test_a_factory_matrix_that_is_read_wrongly_is_named(change, words):
     with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
         calibrate_in_situ(leg_sets(), factory_matrix=change(MATRIX))
+
+
+def test_rank_is_judged_at_a_limb_that_may_be():
+    """In N mm a matrix that has aged shows a limb of some hundred metres, at which one unknown is open."""
+    aged = (np.eye(6) + 0.05 * np.random.default_rng(94).standard_normal((6, 6))) @ MATRIX
+    task = Task(tuple(leg_sets()), np.concatenate([aged[:3], 1e3 * aged[3:]]))
+    parts = compress(task.sets, task.options, moving=False, temperature=False)
+    problem = problem_of(task, parts, temperature=False)
+    assert data_rank(problem, starts(problem, task.factory, None)[0]).missing == 0
 
 
 @pytest.mark.parametrize(
