@@ -33,7 +33,7 @@ from surefoot.calibration.in_situ import (
     calibrate_in_situ,
     estimate_offset,
 )
-from surefoot.experiments.force_torque.validation import semi_axes
+from surefoot.experiments.force_torque.validation import force_ellipsoid
 
 Floats = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def gamma_on_arm(folder: Path) -> pd.DataFrame:
                 "gravity from": name,
                 "III-B N": float(np.linalg.norm((found.offset - reference)[:3])),
                 "in situ N": float(np.linalg.norm((fit.offset - reference)[:3])),
-                "semi-axes N": semi_axes(wrench[:, :3], gravity).round(2).tolist(),
+                "semi-axes N": force_ellipsoid(wrench[:, :3], gravity).semi_axes.round(2).tolist(),
                 "limb kg": fit.limb.mass,
                 "unseen direction N": _predict(wrench, gravity, direction),
                 "refused": refusal_of(fit),

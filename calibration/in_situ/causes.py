@@ -33,6 +33,7 @@ from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
     ENOUGH_MASSES,
+    LEAST_LEVER,
     MASS,
     MOMENT,
     STATIC,
@@ -78,9 +79,6 @@ _ROUNDING = 1e-9
 """Share of the largest mixture of channels at or below which another is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
-
-_LEAST_LEVER = 0.1
-"""In m."""
 
 _AS_GOOD = 0.1
 """Share by which two costs may differ that are alike."""
@@ -198,7 +196,7 @@ def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
 def _measure_move(one: Solution, other: Solution) -> float:
     """Return how far two fits disagree on contact loads, as a share; torques count by the limb's lever."""
     mass, *moment = one.limb[:STATIC]
-    lever = max(float(np.linalg.norm(moment)) / max(abs(mass), _TINY), _LEAST_LEVER)
+    lever = max(float(np.linalg.norm(moment)) / max(abs(mass), _TINY), LEAST_LEVER)
     size = np.repeat([1.0, lever], 3)
     apart = (np.linalg.pinv(one.A) @ other.A - np.eye(AXES)) / size[:, None] * size
     return float(np.linalg.norm(apart) / np.sqrt(AXES))

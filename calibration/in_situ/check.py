@@ -1,6 +1,6 @@
 """Checks of single sets: before the fit, of unusable data; after it, of limbs that are not rigid."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -43,7 +43,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) ->
     Raises:
         CalibrationRefused: If a set has no samples to speak of.
     """
-    found, factors, samples, sizes = _check_copies(sets), [], 0, []
+    found, factors, samples, sizes = list(_check_copies(sets)), [], 0, []
     for data in sets:
         whole = np.asarray(np.isfinite(data.raw).all(axis=1))
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
@@ -79,19 +79,18 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) ->
     return [*found, Finding("gravity's turning", reason, cure, spread[2], limits.TILT, refuses=not leaning)]
 
 
-def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
-    """Return which sets and channels hold the readings of another, and samples that repeat the one before."""
-    found = []
+def _check_copies(sets: Sequence[InSituSet]) -> Iterator[Finding]:
+    """Yield which sets and channels hold the readings of another, and samples that repeat the one before."""
     for one, other in combinations(sets, 2):
         rows = min(len(one.raw), len(other.raw))
         if one is not other and rows and np.array_equal(one.raw[:rows], other.raw[:rows], equal_nan=True):
             reason = f"'{one.name}' and '{other.name}' hold the same readings: one is a copy."
-            found.append(Finding("copied set", reason, "Take the set's own file, or leave it out."))
+            yield Finding("copied set", reason, "Take the set's own file, or leave it out.")
     alike = [data.raw for data in sets if data.channels == sets[0].channels]
     for a, b in combinations(range(sets[0].channels), 2):
         if all(np.array_equal(raw[:, a], raw[:, b], equal_nan=True) for raw in alike):
             reason = f"Channels {a} and {b} hold the same readings: one is a copy of the other."
-            found.append(Finding("copied channel", reason, "Check the names of the columns and the wiring."))
+            yield Finding("copied channel", reason, "Check the names of the columns and the wiring.")
     for data in sets:
         if (share := measure_repeated(data)) > limits.REPEATED:
             reason = (
@@ -99,7 +98,7 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
                 "driver is slower than the log, or hangs."
             )
             cure = "Log each sample of the sensor once, at the time at which it was read."
-            found.append(Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False))
+            yield Finding("repeated", reason, cure, share, limits.REPEATED, refuses=False)
     spread = max(_measure_variance(data.raw) for data in sets)
     for data in sets:
         moved, leads = _measure_held(data, spread)
@@ -110,8 +109,7 @@ def _check_copies(sets: Sequence[InSituSet]) -> list[Finding]:
                 "their spread: the accelerometer stands still, or is slower than the log."
             )
             cure = "Log the IMU as often as the sensor."
-            found.append(Finding("held gravity", reason, cure, moved, limit))
-    return found
+            yield Finding("held gravity", reason, cure, moved, limit)
 
 
 def measure_repeated(data: InSituSet) -> float:
@@ -155,15 +153,14 @@ def _measure_held(data: InSituSet, spread: float) -> tuple[float, bool]:
     return float(np.sqrt(moved / max(spread, np.finfo(float).tiny))), leads
 
 
-def _check_idle(sets: Sequence[InSituSet]) -> list[Finding]:
-    """Return which channels read noise alone, by the n R^2 of gravity in all sets."""
-    found, limit = [], float(chdtri(3 * len(sets), _CHANCE))
+def _check_idle(sets: Sequence[InSituSet]) -> Iterator[Finding]:
+    """Yield which channels read noise alone, by the n R^2 of gravity in all sets."""
+    limit = float(chdtri(3 * len(sets), _CHANCE))
     for channel in range(sets[0].channels):
         follows = sum(_follows_gravity(data, channel) for data in sets)
         if follows < limit < sum(len(data.raw) for data in sets) / 2:
             reason = f"Channel {channel} does not follow gravity in any set: it reads noise alone."
-            found.append(Finding("idle channel", reason, "Check its gauge and its cable.", follows, limit))
-    return found
+            yield Finding("idle channel", reason, "Check its gauge and its cable.", follows, limit)
 
 
 def _follows_gravity(data: InSituSet, channel: int) -> float:
@@ -177,15 +174,14 @@ def _follows_gravity(data: InSituSet, channel: int) -> float:
     )
 
 
-def _check_added(data: InSituSet) -> list[Finding]:
-    """Return a finding if nobody hangs such a mass, or at such a place, on a limb."""
-    found = []
+def _check_added(data: InSituSet) -> Iterator[Finding]:
+    """Yield a finding if nobody hangs such a mass, or at such a place, on a limb."""
     if data.added_mass > limits.HEAVIEST:
         reason = (
             f"'{data.name}': {data.added_mass:g} kg were added, and no limb bears that: the mass is likely "
             "in grams."
         )
-        found.append(Finding("mass", reason, "Give masses in kg.", data.added_mass, limits.HEAVIEST))
+        yield Finding("mass", reason, "Give masses in kg.", data.added_mass, limits.HEAVIEST)
     reach = float(np.linalg.norm(data.added_com)) * (data.added_mass > 0.0)
     if reach > limits.FARTHEST:
         reason = (
@@ -193,8 +189,7 @@ def _check_added(data: InSituSet) -> list[Finding]:
             "mm, cm or inches."
         )
         cure = "Give places in m, in the sensor's frame."
-        found.append(Finding("place", reason, cure, reach, limits.FARTHEST))
-    return found
+        yield Finding("place", reason, cure, reach, limits.FARTHEST)
 
 
 def _check_length(data: InSituSet, length: float, spread: float) -> list[Finding]:
@@ -216,16 +211,15 @@ def _check_length(data: InSituSet, length: float, spread: float) -> list[Finding
     return [Finding("length of gravity", reason, cure, length)]
 
 
-def _check_channels(data: InSituSet, options: InSituOptions) -> list[Finding]:
-    """Return which channels are dead, saturated or clipped."""
-    found = []
+def _check_channels(data: InSituSet, options: InSituOptions) -> Iterator[Finding]:
+    """Yield which channels are dead, saturated or clipped."""
     lowest, highest = np.nanmin(data.raw, axis=0), np.nanmax(data.raw, axis=0)
     for channel, counts in enumerate(data.raw.T):
         at = f"'{data.name}': channel {channel}"
         if lowest[channel] == highest[channel]:
             reason = f"{at} reads {lowest[channel]:g} throughout."
             cure = "Check its wiring and that the sensor was switched on."
-            found.append(Finding("dead channel", reason, cure))
+            yield Finding("dead channel", reason, cure)
         if options.code_range is not None:
             low, high = options.code_range
             stuck = float(np.mean(((counts <= low) | (counts >= high))[np.isfinite(counts)]))
@@ -236,11 +230,10 @@ def _check_channels(data: InSituSet, options: InSituOptions) -> list[Finding]:
                 cure = (
                     "Take the load off or set the hardware's offset again: a clipped reading shows nothing."
                 )
-                found.append(Finding("saturation", reason, cure, stuck, limits.SATURATED))
-        found += _check_ends(data, f"channel {channel}", counts, data.gravity)
+                yield Finding("saturation", reason, cure, stuck, limits.SATURATED)
+        yield from _check_ends(data, f"channel {channel}", counts, data.gravity)
     for axis, values in zip("xyz", data.gravity.T, strict=True):
-        found += _check_ends(data, f"axis {axis} of the accelerometer", values, data.raw)
-    return found
+        yield from _check_ends(data, f"axis {axis} of the accelerometer", values, data.raw)
 
 
 def _check_ends(

@@ -17,7 +17,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.fit import FitColumns
-from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import CREEPING, Law
 from surefoot.calibration.in_situ.solve import Solution
 from surefoot.calibration.results import Finding
@@ -240,9 +240,6 @@ def output_derivatives(solution: Solution) -> Matrix:
 _UNKNOWN = 1e3
 """Prior deviation of an unknown, as a multiple of its size."""
 
-_REACH = 0.1
-"""Lever in m by which first moments are judged at least."""
-
 
 class DataShare(NamedTuple):
     """Share of a fit that the data determine.
@@ -294,7 +291,7 @@ def _sizes(solution: Solution) -> Vector:
     white = problem.whitening @ solution.response
     columns = np.sqrt(np.mean(white**2, axis=0))
     mass = abs(float(solution.limb[MASS]))
-    reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), _REACH)
+    reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), LEAST_LEVER)
     limb = np.ones(problem.outer)
     limb[: problem.of_loads.start] = mass * reach**2
     limb[MASS], limb[MOMENT] = mass, mass * reach

@@ -11,17 +11,11 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
-from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.problem import Problem, weigh_limb
 from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
-
-_REACH = 0.1
-"""Lever in m by which moments of masses that all hang at one place are judged."""
-
-_NO_LOAD = 1e-300
-"""Stands for a load of zero in a quotient."""
 
 _TRIED = 4
 """Ways of each kind, those that miss least, that are fitted."""
@@ -54,7 +48,7 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
     levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
-    lever = max(float(np.max(levers, initial=0.0)), _REACH)
+    lever = max(float(np.max(levers, initial=0.0)), LEAST_LEVER)
     weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
 
     def miss(matrix: Matrix) -> float:
@@ -188,7 +182,7 @@ def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
 def _other_entries(factory: Matrix, measured: Matrix, expected: Matrix) -> Iterator[tuple[str, Matrix]]:
     """Yield the matrix with another value in each entry that could be misprinted, and that, in words."""
     wrong = expected - factory @ measured
-    steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
+    steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), np.finfo(float).tiny)
     largest = np.max(np.abs(factory), axis=1, keepdims=True)
     for row, column in np.argwhere(np.abs(steps) >= limits.MISPRINT * largest):
         matrix = factory.copy()

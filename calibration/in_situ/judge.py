@@ -1,6 +1,6 @@
 """Checks between sets and of the answer: rank of the data, contradictions, absurd values."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from surefoot.calibration.in_situ.model import (
     DIRECT,
     ENOUGH_MASSES,
     INERTIA,
+    LEAST_LEVER,
     MASS,
     MOMENT,
     STATIC,
@@ -46,18 +47,12 @@ _PLACES = (
     "matrix to lean on."
 )
 
-_NO_LOAD = 1e-300
-"""Stands for a load of zero in a quotient."""
-
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
 
 
 _CHANCE = 0.01
 """Probability at which noise alone may strain a fit: masses must be off besides."""
-
-_REACH = 0.1
-"""Lever in m by which moments of masses that all hang at one place are judged."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +158,8 @@ def check_scale(fit: InSituFit, heaviest: float, owner: str) -> list[Finding]:
     return [Finding("scale", reason, cure, share, limits.SCALE, contradicts=True)]
 
 
-def check_answer(fit: InSituFit, task: Task) -> list[Finding]:
+def check_answer(fit: InSituFit, task: Task) -> Iterator[Finding]:
     """Check the answer against limbs and sensors that exist, however small the residual."""
-    found = []
     arm = float(np.linalg.norm(fit.limb.com))
     if not arm < limits.LONGEST_ARM:
         reason = f"The limb's centre of mass comes out {arm:.2g} m away from the sensor."
@@ -173,37 +167,34 @@ def check_answer(fit: InSituFit, task: Task) -> list[Finding]:
             "Check the units of torques and places (N mm, mm), the signs of the axes and the order of the "
             "channels."
         )
-        found.append(Finding("centre of mass", reason, cure, arm, limits.LONGEST_ARM, contradicts=True))
+        yield Finding("centre of mass", reason, cure, arm, limits.LONGEST_ARM, contradicts=True)
     if task.factory is None:
-        return found
+        return
     gain = np.diag(task.factory @ fit.response)
     if not limits.LEAST_GAIN < np.min(gain) <= np.max(gain) < limits.LARGEST_GAIN:
         shown = ", ".join(f"{value:.2f}" for value in gain)
         reason = f"By the readings the sensor's axes give {shown} times what the {task.owner} matrix says."
         cure = "Check that it is this sensor's, its units, the signs of the axes and the limb's mass."
         off = float(np.max(np.abs(np.log(np.abs(gain)))))
-        found.append(Finding("gains", reason, cure, off, contradicts=True))
-    return found
+        yield Finding("gains", reason, cure, off, contradicts=True)
 
 
-def check_axes(fit: InSituFit, solution: Solution) -> list[Finding]:
-    """Return which axes were never seen, however well the limb's mass is known."""
+def check_axes(fit: InSituFit, solution: Solution) -> Iterator[Finding]:
+    """Yield which axes were never seen, however well the limb's mass is known."""
     square = np.zeros(AXES)
     for part, T in zip(solution.problem.sets, solution.loads, strict=True):
         square += np.sum((part.uu @ T.T) ** 2, axis=0) + part.samples * (T @ part.mean) ** 2
-    found = []
     for axis, name in enumerate(FORCE_TORQUE_NAMES):
         row = fit.columns.row(axis)
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
-        doubt = float(np.sqrt(np.diag(spread) @ square / max(square[axis], _NO_LOAD)))
+        doubt = float(np.sqrt(np.diag(spread) @ square / max(square[axis], np.finfo(float).tiny)))
         if not doubt < limits.AXIS:
             reason = f"The axis {name} is known to {doubt:.0%} of its load only."
             cure = (
                 f"Hang masses where they load {name} differently, check that all {fit.matrix.shape[1]} "
                 "channels are connected, each once, or give a factory matrix."
             )
-            found.append(Finding("axis", reason, cure, doubt, limits.AXIS, contradicts=True))
-    return found
+            yield Finding("axis", reason, cure, doubt, limits.AXIS, contradicts=True)
 
 
 def check_masses(solution: Solution) -> list[Finding]:
@@ -256,7 +247,7 @@ def _disagreement(problem: Problem, seen: Matrix) -> Vector:
     mass = added[:, MASS]
     heaviest = np.max(mass)
     moments = added[:, MOMENT] - np.mean(added[mass > 0.0, MOMENT], axis=0) * (mass > 0.0)[:, None]
-    reach = max(float(np.max(np.linalg.norm(moments, axis=1))), _REACH * heaviest)
+    reach = max(float(np.max(np.linalg.norm(moments, axis=1))), LEAST_LEVER * heaviest)
     return np.asarray(np.maximum(off[:, MASS] / heaviest, np.max(off[:, MOMENT], axis=1) / reach))
 
 

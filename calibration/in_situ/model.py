@@ -42,6 +42,9 @@ DIRECT, TURNING, PRODUCTS = slice(0, 3), slice(3, 6), slice(6, 12)
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the products of angular velocities, and of the inertia's entries."""
 
+LEAST_LEVER = 0.1
+"""Lever in m by which first moments are judged at least: masses may all hang at one place."""
+
 ENOUGH_MASSES = 3
 """Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
 

@@ -118,7 +118,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     findings += check_scale(fit, heaviest, task.owner if problem.maker else "")
     if problem.maker is None:
         findings += check_axes(fit, solution)
-    return fit, findings + check_answer(fit, task)
+    return fit, [*findings, *check_answer(fit, task)]
 
 
 def _assemble(

@@ -16,21 +16,6 @@ from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.model import STATIC, inertial_parameters, signals, transform_basis
 
-__all__ = [
-    "AddedMassEstimate",
-    "Ellipsoid",
-    "added_mass",
-    "as_seen",
-    "cramer_rao",
-    "force_ellipsoid",
-    "motion_wrench",
-    "normalise_error",
-    "offset_bounds",
-    "offset_of_set",
-    "predict_wrench",
-    "semi_axes",
-]
-
 Matrix = NDArray[np.float64]
 
 _LEAST = 1e-3
@@ -82,13 +67,13 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
         gravity: g in the same frame's axes in m/s^2, shape (n, 3).
 
     Raises:
-        ValueError: If shapes do not agree, fewer than four rows are finite, or gravity stays in a plane.
+        ValueError: If fewer than four rows are finite, or gravity stays in a plane.
 
     >>> turned = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]) * 9.81
     >>> force_ellipsoid(2.0 * turned + 5.0, turned).semi_axes
     array([19.62, 19.62, 19.62])
     """
-    points, gravity = _pair(np.asarray(points, dtype=np.float64), np.asarray(gravity, dtype=np.float64))
+    points, gravity = _take_finite(points, gravity)
     pull = gravity - gravity.mean(axis=0)
     spread = np.linalg.svd(pull, compute_uv=False)
     if spread[2] < _LEAST * spread[0]:
@@ -100,11 +85,6 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
     size = float(np.sqrt(np.mean(np.sum(gravity**2, axis=1))))
     directions, lengths, _ = np.linalg.svd(K)
     return Ellipsoid(points.mean(axis=0) - K @ gravity.mean(axis=0), size * directions * lengths)
-
-
-def semi_axes(force: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
-    """Return the semi-axes of the ellipsoid of forces C (r - o) in N, the longest first, shape (3,)."""
-    return force_ellipsoid(force, gravity).semi_axes
 
 
 def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
@@ -119,13 +99,9 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
         limb: The limb without the added mass.
 
     Raises:
-        ValueError: If shapes do not agree, fewer than four rows are finite, or gravity has one direction
-            only.
+        ValueError: If fewer than four rows are finite, or gravity has one direction only.
     """
-    wrench, gravity = np.asarray(wrench, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
-    if wrench.ndim != 2 or wrench.shape[1] != 6:
-        raise ValueError(f"'wrench' must have shape (n, 6), got {wrench.shape}.")
-    wrench, gravity = _pair(wrench, gravity)
+    wrench, gravity = _take_finite(wrench, gravity)
     force = wrench[:, :3] - limb.mass * gravity
     torque = wrench[:, 3:] - np.cross(limb.mass_com, gravity)
     mass = float(np.sum(force * gravity) / np.sum(gravity**2))
@@ -157,28 +133,16 @@ def offset_of_set(
         o in counts, shape (k,).
 
     Raises:
-        ValueError: If shapes do not agree or fewer than four rows are finite.
+        ValueError: If fewer than four rows are finite.
     """
-    raw, gravity = np.asarray(raw, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
+    r, g = _take_finite(raw, gravity)
     A = np.asarray(response, dtype=np.float64)
-    if raw.ndim != 2 or gravity.shape != (len(raw), 3) or A.shape != (raw.shape[1], 6):
-        raise ValueError(
-            f"'raw', 'gravity' and 'response' must have shapes (n, k), (n, 3) and (k, 6), got {raw.shape}, "
-            f"{gravity.shape} and {A.shape}."
-        )
-    there = np.isfinite(raw).all(axis=1) & np.isfinite(gravity).all(axis=1)
-    if there.sum() < 4:
-        raise ValueError(f"Only {there.sum()} rows are finite, and an offset needs at least four.")
-    r, g = raw[there], gravity[there]
-    # Readings of one kg, and of one kg m along each axis.
-    parts = [g @ A[:, :3].T, *(np.cross(axis, g) @ A[:, 3:].T for axis in np.eye(3))]
+    parts = A @ (transform_basis(False) @ g.T)  # of a kg, and a kg m along each axis, (4, k, n)
     covariance = np.eye(len(A)) if noise is None else np.asarray(noise, dtype=np.float64)
-    white = np.linalg.inv(np.linalg.cholesky(covariance)).T
-    columns = [((part - part.mean(axis=0)) @ white).ravel() for part in parts]
-    found = np.linalg.lstsq(np.stack(columns, axis=1), ((r - r.mean(axis=0)) @ white).ravel(), rcond=None)[0]
-    return np.asarray(
-        r.mean(axis=0) - sum(value * part.mean(axis=0) for value, part in zip(found, parts, strict=True))
-    )
+    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    columns = (white @ (parts - parts.mean(axis=2, keepdims=True))).reshape(STATIC, -1)
+    found = np.linalg.lstsq(columns.T, (white @ (r - r.mean(axis=0)).T).ravel(), rcond=None)[0]
+    return np.asarray(r.mean(axis=0) - found @ parts.mean(axis=2))
 
 
 def predict_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
@@ -208,17 +172,12 @@ def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
     return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
 
 
-def _pair(
-    values: NDArray[np.float64], gravity: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix]:
     """Return the rows in which both are finite."""
-    if values.ndim != 2 or values.shape[1] % 3 or gravity.shape != (len(values), 3):
-        raise ValueError(
-            f"Forces and gravity must have shapes (n, 3) of one n, got {values.shape} and {gravity.shape}."
-        )
+    values, gravity = np.asarray(values, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
     there = np.isfinite(values).all(axis=1) & np.isfinite(gravity).all(axis=1)
     if there.sum() < 4:
-        raise ValueError(f"Only {there.sum()} rows are finite, and an ellipsoid needs at least four.")
+        raise ValueError(f"Only {there.sum()} rows are finite, and four are the least.")
     return values[there], gravity[there]
 
 

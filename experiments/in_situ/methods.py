@@ -17,7 +17,7 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.force_torque.validation import added_mass, offset_of_set, semi_axes
+from surefoot.experiments.force_torque.validation import added_mass, force_ellipsoid, offset_of_set
 from surefoot.experiments.in_situ.instruments import SensorTruth
 
 FITTED = 4  # sets that are fitted, the first ones; the others validate (in-situ paper, IV)
@@ -112,7 +112,7 @@ def set_rows(found: MethodResult | str, sets: Sequence[InSituSet]) -> list[dict[
     rows = []
     for j, data in enumerate(sets[FITTED:], FITTED):
         wrench = (data.raw - found.offsets[j]) @ found.matrix.T
-        axes = semi_axes(wrench[:, FORCE], data.gravity)
+        axes = force_ellipsoid(wrench[:, FORCE], data.gravity).semi_axes
         weighed = added_mass(wrench, data.gravity, found.limb)
         place = weighed.position if data.added_mass > 0.0 else np.full(3, np.nan)
         rows.append(
