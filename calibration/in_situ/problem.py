@@ -106,13 +106,21 @@ class Problem:
 
     @cached_property
     def noise(self) -> Matrix:
-        """Covariance of a sample's noise in counts^2, shape (k, k)."""
-        return pool_noise(self.sets)
+        """Covariance of a sample's noise in counts^2, shape (k, k); of few samples nearly diagonal."""
+        scatter = np.sum([part.rr.T @ part.rr for part in self.sets], axis=0)
+        freedom = max(sum(part.freedom for part in self.sets), 1)
+        S = scatter / freedom
+        # It fades faster than the error of S: the diagonal depends on how the channels mix.
+        share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
+        spread = np.sum([part.ur.T @ part.ur for part in self.sets], axis=0)
+        spread = np.diag(spread) / sum(part.samples for part in self.sets)
+        diagonal = np.diag(np.diag(S))
+        return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(spread))
 
     @cached_property
     def whitening(self) -> Matrix:
         """W, shape (k, k), of rows with noise of variance one: W Sigma W' = 1."""
-        return whitening_of(self.sets)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise)))
 
     @property
     def parameters(self) -> int:
@@ -192,23 +200,6 @@ _FEW = 10.0
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
-
-
-def whitening_of(sets: Sequence[CompressedSet]) -> Matrix:
-    """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(pool_noise(sets))))
-
-
-def pool_noise(sets: Sequence[CompressedSet]) -> Matrix:
-    """Pool the covariance of a sample's noise, shape (k, k); with few samples it is nearly diagonal."""
-    scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
-    freedom = max(sum(part.freedom for part in sets), 1)
-    S = scatter / freedom
-    # It fades faster than the error of S: the diagonal depends on how the channels mix.
-    share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
-    spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
-    diagonal = np.diag(np.diag(S))
-    return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
 
 
 def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:
