@@ -93,7 +93,7 @@ _STEP = 1e-6
 
 
 def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:
-    """Fit hysteresis by each law; none where few rows show it.
+    """Fit hysteresis by each law to sets with times; none where few rows show it.
 
     Returns:
         The likeliest fit, which is the plain one where no law explains enough, and the fits with loops,
@@ -111,13 +111,12 @@ def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution
     lagging = {make: fit for make, fit in loops.items() if _lags(fit)}
     make = min(lagging, key=lambda one: criterion(lagging[one]), default=None)
     best = plain if make is None or criterion(lagging[make]) >= criterion(plain) else lagging[make]
-    if all(data.time is not None for data in sets):
-        creep = _try(at.lag_by_creep, plain, 1)
-        # Creep follows loops of another make too: it must explain clearly more than those from the middle.
-        if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
-            before, after, alike = (criterion(one) for one in (plain, creep, begins[1][1] or plain))
-            if after < criterion(best) and before - alike < _NEARLY * (before - after):
-                make, best = at.lag_by_creep, creep
+    creep = _try(at.lag_by_creep, plain, 1)
+    # Creep follows loops of another make too: it must explain clearly more than those from the middle.
+    if creep is not None and _lags(creep) and np.max(creep.shares) <= _MOST_CREEP:
+        before, after, alike = (criterion(one) for one in (plain, creep, begins[1][1] or plain))
+        if after < criterion(best) and before - alike < _NEARLY * (before - after):
+            make, best = at.lag_by_creep, creep
     if make is not None and best is not plain:
         best = _refine(best, make)
     return best, list(loops.values()) or [plain]
@@ -174,7 +173,7 @@ class _Motion(NamedTuple):
     strides: list[int]
     """Samples in a step."""
     steps: list[float]
-    """Time of a step in s; NaN without times."""
+    """Time of a step in s."""
     behind: bool = False
     """Whether sets begin behind a load that came from nothing, rather than in the middle of a loop."""
 
@@ -182,7 +181,7 @@ class _Motion(NamedTuple):
     def of(cls, sets: Sequence[InSituSet], plain: Problem) -> "_Motion":
         """Take so many steps that a play, which only follows between turning points, is seen."""
         strides = [max(len(data.raw) // _STEPS, 1) for data in sets]
-        times = [np.nan if data.time is None else float(np.median(np.diff(data.time))) for data in sets]
+        times = [float(np.median(np.diff(np.asarray(data.time)))) for data in sets]
         paths = [_path(data, plain.moving, stride) for data, stride in zip(sets, strides, strict=True)]
         return cls(plain, paths, strides, [n * dt for n, dt in zip(strides, times, strict=True)])
 
