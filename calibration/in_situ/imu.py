@@ -6,7 +6,7 @@ where :math:`K p` is the acceleration by rotation at the arm p from the point th
 Without a gyroscope, gravity's own rotation shows it. A bias would shift the offset by the limb's mass times
 the bias: it is subtracted first. Noise along the length looks like a limb that bends. For a limb at rest it
 is subtracted too, but the acceleration by rotation stays, since the sensor feels it. Bias, scale and arm are
-those of largest posterior probability; scales S of the axes are one unless the others would be odd without.
+those of largest posterior probability; scales S of the axes are one unless the rest would be unlikely.
 Their remaining errors, and the acceleration of a sweep that was treated as rest, move the answer by a vector
 each; the squares of all are part of its covariance (:func:`errors_of_imu`).
 
@@ -147,13 +147,13 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
         gravity.append(data.gravity[rows[whole]])
         turned.append(felt[whole])
     g, K = np.concatenate(gravity), np.concatenate(turned)
-    (one_scale, odd), (by_axis, less) = _fit_length(g, K, _RATIOS[:, :0]), _fit_length(g, K, _RATIOS)
-    # How much better a length is explained says little: what is left hangs together in time.
-    return by_axis if odd - less > limits.CLEARER else one_scale
+    (plain, penalty), (by_axis, lower) = _fit_length(g, K, _RATIOS[:, :0]), _fit_length(g, K, _RATIOS)
+    # How much better the length is explained does not count: what is left hangs together in time.
+    return by_axis if penalty - lower > limits.CLEARER else plain
 
 
 def _fit_length(g: Matrix, K: NDArray[np.float64], ratios: Matrix) -> tuple[Sphere, float]:
-    """Return the likeliest errors, with ratios of the axes' scales, (3, q), and how odd they are in nats."""
+    """Return the likeliest errors, with ratios of the axes' scales, (3, q), and their prior's nats."""
     root = 1.0 / np.array([_BIAS, _BIAS, _BIAS, _LENGTH, _ARM, _ARM, _ARM, *[_AXIS] * ratios.shape[1]])
     before = np.zeros(len(root))
     before[3] = GRAVITY
