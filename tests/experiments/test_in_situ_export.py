@@ -80,6 +80,7 @@ CALIBRATIONS = {
         result=FitResult.ACCEPTED, refusals=(CalibrationRefused("A bump.", "Mind it."),), accepted="I saw it"
     ),
     "with shares": lambda: fit(data_share=np.linspace(0.0, 1.0, 46)),
+    "an accelerometer's axes": lambda: fit(accelerometer_scale=np.array([1.0, 0.96, 1.01])),
     "leaning": lambda: fit(
         scope="bias, mass and centre of mass; matrix kept (one load)",
         maker_share=0.0123,
