@@ -218,5 +218,5 @@ def test_validation_expects_the_wrench_of_the_rig(fast: bool) -> None:
     found = validation.added_mass(still, told.gravity_leg, limb)
     assert found.mass == pytest.approx(told.added_mass, abs=1e-4)
     np.testing.assert_allclose(found.position, told.added_com_leg, atol=1e-3)
-    lengths = validation.semi_axes(still[:, :3], told.gravity_leg)
+    lengths = validation.force_ellipsoid(still[:, :3], told.gravity_leg).semi_axes
     np.testing.assert_allclose(lengths / lengths.mean(), 1.0, atol=1e-4)
