@@ -7,15 +7,15 @@
     python benchmarks/step.py --robots NaoBalance --launchers
     python benchmarks/step.py --write
 
-The last one, on a machine with nothing else to do, writes the tables of docs/speed.md again, in some twenty
+The last one, on a machine with nothing else to do, writes the tables of docs/speed.md again, in some thirty
 minutes.
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
-the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
-the bare step it is, with an interval that holds this median 19 times in 20, and last the time of a reset that
-keeps sensors and calibration. Time is that of the process and its children; of many robots also the time
-that passes. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs
-``pip install surefoot[robots]``.
+the machine does hits all of them; as many as hold whole blocks of the filter, which learns once in each. Told
+are medians over the rounds: the time of one step and how many times the bare step it is, with an interval
+that holds this median 19 times in 20, and last the time of a reset that keeps sensors and calibration. Time
+is that of the process and its children; of many robots also the time that passes. The specification is the
+Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1 needs ``pip install surefoot[robots]``.
 
 Many robots are copies in Gymnasium's ``SyncVectorEnv``, or, where MuJoCo's threads step the task, its own
 vector environment. ``--launchers`` compares both with ``AsyncVectorEnv``, the first of the table. The memory
@@ -72,6 +72,8 @@ ROBOTS = {
 DATA = Path(__file__).parents[1] / "docs" / "data"
 RESETS = 40
 """How many of them are timed."""
+BLOCK = 8
+"""Samples in which the filter learns once; rounds of another length hold too much or too little of that."""
 
 
 @contextmanager
@@ -302,7 +304,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
     parser.add_argument("--methods", nargs="+", default=["moment"])
     parser.add_argument("--rounds", type=int, default=200)
-    parser.add_argument("--steps", type=int, default=20, help="steps of each stack in a round")
+    parser.add_argument("--steps", type=int, default=3 * BLOCK, help="steps of each stack in a round")
     parser.add_argument("--many", nargs="*", type=int, help="robots of vector environments, by default 64")
     parser.add_argument("--threads", nargs="+", type=int, help="of these, by default 1, 2 and one a core")
     parser.add_argument("--memory", type=int, default=0, help="measure the memory of so many robots")
@@ -347,7 +349,7 @@ def times_of_many(arguments: argparse.Namespace, robots: list[str]) -> list[list
     for name, count, threads in product(robots, counts, all_threads):
         print(f"{name}, {count} robots, {threads} threads")
         rest = arguments.methods, arguments.faults, threads, arguments.launchers
-        rounds, steps = max(10, arguments.rounds * 64 // (8 * max(count, 64))), max(1, 320 // count)
+        rounds, steps = max(10, arguments.rounds * 8 // max(count, 64)), BLOCK * max(1, 40 // count)
         costs = compare(many(ROBOTS[name], count, *rest), rounds, steps)
         print_costs(costs, count)
         first, *_, end = costs.values()
