@@ -139,6 +139,8 @@ typedef struct {
     sf_real U[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
     sf_real z[4 * SF_CHANNELS], x[4 * SF_CHANNELS];
     sf_real weight[16], evidence; /* of each severity, and of all together */
+    sf_real factor[SF_JUDGED * SF_JUDGED]; /* L of the covariance L L', if it is positive definite */
+    int factored;
     int sound[4];                 /* whether U is of numbers */
 } sf_compared;
 
@@ -834,16 +836,19 @@ SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
 }
 
 /* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
-   `S` is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
-SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, const sf_real *off,
-                          sf_moment_work *w, sf_real *pull, sf_real *mine) {
+   the lower half of `S` is the covariance in standard deviations of that prior. Directions in which it is wider say
+   nothing. */
+SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, sf_moment_work *w, sf_compared *d,
+                          sf_real *mine) {
     int M = 2 * c->channels;
-    sf_real *room = w->A, *share = w->room, *L = w->axes, own = 0, most = 0;
-    sf_copy(L, S, M * M);
+    sf_real *room = w->A, *share = w->room, *L = w->axes, *pull = d->pull, *off = d->off, own = 0, most = 0;
+    sf_copy(d->factor, S, M * M);
+    d->factored = sf_cholesky(d->factor, M);
     /* If it is wider nowhere, an inverse is all. */
-    for (int i = 0; i < M * M; i++) room[i] = -L[i];
+    for (int i = 0; i < M * M; i++) room[i] = -S[i];
     for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
-    if (sf_cholesky(room, M) && sf_cholesky(L, M)) {
+    if (d->factored && sf_cholesky(room, M)) {
+        sf_copy(L, d->factor, M * M);
         for (int i = 0; i < M; i++) own += sf_log(L[i * M + i]);
         sf_inverse(L, M, room);
         for (int i = 0; i < M; i++) most = sf_max(most, L[i * M + i]);
@@ -857,6 +862,7 @@ SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real
         }
     }
     sf_real *axes = w->axes, *factor = w->room + M;
+    sf_mirror(S, M);
     if (!sf_eigen(S, M, share, axes, w->room + M)) return 0;
     *mine = 0;
     memset(pull, 0, (size_t)M * sizeof(sf_real));
@@ -893,9 +899,9 @@ SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_re
     sf_real *off = d->off, *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
     for (int i = 0; i < M; i++) {
         off[i] = (mean[i] - (sf_real)(i < K)) / w->std[i];
-        for (int k = 0; k < M; k++) I[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
+        for (int k = 0; k <= i; k++) I[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
     }
-    if (!sf_information(c, m, I, off, w, d->pull, &mine)) return 0;
+    if (!sf_information(c, m, I, w, d, &mine)) return 0;
     for (int i = 0; i < E; i++) {
         const sf_real *row = I + (K + i) * M;
         for (int l = 0; l < 4; l++) {
@@ -1011,13 +1017,11 @@ SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_
 SF_API void sf_follow_drift(const sf_config *c, const sf_compared *d, const sf_real *x, const sf_real *P, int N,
                             sf_moment_work *w, sf_real *mean, sf_real *covariance, int wide) {
     int K = c->channels, M = 2 * K;
-    sf_real *L = w->axes, *G = w->quads, *with = w->turned; /* G' and P_xu, shape (M, K) */
-    for (int i = 0; i < M; i++) {
-        for (int k = 0; k < M; k++) L[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
+    sf_real *G = w->quads, *with = w->turned; /* G' and P_xu, shape (M, K) */
+    for (int i = 0; i < M; i++)
         for (int k = 0; k < K; k++) G[i * K + k] = with[i * K + k] = P[i * N + M + k] / w->std[i];
-    }
-    if (!sf_cholesky(L, M)) G[0] = (sf_real)NAN; /* and nothing is handed out */
-    else sf_solve(L, M, G, K);
+    if (!d->factored) G[0] = (sf_real)NAN; /* and nothing is handed out */
+    else sf_solve(d->factor, M, G, K);
     sf_copy(mean + M, x + M, K);
     for (int i = 0; i < M; i++) sf_add(mean + M, mean[i] - d->off[i], G + i * K, K);
     for (int k = 0; k < K; k++) {
