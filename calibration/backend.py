@@ -8,10 +8,10 @@ from typing import Any
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import as_number
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import NativeFilter, NativeState, ReferenceRecord
+from surefoot.calibration.native import NativeFilter, ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod
-from surefoot.native import Library
+from surefoot.native import Library, StateRecord
 
 AnyReference = Reference | MomentumReference | ReferenceRecord
 
@@ -58,7 +58,7 @@ class LibraryFilter:
     """
 
     def __init__(self, native: NativeFilter, method: OnlineMethod) -> None:
-        self._native, self._method, self._state = native, method, native.init()
+        self._native, self._method, self._state = native, method, native.pack()
         self._started = self._shared = False
         self.library: Library | None = native.library
 
@@ -89,7 +89,7 @@ class LibraryFilter:
         if self._in_use:
             self._native.retract(self._state)
 
-    def native(self) -> tuple[NativeFilter, NativeState]:
+    def native(self) -> tuple[NativeFilter, StateRecord]:
         """Return the filter and its state."""
         self._shared = True
         return self._native, self._state

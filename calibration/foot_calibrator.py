@@ -12,7 +12,7 @@ from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFil
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.native import NativeFilter, NativeState, ReferenceRecord, native_filter
+from surefoot.calibration.native import NativeFilter, ReferenceRecord, native_filter
 from surefoot.calibration.online import MethodOptions, online_method, resolve_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
@@ -21,7 +21,7 @@ from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
-from surefoot.native import CALIBRATION, Library
+from surefoot.native import CALIBRATION, Library, StateRecord
 from surefoot.pickles import OfOneVersion
 
 
@@ -171,7 +171,7 @@ class FootCalibrator(OfOneVersion):
         """The library that it runs in, if it does."""
         return self._backend.library
 
-    def native(self) -> tuple[NativeFilter, NativeState] | None:
+    def native(self) -> tuple[NativeFilter, StateRecord] | None:
         """Return the library's filter and its state, for somebody who goes on with both.
 
         ``None`` where the filter runs in Python, or has curves in front of it that the library does not know.

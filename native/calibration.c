@@ -249,22 +249,21 @@ EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
 EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
     if (f->method == MOMENT) sf_moment_retract(f->config, f->own, state);
 }
-/* Returns whether something new is handed out. */
-EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
-                           double dt, sf_estimate *out) {
+EXPORTED void surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
+                            double dt, sf_estimate *out) {
     const sf_reference *reference = &belief->reference;
     const sf_real *imu[] = {belief->accelerometer, belief->gyroscope};
     sf_window_work work;
     switch (f->method) {
     case MOMENT:
-        return sf_moment_step(f->config, f->own, state, &moment_work, raw, reference, (sf_real)dt, out);
+        sf_moment_step(f->config, f->own, state, &moment_work, raw, reference, (sf_real)dt, out);
+        break;
     case WINDOW:
         sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
         break;
     case TARE: sf_tare_step(f->config, f->own, state, raw, reference, (sf_real)dt, out); break;
     default: sf_uncorrected_step(f->config, state, raw, reference, (sf_real)dt, out);
     }
-    return 1;
 }
 
 EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
@@ -327,9 +326,9 @@ static void count_sample(sf_whole *counts, int found) {
 }
 
 /* All of one sample: packets that have arrived, beliefs, filter and view. how: 1 if `planned` is one, plus 2 to
-   learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something new is handed out. */
-EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
-                             int how) {
+   learn nothing. */
+EXPORTED void surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
+                              int how) {
     const sf_config *config = at->filter->config;
     sf_told *told = at->told;
     sf_real soles[4 * SF_FEET];
@@ -340,26 +339,24 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
                                         how & 1 ? at->planned : NULL, hold, at->belief);
     count_sample(at->counts, found);
     if (found & 1) surefoot_retract(at->filter, at->state);
-    int fresh = surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
+    surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
     sf_beliefs_soles(at->timing, at->beliefs, now, soles);
     sf_view_show(config, at->view, at->held, at->estimate, soles, &told->shown);
     told->belief = *at->belief;
     told->estimate = *at->estimate;
     if (at->filter->method == MOMENT)
         sf_copy(told->covariance, ((const sf_moment_state *)at->state)->covariance, 4 * config->channels * config->channels);
-    return found + 8 * fresh;
 }
 
-/* A sample of many robots, each argument and what is found with a number of each; readings and plans lie where they
-   were made. */
+/* A sample of many robots, each argument with a number of each; readings and plans lie where they were made. */
 EXPORTED void surefoot_sample_many(const sf_sample_records *const *at, const double *const *rows, const int *count,
                                    const sf_real *const *raw, const unsigned char *const *planned, const double *time,
-                                   const double *now, const int *how, int *found, int robots) {
+                                   const double *now, const int *how, int robots) {
     for (int i = 0; i < robots; i++) {
         sf_sample_records one = *at[i];
         one.raw = raw[i];
         one.planned = planned[i];
-        found[i] = surefoot_sample(&one, rows[i], count[i], time[i], now[i], how[i]);
+        surefoot_sample(&one, rows[i], count[i], time[i], now[i], how[i]);
     }
 }
 #endif

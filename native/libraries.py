@@ -15,7 +15,7 @@ CALIBRATION = Native(
         "surefoot_init": (None, (ADDRESS, ADDRESS)),
         "surefoot_begin": (None, (ADDRESS, ADDRESS)),
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
-        "surefoot_step": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
+        "surefoot_step": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_beliefs_init": (None, (ctypes.c_int, ADDRESS)),
         "surefoot_beliefs_packets": (
@@ -31,10 +31,10 @@ CALIBRATION = Native(
         "surefoot_beliefs_soles": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_view_show": (None, (ADDRESS,) * 6),
         "surefoot_sample": (
-            ctypes.c_int,
+            None,
             (ADDRESS, ADDRESS, ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_int),
         ),
-        "surefoot_sample_many": (None, (*(ADDRESS,) * 9, ctypes.c_int)),
+        "surefoot_sample_many": (None, (*(ADDRESS,) * 8, ctypes.c_int)),
     },
     ("surefoot_sample_many",),
 )

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import NativeFilter, NativeState
+from surefoot.calibration.native import NativeFilter
 from surefoot.envs.observation import COP_BOUND
-from surefoot.native import Library, PointerRecord, call_for_many
+from surefoot.native import Library, PointerRecord, StateRecord, call_for_many
 from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.chances import Chances
@@ -24,9 +24,6 @@ _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 
 NOTHING = None, 0
 """No packets: neither a place of rows nor a number of them."""
-
-PUBLISHED = 1 + 8
-"""Bits of what the library tells of a sample: the robot fell, or something new is handed out."""
 
 
 class Samples(NamedTuple):
@@ -73,7 +70,7 @@ class NativeSample:
         self,
         beliefs: NativeBeliefs,
         native: NativeFilter,
-        state: NativeState,
+        state: StateRecord,
         view: FootView,
         dt: float,
         chances: Chances,
@@ -100,44 +97,30 @@ class NativeSample:
         self._raw[...] = sensors.raw
         how = beliefs.plan(command) + 2 * hold
         self.sampled = True
-        if self._sample(self.address, *(arrived or NOTHING), then, sensors.time, how) & PUBLISHED:
-            self.drop_published()
+        self._sample(self.address, *(arrived or NOTHING), then, sensors.time, how)
         return self.outputs()
-
-    def drop_published(self) -> None:
-        """Forget what was handed out before the last sample."""
-        self._state.drop_published()
 
     def keep_in(self, memory: NDArray[np.uint8]) -> None:
         """Keep :attr:`memory` elsewhere from here on."""
         memory[...] = self.memory
         self.memory = self._records["told"] = memory
 
-    def outputs(self) -> Told:
-        """Return the observation of the last sample, and the ``info`` of the estimate.
-
-        All arrays are fresh.
-        """
-        beliefs = self._beliefs
-        # What comes after the last number is room that this robot has no use for.
-        memory = self.memory[: self._dtype.itemsize].copy()
-        shown, told = self._read(np.ndarray((), self._dtype, memory), True)
-        if not beliefs.known:
-            told["reference"] = beliefs.info()
-        return shown, told
-
-    def outputs_of(self, memory: NDArray[np.uint8]) -> Told:
-        """Return the same of N robots of this one's kind, with these in front of each array.
+    def outputs(self, memory: NDArray[np.uint8] | None = None) -> Told:
+        """Return the observation of the last sample, and the ``info`` of the estimate, in fresh arrays.
 
         Args:
-            memory: As :attr:`memory`, of each of them, shape (N, bytes).
+            memory: As :attr:`memory`, of each of N robots of this one's kind, shape (N, bytes): these are in
+                front of each array then; its own by default.
         """
-        memory = memory[:, : self._dtype.itemsize].copy()
-        known = np.ones(len(memory), bool)
-        shown, told = self._read(np.ndarray(len(memory), self._dtype, memory), known)
-        if np.isnan(told["reference"]["com"]).any():
-            del told["reference"]["known"]
-            told["reference"] = reference_info(self._beliefs.believed.kind(**told["reference"]))
+        alone, memory = memory is None, self.memory if memory is None else memory
+        # What comes after the last number is room that this robot has no use for.
+        memory = memory[..., : self._dtype.itemsize].copy()
+        one = np.ndarray(memory.shape[:-1], self._dtype, memory)
+        shown, told = self._read(one, True if alone else np.ones(len(memory), bool))
+        reference = told["reference"]
+        if not (self._beliefs.known if alone else np.isfinite(reference["com"]).all()):
+            del reference["known"]
+            told["reference"] = reference_info(self._beliefs.believed.kind(**reference))
         return shown, told
 
     def _read(self, one: NDArray[Any], known: Any) -> Told:
@@ -150,7 +133,7 @@ class NativeSample:
         reference = dict(zip(self._believed, (known, *others[len(shown) :])))  # noqa: B905
         return shown, {
             "parameters": {"scale": scale, "offset": offset},
-            "covariance": others[-1] if self._filter.certain else None,
+            "covariance": others[-1] if self._filter.constants.covariance else None,
             "flags": flags,
             "vgrf": vgrf,
             "reference": reference,
@@ -193,25 +176,23 @@ class ManySamples:
             samples: One of each.
             threads: As of :func:`~surefoot.native.call_for_many`.
         """
-        found, plans = np.zeros(len(which), dtype=np.int32), np.zeros(len(which), dtype=np.uintp)
+        plans = np.zeros(len(which), dtype=np.uintp)
         how = np.full(len(which), 2 * samples.hold, dtype=np.int32)
         if samples.planned is not None:
             planned = np.ascontiguousarray(samples.planned)
             how, plans = how + np.int32(1), plans + planned.ctypes.data
             plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
         rows, packets, raw, _, then, now, _ = samples
-        arguments = self._at[which], rows, packets, raw, plans, then, now, how, found
+        arguments = self._at[which], rows, packets, raw, plans, then, now, how
         call_for_many(self._many, arguments, threads)
         if not self.sampled.all():
             self.sampled[which] = True
             for i in which.tolist():
                 self.robots[i].sampled = True
-        for i in which[found & PUBLISHED > 0].tolist():
-            self.robots[i].drop_published()
 
     def outputs(self) -> Told:
-        """Return observations and ``info`` of all, as :meth:`NativeSample.outputs_of` does."""
-        return self.robots[0].outputs_of(self._memory)
+        """Return observations and ``info`` of all, as :meth:`NativeSample.outputs` does."""
+        return self.robots[0].outputs(self._memory)
 
 
 SampleBackend = PythonSample | NativeSample
@@ -274,7 +255,7 @@ def _output_dtype(
         for name in own
         if dtype.fields is not None
     ]
-    if native.certain:
+    if native.constants.covariance:
         covariance = np.dtype((library.real, (unknowns, unknowns)))
         fields.append(("covariance", covariance, places["covariance"][1]))
     keys, formats, offsets = (list(column) for column in zip(*fields, strict=True))

@@ -5,12 +5,11 @@ library also makes the references, for :mod:`surefoot.robot`.
 """
 
 from surefoot.calibration.native.config import c_source, constants_of
-from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
+from surefoot.calibration.native.filter import NativeFilter, native_filter
 from surefoot.calibration.native.reference import ReferenceRecord
 
 __all__ = [
     "NativeFilter",
-    "NativeState",
     "ReferenceRecord",
     "c_source",
     "constants_of",

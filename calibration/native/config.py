@@ -53,6 +53,13 @@ class Constants(NamedTuple):
     covariance: str | None = None
     contact: bool = False
 
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Parts of an estimate that the method does not have."""
+        of_contact = () if self.contact else ("undetermined", "contact_probability")
+        certain = () if self.covariance else ("force_std", "cop_covariance", "nis", "nis_rows")
+        return of_contact + certain
+
     def filter(self, library: Library) -> PointerRecord:
         """Return the record that the library is called with."""
         own = 0 if self.own is None else self.own

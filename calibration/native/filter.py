@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
@@ -12,32 +11,6 @@ from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.native import Library, Record, StateRecord, leaves_of, rebuilt, state_dtype
-
-
-class NativeState(StateRecord):
-    """A state of an online method as the library holds it.
-
-    Args:
-        dtype: Its layout.
-        like: A state of the method's Python.
-        covariance: Name of the part that is the covariance of an estimate, if there is one.
-    """
-
-    def __init__(self, dtype: np.dtype[Any], like: Any, covariance: str | None = None) -> None:
-        super().__init__(dtype, like)
-        self._name = covariance or ""
-        self._covariance: NDArray[np.float64] | None = None
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        """That of an estimate, the same array until the next one is handed out."""
-        if self._covariance is None:
-            self._covariance = self.now[self._name].copy()
-        return self._covariance
-
-    def drop_published(self) -> None:
-        """Forget the published record."""
-        self._covariance = None
 
 
 class NativeFilter:
@@ -49,7 +22,6 @@ class NativeFilter:
 
     Attributes:
         library: The library.
-        certain: Whether its estimates have a covariance.
         constants: Those of the robot and the method.
         raw: Its readings, shape (K,).
         references: Records that references are put in, one for each kind that is taken.
@@ -61,10 +33,9 @@ class NativeFilter:
         self.library, self._functions = library, library.functions
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
-        # Shapes and kinds are all that is wanted of it.
+        # Shapes and kinds are all that is wanted of its states.
         self._template = rebuilt(constants.like, _without_memory)
         self.constants = constants._replace(like=self._template)
-        self.certain = constants.covariance is not None
         self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
             "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_measured": (2,),
@@ -82,23 +53,17 @@ class NativeFilter:
             kind: ReferenceRecord(library, kind, F) for kind in taken
         }
         self.estimate = Record(estimate)
+        self._told = [name for name in shapes if name not in constants.untold]
         filter_ = constants.filter(library)
         self.parts = {"filter": filter_, "raw": self.raw, "estimate": self.estimate}
         self._addresses = filter_.address, self.raw.ctypes.data, self.estimate.address
 
-    def init(self) -> NativeState:
-        """Return the state before any sample."""
-        state = self._empty()
-        self._functions.surefoot_init(self._addresses[0], state.address)
-        return state
-
-    def put(self, state: NativeState, python: Any) -> None:
+    def put(self, state: StateRecord, python: Any) -> None:
         """Go on from a Python state, or from before any sample if it is ``None``, in place.
 
         Raises:
             ValueError: If it is of another robot or method.
         """
-        state.drop_published()
         if python is None:
             state.bytes[:] = 0
             self._functions.surefoot_init(self._addresses[0], state.address)
@@ -115,14 +80,11 @@ class NativeFilter:
             )
         state.put(python)
 
-    def pack(self, state: Any) -> NativeState:
-        """Return a Python state as the library's; as :meth:`put`."""
-        found = self._empty()
+    def pack(self, state: Any = None) -> StateRecord:
+        """Return a Python state as the library's, by default that before any sample; as :meth:`put`."""
+        found = StateRecord(self._dtype, self._template)
         self.put(found, state)
         return found
-
-    def _empty(self) -> NativeState:
-        return NativeState(self._dtype, self._template, self.constants.covariance)
 
     def takes(self, raw: Array, reference: Reference | MomentumReference | ReferenceRecord, dt: Any) -> bool:
         """Return whether arguments are as the library wants them; of others Python names the flaw."""
@@ -144,7 +106,7 @@ class NativeFilter:
 
     def update(
         self,
-        state: NativeState,
+        state: StateRecord,
         raw: Array,
         reference: Reference | MomentumReference | ReferenceRecord,
         dt: float,
@@ -157,34 +119,22 @@ class NativeFilter:
         else:
             record = self.references[type(reference)]
             record.fill(reference)
-        if self._functions.surefoot_step(filter_at, state.address, reading, record.address, dt, out):
-            state.drop_published()
+        self._functions.surefoot_step(filter_at, state.address, reading, record.address, dt, out)
         return self.read(state)
 
-    def read(self, state: NativeState) -> Estimate:
-        """Return the last estimate, of a robot in this state; its covariance may be the last one's array."""
+    def read(self, state: StateRecord) -> Estimate:
+        """Return the last estimate, of a robot in this state."""
         one = self.estimate.copy()
-        found = Estimate(
-            one["force"], one["wrench"], one["vgrf"], one["cop"], one["cop_foot"], one["cop_valid"],
-            one["cop_foot_valid"], one["scale"], one["offset"], None, one["flags"],
-            cop_measured=one["cop_measured"],
-        )  # fmt: skip
-        if not self.certain:
-            return found
-        shares = {name: one[name] for name in ("undetermined", "contact_probability")}
-        return found._replace(
-            **(shares if self.constants.contact else {}),
-            covariance=state.covariance,
-            force_std=one["force_std"],
-            cop_covariance=one["cop_covariance"],
-            nis=one["nis"][()],
-            nis_rows=one["nis_rows"][()],
-        )
+        told: dict[str, Any] = {name: one[name] for name in self._told}
+        covariance = self.constants.covariance
+        if covariance is None:
+            return Estimate(covariance=None, **told)
+        of_step = {name: told[name][()] for name in ("nis", "nis_rows")}
+        return Estimate(covariance=state.now[covariance].copy(), **told | of_step)
 
-    def retract(self, state: NativeState) -> None:
+    def retract(self, state: StateRecord) -> None:
         """Take back the learning of the last seconds."""
         self._functions.surefoot_retract(self._addresses[0], state.address)
-        state.drop_published()
 
 
 def native_filter(

@@ -49,7 +49,6 @@ class ReferenceRecord(Record):
         super().__init__(dtype)
         self.library, self.kind, self.feet = library, kind, feet
         self.dtype, self.real = dtype, library.real
-        self._nothing = Record(dtype)
         self._places = [self.now[name] for name in kind._fields]
         self._dtypes, self._shapes = list(map(_DTYPE, self._places)), list(map(_SHAPE, self._places))
         if kind is MomentumReference:
@@ -81,13 +80,5 @@ class ReferenceRecord(Record):
 
     def reference(self) -> Any:
         """Return a copy, of its kind."""
-        return self.kind(*self.mapping().values())
-
-    def mapping(self, known: bool = True) -> dict[str, np.ndarray]:
-        """Return a copy of each field by its name; zeros where nothing is known, contacts excepted."""
         one = self.copy()
-        if not known:
-            zeros = self._nothing.copy()
-            zeros["stance"], zeros["swing"] = one["stance"], one["swing"]
-            one = zeros
-        return {name: one[name] for name in self.kind._fields}
+        return self.kind(*(one[name] for name in self.kind._fields))

@@ -10,7 +10,7 @@ from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.native import CALIBRATION, Library, c_header, require
 from surefoot.pickles import Made, refuse
-from surefoot.robot.beliefs.believed import nothing
+from surefoot.robot.beliefs.believed import nothing, reference_info
 from surefoot.robot.beliefs.contacts import plan_window
 from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
 from surefoot.robot.beliefs.references import Beliefs
@@ -147,7 +147,7 @@ class NativeBeliefs:
 
     def info(self) -> dict[str, Any]:
         """As :meth:`Beliefs.info`."""
-        return {"known": self.known, **self.believed.mapping(self.known)}
+        return reference_info(self.believed.reference())
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
         """As :meth:`Beliefs.reference`."""

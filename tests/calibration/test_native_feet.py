@@ -113,7 +113,7 @@ def test_a_library_with_less_room_is_the_same_to_the_last_bit(momentum):
     assert sizes[0] < 0.12 * sizes[1]
     setup, log = setup_of(2, "cells"), Log(2, "cells", momentum)
     both = [native_filter(room, "moment", setup, {}) for room in (small, large)]
-    states = [native.init() for native in both]
+    states = [native.pack() for native in both]
     for k in range(SAMPLES):
         found = [
             native.update(state, log.force[k], log.row(k), float(log.times[k]))
@@ -143,7 +143,7 @@ def feed_garbage(path):
     for trial in range(4):
         log = Log(2, "cells", trial % 2 == 0)
         native = native_filter(library, "moment", setup_of(2, "cells"), {})
-        state = native.init()
+        state = native.pack()
         for k in range(3 * SAMPLES):
             raw, row = log.force[k % SAMPLES].copy(), log.row(k % SAMPLES)
             if rng.random() < 0.1:

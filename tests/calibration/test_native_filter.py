@@ -215,7 +215,7 @@ def same_state(stream, native, expected, state, **tolerance):
 def play(stream, native, log, exchange=(), **tolerance):
     """Play a log to both; at some samples each goes on with the other's state."""
     exchange = {exchange} if isinstance(exchange, int) else set(exchange)
-    expected, found = stream.init(log.force[0]), native.init()
+    expected, found = stream.init(log.force[0]), native.pack()
     same_state(stream, native, expected, found, **tolerance)
     for k in range(len(log.force)):
         row, dt = log.row(k), float(log.times[k])

@@ -149,7 +149,7 @@ def test_the_library_is_the_python(library, made, lag):
 
 def test_a_robot_that_is_held_is_said_to_be(library):
     _, native = robot(library, "cells", 0, "moment")
-    log, state = held(), native.init()
+    log, state = held(), native.pack()
     flags = [native.update(state, log.force[k], log.row(k), DT).flags[0] & Flag.HELD for k in range(SAMPLES)]
     assert any(flags[AT + 40 : AT + 160])
     assert not any(flags[:AT])

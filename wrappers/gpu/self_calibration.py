@@ -234,10 +234,7 @@ class SelfCalibrationModule(BatchModule):
         self._layouts = fresh.dtype, native.estimate.now.dtype
         self._view()
         self._covariance = constants.covariance
-        self._untold = (
-            *(() if constants.contact else ("undetermined", "contact_probability")),
-            *(() if native.certain else ("force_std", "cop_covariance", "nis", "nis_rows")),
-        )
+        self._untold = constants.untold
 
     def forward(
         self, counts: Tensor, reference: Reference | MomentumReference, step: int | None = None
