@@ -14,63 +14,17 @@ typedef struct {
     size_t state, cop_foot, cop, cop_valid, wrench, held, seen;
 } sf_observation_room;
 
-#define F_WORD(field) PLACE(foot_places, field, "word")
-#define F_INT(field) PLACE(foot_places, field, "int")
-#define P_WORD(field) PLACE(places, field, "word")
-#define P_INT(field) PLACE(places, field, "int")
-#define C_REAL(field) PLACE(planned, field, "real")
-#define T_WORD(field) PLACE(truth_room, field, "word")
-#define O_WORD(field) PLACE(observation_room, field, "word")
-
 static const place places[] = {
-    F_WORD(ankle),
-    F_WORD(contact),
-    F_WORD(position_sole),
-    F_WORD(axes_sole),
-    F_WORD(flat),
-    PLACE(foot_places, up, "real"),
-    F_INT(feet),
-    F_INT(com),
-    F_INT(rows),
-    F_INT(columns),
-    WHOLE_OF(foot_places),
-    P_WORD(feet),
-    P_WORD(joint_dofs),
-    PLACE(places, cop_bound, "real"),
-    P_INT(axes_torso),
-    P_INT(position_torso),
-    P_INT(gyroscope),
-    P_INT(com_velocity),
-    P_INT(joint_position),
-    P_INT(joints),
-    P_INT(speeds),
-    WHOLE_OF(places),
-    C_REAL(com),
-    C_REAL(com_velocity),
-    C_REAL(cop),
-    C_REAL(position_sole),
-    C_REAL(yaw_sole),
-    C_REAL(stance),
-    C_REAL(phase),
-    WHOLE_OF(planned),
-    T_WORD(row),
-    T_WORD(vgrf),
-    T_WORD(cop_world),
-    T_WORD(cop),
-    T_WORD(cop_foot),
-    T_WORD(com),
-    T_WORD(wrench_sole),
-    T_WORD(wrench_ankle),
-    T_WORD(cop_valid),
-    WHOLE_OF(truth_room),
-    O_WORD(state),
-    O_WORD(cop_foot),
-    O_WORD(cop),
-    O_WORD(cop_valid),
-    O_WORD(wrench),
-    O_WORD(held),
-    O_WORD(seen),
-    WHOLE_OF(observation_room),
+    WHOLE_OF(foot_places), WHOLE_OF(places), WHOLE_OF(planned), WHOLE_OF(truth_room), WHOLE_OF(observation_room),
+    FIELDS(foot_places, "word", ankle, contact, position_sole, axes_sole, flat),
+    FIELDS(foot_places, "real", up),
+    FIELDS(foot_places, "int", feet, com, rows, columns),
+    FIELDS(places, "word", feet, joint_dofs),
+    FIELDS(places, "real", cop_bound),
+    FIELDS(places, "int", axes_torso, position_torso, gyroscope, com_velocity, joint_position, joints, speeds),
+    FIELDS(planned, "real", com, com_velocity, cop, position_sole, yaw_sole, stance, phase),
+    FIELDS(truth_room, "word", row, vgrf, cop_world, cop, cop_foot, com, wrench_sole, wrench_ankle, cop_valid),
+    FIELDS(observation_room, "word", state, cop_foot, cop, cop_valid, wrench, held, seen),
 };
 LIBRARY_OF(places)
 

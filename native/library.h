@@ -25,8 +25,32 @@ typedef struct {
     size_t offset, size;
 } place;
 
-#define PLACE(record, field, kind)                                                                           \
-    {#record, #field, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
+/* Rows of the table: a field of a record, under a name of its own; up to 16 fields of one kind; and as many fields of a
+   part, of which the names begin with a prefix. */
+#define PART(record, name, field, kind)                                                                      \
+    {#record, #name, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
+#define FIELDS(record, kind, ...) PARTS(record, , , kind, __VA_ARGS__)
+#define PARTS(record, prefix, part, kind, ...)                                                               \
+    SEVENTEENTH(__VA_ARGS__, EACH16, EACH15, EACH14, EACH13, EACH12, EACH11, EACH10, EACH9, EACH8, EACH7,    \
+                EACH6, EACH5, EACH4, EACH3, EACH2, EACH1, )(record, prefix, part, kind, __VA_ARGS__)
+#define SEVENTEENTH(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, ...) q
+#define ROW(record, prefix, part, kind, field) PART(record, prefix##field, part field, kind)
+#define EACH1(r, n, p, k, f) ROW(r, n, p, k, f)
+#define EACH2(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH1(r, n, p, k, __VA_ARGS__)
+#define EACH3(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH2(r, n, p, k, __VA_ARGS__)
+#define EACH4(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH3(r, n, p, k, __VA_ARGS__)
+#define EACH5(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH4(r, n, p, k, __VA_ARGS__)
+#define EACH6(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH5(r, n, p, k, __VA_ARGS__)
+#define EACH7(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH6(r, n, p, k, __VA_ARGS__)
+#define EACH8(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH7(r, n, p, k, __VA_ARGS__)
+#define EACH9(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH8(r, n, p, k, __VA_ARGS__)
+#define EACH10(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH9(r, n, p, k, __VA_ARGS__)
+#define EACH11(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH10(r, n, p, k, __VA_ARGS__)
+#define EACH12(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH11(r, n, p, k, __VA_ARGS__)
+#define EACH13(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH12(r, n, p, k, __VA_ARGS__)
+#define EACH14(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH13(r, n, p, k, __VA_ARGS__)
+#define EACH15(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH14(r, n, p, k, __VA_ARGS__)
+#define EACH16(r, n, p, k, f, ...) ROW(r, n, p, k, f), EACH15(r, n, p, k, __VA_ARGS__)
 #define WHOLE_OF(record) {#record, "", "", 0, sizeof(sf_##record)}
 
 /* After the table. */

@@ -6,42 +6,6 @@
 
 #include "library.h"
 
-#define C_INT(field) PLACE(cells_config, field, "int")
-#define C_REAL(field) PLACE(cells_config, field, "real")
-#define S_REAL(field) PLACE(cells, field, "real")
-#define F_REAL(field) PLACE(force_torque_config, field, "real")
-#define G_INT(field) PLACE(strain_gauges_config, field, "int")
-#define G_REAL(field) PLACE(strain_gauges_config, field, "real")
-#define H_REAL(field) PLACE(strain_gauges, field, "real")
-#define B_INT(field) PLACE(faults_config, field, "int")
-#define B_REAL(field) PLACE(faults_config, field, "real")
-#define T_INT(field) PLACE(telemetry_config, field, "int")
-#define T_DOUBLE(field) PLACE(telemetry_config, field, "double")
-#define T_REAL(field) PLACE(telemetry_config, field, "real")
-#define U_DOUBLE(field) PLACE(telemetry, field, "double")
-#define U_WHOLE(field) PLACE(telemetry, field, "whole")
-#define R_AT(field) PLACE(sense_records, field, "word")
-#define R_INT(field) PLACE(sense_records, field, "int")
-#define FEET(field, kind)                                                                                    \
-    {"sense_records", #field, kind, offsetof(sf_sense_records, feet.field), sizeof(((sf_feet *)0)->field)}
-#define U_REAL(field) PLACE(telemetry, field, "real")
-
-/* Fields of the wire within a device's record. */
-#define WIRED(record, field, kind)                                                                           \
-    {#record, "wire_" #field, kind, offsetof(sf_##record, wire.field), sizeof(((sf_##record *)0)->wire.field)}
-#define WIRE_CONFIG(record)                                                                                  \
-    WIRED(record, bits, "int"), WIRED(record, offset_binary, "int"), WIRED(record, late, "int"),             \
-        WIRED(record, under_way, "int"), WIRED(record, lowest, "real"), WIRED(record, highest, "real"),      \
-        WIRED(record, spike_size, "real"), WIRED(record, spike_rate, "real"),                                \
-        WIRED(record, wrong_words, "real"), WIRED(record, stale_repeats, "real"),                            \
-        WIRED(record, packet_loss, "real"), WIRED(record, packet_loss_length, "real"),                       \
-        WIRED(record, gap_share, "real"), WIRED(record, gap_length, "real"), WIRED(record, delay, "real"),   \
-        WIRED(record, jitter, "real")
-#define WIRE_STATE(record)                                                                                   \
-    WIRED(record, stale_repeats_held, "real"), WIRED(record, packet_loss_lost, "real"),                      \
-        WIRED(record, gaps_lost, "real"), WIRED(record, latency_due, "real"),                                \
-        WIRED(record, latency_readings, "real"), WIRED(record, latency_held, "real")
-
 /* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
 typedef struct {
     const sf_telemetry_config *config;
@@ -70,66 +34,57 @@ typedef struct {
 
 /* clang-format off */
 static const place places[] = {
-    WHOLE_OF(random), PLACE(random, key, "word"), PLACE(random, count, "word"),
-
-    WHOLE_OF(cells_config), WHOLE_OF(cells),
-
-    C_INT(channels), C_INT(clocked), C_INT(averaged), C_INT(settling), C_INT(warms), C_INT(shears), C_INT(plays), C_INT(creeps),
-    C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise_counts), C_REAL(scale_drift),
-    C_REAL(offset_drift), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
-    C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),
-    C_REAL(creep_shares), C_REAL(creep_time_constants), C_REAL(impact_threshold), C_REAL(mounting_warp_std),
-    C_REAL(mounting_common_std), C_REAL(overload_share), C_REAL(safe_load), WIRE_CONFIG(cells_config),
-
-    S_REAL(period), S_REAL(due), S_REAL(charge), S_REAL(held), S_REAL(error), S_REAL(thermal),
-    S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
-    S_REAL(mechanics_creep_yielded), S_REAL(mechanics_mounting_offset), S_REAL(mechanics_mounting_load),
-    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), S_REAL(shear), WIRE_STATE(cells),
-
-    WHOLE_OF(force_torque_config), WHOLE_OF(force_torque),
-
-    PLACE(force_torque_config, sensors, "int"), F_REAL(slope), F_REAL(noise), F_REAL(full_scale_ratio),
-    F_REAL(scale_drift), F_REAL(offset_walk), WIRE_CONFIG(force_torque_config),
-
-    PLACE(force_torque, error, "real"), PLACE(force_torque, offset, "real"), WIRE_STATE(force_torque),
-
-    WHOLE_OF(strain_gauges_config), WHOLE_OF(strain_gauges),
-
-    G_INT(channels), G_INT(bends), G_INT(plays), G_INT(of_load), G_INT(creeps), G_INT(walks), G_INT(noisy),
-    G_INT(converts), G_REAL(full_scale), G_REAL(creep_shares), G_REAL(creep_time_constants), G_REAL(hysteresis),
-    G_REAL(hysteresis_excess), G_REAL(hysteresis_most), G_REAL(slack), G_REAL(walk_map), G_REAL(noise_map),
-    G_REAL(temperature_ramp), G_REAL(temperature_rise), G_REAL(lowest), G_REAL(highest),
-
-    H_REAL(response), H_REAL(tempco), H_REAL(offset), H_REAL(temperature), H_REAL(creep_yielded),
-    H_REAL(hysteresis_plays), H_REAL(bend_cubic), H_REAL(bend_cross),
-
-    WHOLE_OF(faults_config), WHOLE_OF(faults),
-
-    B_INT(channels), B_INT(count), B_INT(kind), B_INT(channel), B_INT(other), B_INT(rounds), B_REAL(start),
-    B_REAL(stop), B_REAL(unloaded), B_REAL(lowest), B_REAL(highest), B_REAL(rate), B_REAL(size),
-    B_REAL(probability), B_REAL(burst), PLACE(faults, time, "double"), PLACE(faults, held, "real"),
-    PLACE(faults, lost, "real"),
-
-    WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
-
-    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(room), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
-    T_DOUBLE(substep), T_DOUBLE(period), T_DOUBLE(delay), T_DOUBLE(jitter), T_REAL(interval),
-    T_REAL(smoothing), T_REAL(encoders_bias_std), T_REAL(encoders_noise_std), T_REAL(encoders_resolution), T_REAL(bias_std),
-    T_REAL(spread), T_REAL(walk), T_REAL(noise), T_REAL(step), T_REAL(most),
-
-    U_DOUBLE(due), U_WHOLE(number), U_WHOLE(substeps), U_WHOLE(first), U_WHOLE(waiting), U_REAL(bias),
-    U_REAL(matrix), U_REAL(error), U_REAL(up), U_REAL(gyroscope_bias), U_REAL(position), U_REAL(velocity),
-    U_REAL(inertial), U_DOUBLE(arrival), U_REAL(ring),
-
-    WHOLE_OF(sense_records), FEET(cells_config, "word"), FEET(cells, "word"), FEET(cells_stream, "word"),
-    FEET(force_torque_config, "word"), FEET(force_torque, "word"), FEET(force_torque_stream, "word"),
-    FEET(faults_config, "word"), FEET(faults, "word"), FEET(faults_stream, "word"), FEET(order, "word"),
-    FEET(dt, "double"), FEET(first, "double"), FEET(more, "int"),
-    R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
-    R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
-    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(columns),
-    R_INT(at_joints), R_INT(at_inertial), R_INT(at_ankles), R_INT(at_cells), R_INT(stride), R_INT(readings),
-    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares), R_INT(averaged), R_INT(packets),
+    WHOLE_OF(random), WHOLE_OF(cells_config), WHOLE_OF(cells), WHOLE_OF(force_torque_config), WHOLE_OF(force_torque),
+    WHOLE_OF(strain_gauges_config), WHOLE_OF(strain_gauges), WHOLE_OF(faults_config), WHOLE_OF(faults),
+    WHOLE_OF(telemetry_config), WHOLE_OF(telemetry), WHOLE_OF(sense_records),
+    FIELDS(random, "word", key, count),
+    FIELDS(cells_config, "int", channels, clocked, averaged, settling, warms, shears, plays, creeps),
+    FIELDS(cells_config, "real", highest_rate, slope, zero_code, noise_counts, scale_drift, offset_drift,
+        temperature_ramp, temperature_rise, capacity, nonlinearity, hysteresis, hysteresis_excess, slack,
+        creep_shares, creep_time_constants, impact_threshold),
+    FIELDS(cells_config, "real", mounting_warp_std, mounting_common_std, overload_share, safe_load),
+    PARTS(cells_config, wire_, wire., "int", bits, offset_binary, late, under_way),
+    PARTS(cells_config, wire_, wire., "real", lowest, highest, spike_size, spike_rate, wrong_words, stale_repeats,
+        packet_loss, packet_loss_length, gap_share, gap_length, delay, jitter),
+    FIELDS(cells, "real", period, due, charge, held, error, thermal, window, mechanics_nonlinearity_quadratic,
+        mechanics_hysteresis_plays, mechanics_creep_yielded, mechanics_mounting_offset, mechanics_mounting_load,
+        mechanics_mounting_impact, mechanics_overload_excess, shear),
+    PARTS(cells, wire_, wire., "real", stale_repeats_held, packet_loss_lost, gaps_lost, latency_due, latency_readings,
+        latency_held),
+    FIELDS(force_torque_config, "int", sensors),
+    FIELDS(force_torque_config, "real", slope, noise, full_scale_ratio, scale_drift, offset_walk),
+    PARTS(force_torque_config, wire_, wire., "int", bits, offset_binary, late, under_way),
+    PARTS(force_torque_config, wire_, wire., "real", lowest, highest, spike_size, spike_rate, wrong_words,
+        stale_repeats, packet_loss, packet_loss_length, gap_share, gap_length, delay, jitter),
+    FIELDS(force_torque, "real", error, offset),
+    PARTS(force_torque, wire_, wire., "real", stale_repeats_held, packet_loss_lost, gaps_lost, latency_due,
+        latency_readings, latency_held),
+    FIELDS(strain_gauges_config, "int", channels, bends, plays, of_load, creeps, walks, noisy, converts),
+    FIELDS(strain_gauges_config, "real", full_scale, creep_shares, creep_time_constants, hysteresis,
+        hysteresis_excess, hysteresis_most, slack, walk_map, noise_map, temperature_ramp, temperature_rise, lowest,
+        highest),
+    FIELDS(strain_gauges, "real", response, tempco, offset, temperature, creep_yielded, hysteresis_plays, bend_cubic,
+        bend_cross),
+    FIELDS(faults_config, "int", channels, count, kind, channel, other, rounds),
+    FIELDS(faults_config, "real", start, stop, unloaded, lowest, highest, rate, size, probability, burst),
+    FIELDS(faults, "double", time),
+    FIELDS(faults, "real", held, lost),
+    FIELDS(telemetry_config, "int", joints, substeps, before_start, room, averaged, skewed),
+    FIELDS(telemetry_config, "double", dt, substep, period, delay, jitter),
+    FIELDS(telemetry_config, "real", interval, smoothing, encoders_bias_std, encoders_noise_std, encoders_resolution,
+        bias_std, spread, walk, noise, step, most),
+    FIELDS(telemetry, "double", due, arrival),
+    FIELDS(telemetry, "whole", number, substeps, first, waiting),
+    FIELDS(telemetry, "real", bias, matrix, error, up, gyroscope_bias, position, velocity, inertial, ring),
+    PARTS(sense_records, , feet., "word", cells_config, cells, cells_stream, force_torque_config, force_torque,
+        force_torque_stream, faults_config, faults, faults_stream, order),
+    PARTS(sense_records, , feet., "double", dt, first),
+    PARTS(sense_records, , feet., "int", more),
+    FIELDS(sense_records, "word", map, preload, wrench, load, telemetry, telemetry_state, telemetry_stream, newest,
+        raw, observed, low, high, shown, held, counts, from),
+    FIELDS(sense_records, "word", to),
+    FIELDS(sense_records, "int", rows, columns, at_joints, at_inertial, at_ankles, at_cells, stride, readings, soles,
+        channels, values, numbers, shares, averaged, packets),
 };
 /* clang-format on */
 
