@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DETERMINED, FootView
 from surefoot.robot.python import AnyBeliefs, PythonSample, Told
+from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.sensors import RobotSensors
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
@@ -24,28 +25,6 @@ _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 
 NOTHING = None, 0
 """No packets: neither a place of rows nor a number of them."""
-
-
-class Samples(NamedTuple):
-    """The request to the library for a sample of each of n robots.
-
-    Attributes:
-        rows: Addresses of rows of packets that have arrived before it.
-        packets: Their numbers.
-        raw: Addresses of readings.
-        planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
-        then: The moments of the samples, in s on the hosts' clocks.
-        now: The hosts' clocks in s.
-        hold: Whether nothing is learnt.
-    """
-
-    rows: NDArray[np.uintp]
-    packets: NDArray[np.int32]
-    raw: NDArray[np.uintp]
-    planned: NDArray[np.bool_] | None
-    then: NDArray[np.float64]
-    now: NDArray[np.float64]
-    hold: bool
 
 
 class NativeSample:
@@ -168,23 +147,35 @@ class ManySamples:
         # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
         return type(None), ()
 
-    def feed(self, which: NDArray[np.intp], samples: Samples, threads: int) -> None:
-        """Take in a sample of each of some robots.
+    def feed(
+        self,
+        which: NDArray[np.intp],
+        sensed: ManySensing,
+        planned: NDArray[np.bool_] | None,
+        then: NDArray[np.float64],
+        now: NDArray[np.float64],
+        hold: bool,
+        threads: int,
+    ) -> None:
+        """Take in a sample of each of n robots.
 
         Args:
             which: Their numbers, shape (n,).
-            samples: One of each.
+            sensed: All robots' readings and packets.
+            planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
+            then: The moments of the samples, in s on the hosts' clocks, shape (n,).
+            now: The hosts' clocks in s, shape (n,).
+            hold: Whether nothing is learnt.
             threads: As of :func:`~surefoot.native.call_for_many`.
         """
         plans = np.zeros(len(which), dtype=np.uintp)
-        how = np.full(len(which), 2 * samples.hold, dtype=np.int32)
-        if samples.planned is not None:
-            planned = np.ascontiguousarray(samples.planned)
+        how = np.full(len(which), 2 * hold, dtype=np.int32)
+        if planned is not None:
+            planned = np.ascontiguousarray(planned)
             how, plans = how + np.int32(1), plans + planned.ctypes.data
             plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
-        rows, packets, raw, _, then, now, _ = samples
-        arguments = self._at[which], rows, packets, raw, plans, then, now, how
-        call_for_many(self._many, arguments, threads)
+        found = sensed.rows[which], sensed.packets[which], sensed.raw[which]
+        call_for_many(self._many, (self._at[which], *found, plans, then, now, how), threads)
         if not self.sampled.all():
             self.sampled[which] = True
             for i in which.tolist():
@@ -211,16 +202,7 @@ def native_sample(
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:
     """Return the bounds of the observation, as the library wants them."""
-    config = library.record_of(
-        "view",
-        {
-            "force_bound": view.force_bound,
-            "cop_bound": COP_BOUND,
-            "weight": view.weight,
-            "flawed": view.flawed,
-            "rolls": view.rolls,
-        },
-    )
+    config = library.constants("view", view, {"cop_bound": COP_BOUND})
     assert config is not None
     return config
 

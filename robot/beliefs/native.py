@@ -41,14 +41,9 @@ class NativeBeliefs:
         self._momentum = isinstance(believed, MomentumBeliefs)
         beliefs, F = believed.beliefs if isinstance(believed, MomentumBeliefs) else believed, self.model.feet
         self.feet = F
-        needed, window = plan_window(beliefs.lag)
-        timing = {
-            "averaged": beliefs.averaged, "needed": needed, "window": window, "dt": beliefs.dt,
-            "period": beliefs.period, "delay": beliefs.delay, "joined": beliefs.joined,
-            "gravity": self.model.gravity, "feet": F, "rolls": beliefs.rolls,
-            **StrapdownConstants.of(beliefs.touching)._asdict(),
-        }  # fmt: skip
-        found = library.record_of("timing", timing)
+        own = dict(zip(("needed", "window"), plan_window(beliefs.lag), strict=True))
+        constants = StrapdownConstants.of(beliefs.touching)
+        found = library.constants("timing", own, constants, beliefs, self.model)
         kinds = (MomentumReference if self._momentum else Reference), Reference, MomentumReference
         self.believed, self._other, self._moved = (ReferenceRecord(library, kind, F) for kind in kinds)
         if found is None:

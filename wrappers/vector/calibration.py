@@ -11,7 +11,7 @@ from surefoot.calibration.checks import check_flag
 from surefoot.calibration.online import MethodOptions
 from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.robot.foot_view import drop_counts
-from surefoot.robot.native import ManySamples, NativeSample, Samples
+from surefoot.robot.native import ManySamples, NativeSample
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]
@@ -96,12 +96,8 @@ class BatchCalibration:
         # What was shown of a robot that has other records since then stands in `shown` alone.
         if readers and natives and (len(which) == count or natives.sampled.all()):
             now, plans = sensors.time[which], None if sensors.plans is None else sensors.plans[which]
-            then, places = (
-                self.robots[0].reference_time_at(now),
-                (readers.rows[which], readers.packets[which]),
-            )
-            samples = Samples(*places, readers.raw[which], plans, then, now, self.frozen)
-            natives.feed(which, samples, sensors.threads)
+            then = self.robots[0].reference_time_at(now)
+            natives.feed(which, readers, plans, then, now, self.frozen, sensors.threads)
             self.shown, self.told = natives.outputs()
         else:
             each = which.tolist()
