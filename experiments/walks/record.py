@@ -113,7 +113,8 @@ class FootInstruments:
             # Every chip delivers once before the walk, as they do while a robot boots.
             part: Any = self._all.parts[0]
             period = 1.0 / cells.rate[0] if cells.rate else 0.0125
-            _, booted = part.read(truth, self._state.cells, self._streams["cells"], period)
+            load, stream = part.load(truth), self._streams["cells"]
+            _, booted = part.device.apply(load, self._state.cells, stream, period)
             self._state = self._state._replace(cells=booted)
         self.about = {} if ankle is None else self._errors_between_axes()
         self._dt, self._kept = dt, Recording(dt)

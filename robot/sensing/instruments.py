@@ -18,7 +18,7 @@ from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
-from surefoot.sensors.corruption import Rng
+from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map, with_true_map
 from surefoot.sensors.devices.native_cells import CELLS
@@ -60,6 +60,7 @@ class CellsUnderFeet:
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
         kind: Their kind in the library.
+        device: Their errors.
 
     Raises:
         ValueError: If a foot has no place for cells, or their numbers differ.
@@ -89,23 +90,13 @@ class CellsUnderFeet:
         low, high = (np.full(self.channels, end) for end in config.code_range)
         self.code_range = low, high
         self.feet = tuple(self._foot(name, i, drawing) for i, name in enumerate(drawing.sides))
-        self._device = load_cells(config)
-
-    def init(self, rng: Rng) -> LoadCellState:
-        """Draw the cells."""
-        drawn: LoadCellState = self._device.init((self.channels,), rng)
-        return drawn
+        self.device: Corruption[LoadCellState] = load_cells(config)
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
         load = self.load(truth)[-1]
         load = mix(load, state.shear) if self.config.shear_std else load
         return state._replace(charge=load * (state.period - state.due))
-
-    def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
-        """Read them after a control step of dt."""
-        counts, after = self._device.apply(self.load(truth), state, rng, dt)
-        return counts, after
 
     def load(self, truth: Any) -> Floats:
         """Return the loads that they feel in each substep in N, shape (S, K), or (S, 3 K) with shear."""
@@ -170,6 +161,7 @@ class SensorsInAnkles:
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
         kind: Their kind in the library.
+        device: Their errors.
 
     Raises:
         ValueError: If there are more or fewer of them than feet.
@@ -201,23 +193,11 @@ class SensorsInAnkles:
             for i, name in enumerate(drawing.sides)
         )
         self.preload = np.concatenate([_weight(foot, drawing.gravity) for foot in self.feet])
-        self._device = force_torque(config)
-
-    def init(self, rng: Rng) -> ForceTorqueState:
-        """Draw the sensors."""
-        drawn: ForceTorqueState = self._device.init((self.channels,), rng)
-        return drawn
+        self.device: Corruption[ForceTorqueState] = force_torque(config)
 
     def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
         """Return the state as it is: readings remember no load before."""
         return state
-
-    def read(
-        self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
-    ) -> tuple[Floats, ForceTorqueState]:
-        """Read them after a control step of dt."""
-        counts, after = self._device.apply(self.load(truth), state, rng, dt)
-        return counts, after
 
     def load(self, truth: Any) -> Floats:
         """Return the loads of the whole control step, or of its end, in N and N m, shape (K,)."""
@@ -309,7 +289,8 @@ class Instruments:
 
     def init(self, streams: Mapping[str, Rng]) -> InstrumentsState:
         """Draw instruments, each from its own stream, by name."""
-        return InstrumentsState(**{part.name: part.init(streams[part.name]) for part in self.parts})
+        drawn = {part.name: part.device.init((part.channels,), streams[part.name]) for part in self.parts}
+        return InstrumentsState(**drawn)
 
     def read(
         self, truth: Any, state: InstrumentsState, streams: Mapping[str, Rng], dt: float
@@ -327,7 +308,8 @@ class Instruments:
         """
         readings: list[Floats] = []
         for part in self.parts:
-            reading, after = part.read(truth, getattr(state, part.name), streams[part.name], dt)
+            device: Corruption[Any] = part.device
+            reading, after = device.apply(part.load(truth), getattr(state, part.name), streams[part.name], dt)
             readings.append(reading)
             state = state._replace(**{part.name: after})
         return readings[0] if self._one else self.join(readings), state
