@@ -102,29 +102,11 @@ class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.R
         **options: Any,
     ) -> None:
         self._sensors = sensors = find_sensors(env, SelfCalibration, FootSensors, gym.Wrapper)
-        setup = CalibrationSetup(
-            "SelfCalibration",
-            sensors.robot.equipment,
-            method,
-            initial=initial,
-            show=show,
-            lag=lag,
-            fresh=fresh,
-            errors=errors,
-            stream=stream,
-            **options,
-        )
-        gym.utils.RecordConstructorArgs.__init__(
-            self,
-            method=setup.method,
-            initial=setup.start.as_plain(),
-            show=list(setup.show),
-            lag=lag,
-            fresh=fresh,
-            errors=setup.errors,
-            stream=stream,
-            **setup.given,
-        )
+        given: dict[str, Any] = {"lag": lag, "fresh": fresh, "stream": stream}
+        options |= {"initial": initial, "show": show, "errors": errors}
+        setup = CalibrationSetup("SelfCalibration", sensors.robot.equipment, method, **given, **options)
+        given |= {"initial": setup.start.as_plain(), "show": list(setup.show), "errors": setup.errors}
+        gym.utils.RecordConstructorArgs.__init__(self, method=setup.method, **given, **setup.given)
         gym.Wrapper.__init__(self, env)
         space = env.observation_space
         if not isinstance(space, spaces.Dict):

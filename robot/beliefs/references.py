@@ -21,6 +21,7 @@ a common tilt cancels to first order.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from math import floor, sqrt
 from typing import Any, NamedTuple, TypeVar
 
@@ -166,6 +167,8 @@ class Beliefs(Believed):
         touching: NDArray[np.float64] | None = None,
         rolls: bool = False,
     ) -> None:
+        own: dict[str, Any] = {"lag": lag, "dt": dt, "joined": joined, "rolls": rolls}
+        self._begin = partial(Beliefs, model, layout, period, delay, averaged, touching=touching, **own)
         self.model = model
         self.layout = layout
         self.period, self.delay, self.averaged = joined * period, delay, averaged or joined > 1
@@ -192,18 +195,7 @@ class Beliefs(Believed):
 
     def begin_episode(self) -> "Beliefs":
         """Return beliefs of the same robot at an episode's start."""
-        return Beliefs(
-            self.model,
-            self.layout,
-            self.period / self.joined,
-            self.delay,
-            self.averaged,
-            lag=self.lag,
-            dt=self.dt,
-            joined=self.joined,
-            touching=self.touching,
-            rolls=self.rolls,
-        )
+        return self._begin()
 
     @property
     def force_bias(self) -> NDArray[np.float64]:
