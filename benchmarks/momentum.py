@@ -168,6 +168,7 @@ PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter], dict[str, Any]]] =
     "loads": _without(modes.LOADED),
     "severity by evidence": {"severities": np.ones(4), "first_rate": 1.0},
     "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12, "first_rate": 1.0},
+    "zeros of a robot that stands still": {"least_still": 2.0},
     "ripple within a sample": {"ripple": 0.0},
     "memory of a zero's drift": {"product_time": 0.0},
     "error of the centre of mass": _begin_sure_of("com"),

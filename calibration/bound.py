@@ -161,9 +161,10 @@ class LogPassages:
     def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
         """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
         part, weight = self._columns.map, self._setup.weight
+        known, turned = self._as_force(self._path[sample])
         learnt: Floats = map_covariance(
-            self._path[sample],
-            covariance[part, part],
+            known,
+            (turned @ covariance @ turned.T)[part, part],
             self._columns,
             weight,
             np.zeros_like(self._spread.walk),
@@ -181,8 +182,8 @@ class LogPassages:
         found = []
         for force, rows, known in zip(self._force[part], self._rows[part], self._path[part], strict=True):
             to_force = np.hstack([np.diag(force), np.eye(len(force))])
-            a, b, u = (known[of] for of in (columns.scale, columns.offset, columns.drift))
-            moments = rows @ (a * force + (b + a * u) * weight)
+            a, b, z = (known[of] for of in (columns.scale, columns.offset, columns.drift))
+            moments = rows @ (a * force + (b + a * z) * weight)
             cop = cop_of_moments(moments[0], moments[1:], self._setup.force_threshold)
             row = rows @ to_force
             found.append((to_force, row[:1], to_cop(row, cop, moments[0])))
@@ -202,8 +203,21 @@ class LogPassages:
         )
         return force, vgrf[:, 0], cop
 
+    def _as_force(self, known: Floats) -> tuple[Floats, Floats]:
+        """Return the map with drift as a force u = a z, and the derivatives of the filter's unknowns (N, N).
+
+        Here zeros drift in readings, by z, which says nothing of scales.
+        """
+        scale, drift = self._columns.scale, self._columns.drift
+        a, z = known[scale], known[drift]
+        turned = np.eye(self._columns.size)
+        turned[drift, scale], turned[drift, drift] = np.diag(z), np.diag(a)
+        known = known.copy()
+        known[drift] = a * z
+        return known, turned
+
     def _follow(self, truth: Parameters) -> Floats:
-        """Return the true scales, offsets and drift at each sample, shape (samples, M)."""
+        """Return the true scales, offsets and drift in readings at each sample, shape (samples, M)."""
         start = Parameters(*(np.asarray(part, dtype=np.float64) for part in self._setup.initial))
         true = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
         offset = true.offset / self._setup.weight
@@ -235,12 +249,13 @@ class LogPassages:
     def _pass(self, block: Block, k: int, last: Rows | None) -> tuple[Passage, Rows]:
         """Return the passage of a block, and its rows; ``last`` are those of the block before."""
         columns, T = self._columns, block.duration
-        N, known = columns.size, self._path[k]
+        N = columns.size
+        known, turned = self._as_force(self._path[k])
         identity, none = np.eye(N), np.zeros((N, N))
         passage = Passage.move(identity, self._walk * T)
         H, variance = self._filter.tare.rows(block, known)
         if len(H):
-            passage = passage.then(Passage.learn(H, variance))
+            passage = passage.then(Passage.learn(H @ turned, variance))
         rows = self._filter.model.rows(block, known, np.zeros(len(known) // 3))
         if last is None:
             return passage.then(self._begin(rows)), rows
@@ -250,9 +265,10 @@ class LogPassages:
         decay[columns.wrench, columns.wrench] *= share
         added[columns.wrench, columns.wrench] = np.diag(wrench_variance(FREE, rows) * (1.0 - share**2))
         passage = passage.then(Passage.move(decay @ moved, added))
-        passage = passage.then(Passage.learn(rows.mean, rows.variance + rows.walk / 3.0))
+        passage = passage.then(Passage.learn(rows.mean @ turned, rows.variance + rows.walk / 3.0))
         forward, walk = identity.copy(), none.copy()
-        forward[columns.momentum], walk[columns.momentum, columns.momentum] = rows.end, rows.walk
+        forward[columns.momentum] = rows.end @ turned
+        walk[columns.momentum, columns.momentum] = rows.walk
         return passage.then(Passage.move(forward, walk)), rows
 
     def _begin(self, rows: Rows | None) -> Passage:

@@ -55,6 +55,7 @@ typedef struct {
     sf_real velocity_variance[3], spin_variance, ripple, least_load;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
+    sf_real level_time, least_still;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
     sf_real most_load, least_row, reading_noise;
@@ -74,16 +75,23 @@ typedef struct {
     sf_real mean[SF_WEIGHED], covariance[SF_WEIGHED * SF_WEIGHED], undetermined[SF_CHANNELS];
 } sf_publication;
 
+/* TareState */
+typedef struct {
+    sf_real reading[SF_CHANNELS], time[SF_FEET], rate;
+    sf_whole followed;
+} sf_tares;
+
+/* StillState */
+typedef struct {
+    sf_real reading[SF_CHANNELS], level[SF_CHANNELS], time;
+} sf_still;
+
+/* Kept, one of two */
 typedef struct {
     sf_modes belief;
     sf_publication published;
+    sf_tares tare;
 } sf_known_then;
-
-/* TareState */
-typedef struct {
-    sf_real reading[SF_CHANNELS], centre[SF_CHANNELS], time[SF_FEET], rate;
-    sf_whole followed;
-} sf_tares;
 
 /* Track: where the axes of the last sample lie, and what was added up. */
 typedef struct {
@@ -112,6 +120,7 @@ typedef struct {
     sf_whole waiting, linked;
     sf_real point[3], time, drifted;
     sf_tares tare;
+    sf_still still;
     sf_suspects suspects;
     sf_real shift[SF_CHANNELS];
     sf_modes belief;
@@ -396,7 +405,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
     sf_real pushes[2 * SF_COMPONENTS] = {0}, reach[2 * SF_COMPONENTS * SF_CHANNELS] = {0};
     for (int t = 0; t < n; t++)
         for (int i = 0; i < K; i++) {
-            w->force[t * K + i] = a[i] * (samples[t * wide + i] + u[i]) + b[i];
+            w->force[t * K + i] = a[i] * samples[t * wide + i] + b[i] + u[i];
             read[i] += samples[t * wide + K + i];
         }
     sf_units(c, m, samples, n, spare, weighted, w);
@@ -426,7 +435,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
                 sf_real *far = reach + (which * C + r) * K, *first = scale[which], by_share = share[which];
                 for (int i = 0; i < K; i++) {
                     sf_real one = by_share * unit[r * K + i];
-                    first[i] += one * (row[i] + u[i]);
+                    first[i] += one * row[i];
                     far[i] += one;
                 }
                 for (int j = 0; j < m->talks; j++)
@@ -470,9 +479,7 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
             sf_real *row = H + r * N, *far = reach + (which * C + r) * K;
             rest[r] = pulls[which * C + r];
             for (int i = 0; i < K; i++) {
-                row[K + i] = far[i];
-                row[2 * K + i] = far[i] * a[i];
-                rest[r] -= far[i] * (a[i] * u[i]);
+                row[K + i] = row[2 * K + i] = far[i];
             }
             row[at - 2] = pushes[which * C + r];
             row[at + r] = 1;
@@ -1083,22 +1090,18 @@ SF_API void sf_map_covariance(const sf_config *c, const sf_moment_config *m, con
         if (r < K) sf_copy(row, p->covariance + i * M, 3 * K);
         else
             for (int k = 0; k < 3 * K; k++)
-                row[k] = W * (p->mean[2 * K + i] * p->covariance[i * M + k] + p->covariance[(K + i) * M + k] +
-                              p->mean[i] * p->covariance[(2 * K + i) * M + k]);
+                row[k] = W * (p->covariance[(K + i) * M + k] + p->covariance[(2 * K + i) * M + k]);
         for (int k = 0; k < K; k++) {
             learnt[r * wide + k] = row[k];
-            learnt[r * wide + K + k] = W * (p->mean[2 * K + k] * row[k] + row[K + k] + p->mean[k] * row[2 * K + k]);
+            learnt[r * wide + K + k] = W * (row[K + k] + row[2 * K + k]);
         }
         for (int k = 0; k < r; k++)
             learnt[r * wide + k] = learnt[k * wide + r] = (sf_real)0.5 * (learnt[r * wide + k] + learnt[k * wide + r]);
     }
     /* drift_on: until the map is applied. */
     for (int i = 0; i < K; i++) {
-        sf_real a = p->mean[i] * W, u = p->mean[2 * K + i] * W, walked = m->walk[i] * time, zero = m->walk[K + i] * time;
-        learnt[i * wide + i] += walked;
-        learnt[i * wide + K + i] += walked * u;
-        learnt[(K + i) * wide + i] += walked * u;
-        learnt[(K + i) * wide + K + i] += walked * (u * u) + zero * (a * a);
+        learnt[i * wide + i] += m->walk[i] * time;
+        learnt[(K + i) * wide + K + i] += m->walk[K + i] * time * sf_power2(p->mean[i] * W);
     }
 }
 
@@ -1128,7 +1131,7 @@ SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_
     int K = c->channels;
     for (int i = 0; i < K; i++) {
         a[i] = p->mean[i];
-        b[i] = (p->mean[K + i] + a[i] * p->mean[2 * K + i]) * c->weight;
+        b[i] = (p->mean[K + i] + p->mean[2 * K + i]) * c->weight;
     }
 }
 
@@ -1231,7 +1234,7 @@ SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m,
     return sf_fabs(total) <= m->largest_sum ? seconds : 0;
 }
 
-/* Tare._follow: by how many times sensors drift faster than stated. */
+/* Tare._learn_rate: by how many times sensors drift faster than stated. */
 SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, const sf_real *change,
                                 const sf_real *expected, int count) {
     sf_real mean = 0, surprise = 0, share = sf_max(m->rate_share, 1 / ((sf_real)s->followed + m->stated_rate));
@@ -1243,11 +1246,10 @@ SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, co
     return sf_clip(s->rate * sf_sqrt(1 + share * (surprise - 1)), m->smallest_rate, m->largest_rate);
 }
 
-/* Tare._learn: let all modes know what channels read of no load; returns whether they all could. a: of all channels, as
-   are their numbers; of the channels themselves the rest, noise the variance of their readings. */
+/* Tare._learn: let all modes know forces of readings, `asked` with a variance, of some channels; returns whether they
+   all could. */
 SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels, int count,
-                         const sf_real *centre, const sf_real *a, const sf_real *reading, const sf_real *noise,
-                         sf_moment_work *w) {
+                         const sf_real *reading, const sf_real *asked, const sf_real *variance, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
     sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
     for (int j = 0; count && j < SF_MODES; j++) {
@@ -1256,65 +1258,122 @@ SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             sf_real *row = predicted + k * N;
-            sf_add(row, centre[k], P + i * N, N);
+            sf_add(row, reading[k], P + i * N, N);
             sf_add(row, 1, P + (K + i) * N, N);
-            sf_add(row, a[i], P + (2 * K + i) * N, N);
-            innovation[k] = a[i] * (centre[k] - reading[k]) - (centre[k] * mean[i] + mean[K + i] + a[i] * mean[2 * K + i]);
+            sf_add(row, 1, P + (2 * K + i) * N, N);
+            innovation[k] = asked[k] - (reading[k] * mean[i] + mean[K + i] + mean[2 * K + i]);
         }
         for (int k = 0; k < count; k++)
             for (int l = 0; l < count; l++) {
                 int i = channels[l];
                 const sf_real *row = predicted + k * N;
-                S[k * count + l] = row[i] * centre[l] + row[K + i] + row[2 * K + i] * a[i];
-                if (k == l) S[k * count + l] += a[i] * a[i] * noise[k];
+                S[k * count + l] = row[i] * reading[l] + row[K + i] + row[2 * K + i];
+                if (k == l) S[k * count + l] += variance[k];
             }
         good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
     }
     return good;
 }
 
+/* Tare._redefine: define the drift again by readings without load. */
+SF_API void sf_redefine_drift(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels,
+                              int count, const sf_real *reading, const sf_real *variance) {
+    int K = c->channels, N = sf_states(c, m);
+    for (int j = 0; j < SF_MODES; j++) {
+        sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
+        for (int k = 0; k < count; k++) {
+            int i = channels[k], drift = 2 * K + i;
+            mean[drift] = -(reading[k] * mean[i] + mean[K + i]);
+            for (int l = 0; l < N; l++) P[drift * N + l] = -(reading[k] * P[i * N + l] + P[(K + i) * N + l]);
+            for (int l = 0; l < N; l++) P[l * N + drift] = -(reading[k] * P[l * N + i] + P[l * N + K + i]);
+            P[drift * N + drift] += variance[k];
+        }
+    }
+}
+
 /* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
 SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
                         sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), good = 1;
+    int K = c->channels, good = 1;
     for (int foot = 0; foot < c->feet; foot++) {
-        int channels[SF_CHANNELS], count = 0, leapt[SF_CHANNELS];
-        sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], centre[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS];
-        sf_real last = tare->time[foot];
+        int channels[SF_CHANNELS], steady[SF_CHANNELS], count = 0, few = 0;
+        sf_real reading[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS];
+        sf_real before[SF_CHANNELS], asked[SF_CHANNELS], unsure[SF_CHANNELS], last = tare->time[foot];
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
         sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
         if (!(seconds >= m->tare_share * duration)) continue;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            change[k] = reading[k] - tare->reading[i];
-            noise[k] = m->tare_variance[i] / seconds;
-            centre[k] = last < 0 ? reading[k] + published[2 * K + i] : tare->centre[i];
-            walked[k] = noise[k] * 2;
-            if (last >= 0) walked[k] += tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
-            leapt[k] = last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k];
+            sf_real noise = m->tare_variance[i] / seconds, shown = last < 0 ? reading[k] : tare->reading[i];
+            change[k] = reading[k] - shown;
+            walked[k] = 2 * noise + tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
+            variance[k] = published[i] * published[i] * noise;
+            /* A zero that leapt says nothing of the time since. */
+            if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
+            steady[few] = i, before[few] = shown, asked[few] = -published[i] * change[k], unsure[few++] = variance[k];
         }
         if (last >= 0 && s->time - last > m->least_apart) {
             tare->rate = sf_followed_rate(m, tare, change, walked, count);
             tare->followed++;
         }
-        for (int j = 0; j < SF_MODES; j++) {
-            sf_real *P = belief->covariance + j * N * N;
-            for (int k = 0; k < count; k++) {
-                int i = channels[k], drift = 2 * K + i;
-                if (leapt[k]) P[drift * N + drift] += change[k] * change[k];
-            }
-        }
-        good = sf_learn_tare(c, m, belief, channels, count, centre, published, reading, noise, w) && good;
+        good = sf_learn_tare(c, m, belief, steady, few, before, asked, unsure, w) && good;
+        if (last >= 0) sf_redefine_drift(c, m, belief, channels, count, reading, variance);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            published[2 * K + i] = centre[k] - reading[k];
+            published[2 * K + i] = -published[i] * reading[k] - published[K + i];
             tare->reading[i] = reading[k];
-            tare->centre[i] = centre[k];
         }
         tare->time[foot] = s->time;
     }
     return good;
+}
+
+/* ------------------------------------------------------------------------------------------------- still */
+
+/* still._likelihood: how likely drift alone is, against any larger change, by the sum over some channels of squares of
+   changes by their variances. */
+SF_API sf_real sf_still_likelihood(sf_real sum, int count) {
+    sf_real larger = count ? sf_max(sum / (sf_real)count, 1) : 1;
+    return count && isfinite(larger) ? sf_exp((sf_real)-0.5 * (sf_real)count * (larger - 1 - sf_log(larger))) : 0;
+}
+
+/* Still.take and _follow: let zeros follow the readings of a robot that stands still. Changes the belief, what is
+   published of drift, and the readings of late. */
+SF_API void sf_take_still(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
+                          sf_real duration, sf_modes *belief, sf_real *published, sf_still *still) {
+    int K = c->channels, N = sf_states(c, m), wide = sf_waiting(c), count = 0;
+    sf_real last = still->time, apart = s->time - last, rate = s->tare.rate * s->tare.rate, d = 0, off = 0;
+    sf_real change[SF_CHANNELS], share = sf_min(apart / m->level_time, 1), likely;
+    still->time = s->time;
+    for (int i = 0; i < K; i++) {
+        sf_real reading = 0, drift = rate * m->walk[K + i], noise = m->tare_variance[i] / duration;
+        for (int t = 0; t < n; t++) reading += s->pending[t * wide + i] / (sf_real)n;
+        change[i] = reading - still->reading[i];
+        still->reading[i] = reading;
+        still->level[i] = last < 0 ? reading : still->level[i] + share * (reading - still->level[i]);
+        if (s->faults.lost[i] > (sf_real)0.5) continue;
+        d += sf_power2(change[i]) / (drift * apart + 2 * noise);
+        off += sf_power2(reading - still->level[i]) / ((sf_real)0.5 * drift * m->level_time + noise);
+        count++;
+    }
+    if (last < 0) return;
+    likely = sf_min(sf_still_likelihood(d, count), sf_still_likelihood(off, count));
+    if (likely < m->least_still) return;
+    for (int i = 0; i < K; i++) {
+        if (s->faults.lost[i] > (sf_real)0.5) continue;
+        sf_real drift = rate * m->walk[K + i] * m->level_time;
+        sf_real known = likely * drift / (drift + m->tare_variance[i] / duration), drifted = known * change[i];
+        for (int j = 0; j < SF_MODES; j++) {
+            sf_real *P = belief->covariance + j * N * N;
+            int at = 2 * K + i;
+            belief->mean[j * N + at] -= drifted * belief->mean[j * N + i];
+            sf_add(P + at * N, -drifted, P + i * N, N);
+            for (int l = 0; l < N; l++) P[l * N + at] -= drifted * P[l * N + i];
+            P[at * N + at] -= known * rate * m->walk[K + i] * duration * sf_power2(published[i]);
+        }
+        published[2 * K + i] -= drifted * published[i];
+    }
 }
 
 /* ------------------------------------------------------------------------------------------------- filter */
@@ -1334,9 +1393,10 @@ SF_API void sf_copy_published(const sf_config *c, sf_publication *to, const sf_p
 }
 
 SF_API void sf_copy_known(const sf_config *c, const sf_moment_config *m, sf_known_then *to, const sf_modes *belief,
-                          const sf_publication *published) {
+                          const sf_publication *published, const sf_tares *tare) {
     sf_copy_modes(c, m, &to->belief, belief);
     sf_copy_published(c, &to->published, published);
+    to->tare = *tare;
 }
 
 /* Blocks.break_off: forget the samples that wait, and what the momentum is. */
@@ -1355,7 +1415,7 @@ SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_stat
         for (int i = 0; i < K; i++) {
             sf_real *P = s->belief.covariance + j * N * N;
             P[i * N + i] += m->walk[i] * time;
-            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time;
+            P[(2 * K + i) * N + 2 * K + i] += m->walk[K + i] * time * sf_power2(s->published.mean[i]);
         }
     s->drifted += m->walk[0] * time;
     s->time += duration;
@@ -1374,7 +1434,10 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
     sf_break(c, m, s);
     sf_copy_modes(c, m, &s->belief, &s->kept.belief);
     sf_copy_published(c, &s->published, &s->kept.published);
-    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+    /* How fast zeros drift was seen, whatever came of it. */
+    s->kept.tare.rate = s->tare.rate, s->kept.tare.followed = s->tare.followed;
+    s->tare = s->kept.tare;
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
     sf_map_covariance(c, m, &s->published, s->tare.rate, s->covariance);
     s->age = 0;
 }
@@ -1382,15 +1445,16 @@ SF_API void sf_moment_retract(const sf_config *c, const sf_moment_config *m, sf_
 /* Tare.repeat: tare the feet once more as they read last, with a belief that knows nothing yet. */
 SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w) {
     int channels[SF_CHANNELS], count = 0;
-    sf_real one[SF_CHANNELS], reading[SF_CHANNELS], noise[SF_CHANNELS];
+    sf_real reading[SF_CHANNELS], noise[SF_CHANNELS], none[SF_CHANNELS] = {0};
     for (int i = 0; i < c->channels; i++) {
-        one[i] = 1;
-        if (s->tare.time[c->foot_of_channel[i]] < 0) continue;
+        sf_real last = s->tare.time[c->foot_of_channel[i]];
+        if (last < 0 || s->faults.lost[i] > (sf_real)0.5) continue;
         noise[count] = m->tare_variance[i] / m->block;
-        reading[count] = s->tare.centre[i] = s->tare.reading[i];
+        noise[count] += s->tare.rate * s->tare.rate * m->walk[c->channels + i] * (s->time - last);
+        reading[count] = s->tare.reading[i];
         channels[count++] = i;
     }
-    sf_learn_tare(c, m, &s->belief, channels, count, reading, one, reading, noise, w);
+    sf_learn_tare(c, m, &s->belief, channels, count, reading, none, noise, w);
 }
 
 /* MomentFilter.init and _begin_again: know nothing but the readings' faults and what feet in the air showed. */
@@ -1417,8 +1481,8 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     sf_weigh(c, m, &s->belief, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
-    sf_copy_known(c, m, &s->kept, &s->belief, &s->published);
-    sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+    sf_copy_known(c, m, &s->kept, &s->belief, &s->published, &s->tare);
+    sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
 }
 
 /* MomentFilter.init: the state before any sample. */
@@ -1429,6 +1493,8 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(s->point, 0, sizeof s->point);
     memset(s->shift, 0, sizeof s->shift);
     memset(&s->tare, 0, sizeof s->tare);
+    memset(&s->still, 0, sizeof s->still);
+    s->still.time = -1;
     s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
     s->time = 0;
@@ -1445,22 +1511,23 @@ SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_sta
         for (int i = 0; i < K; i++) w->force[t * K + i] = a[i] * s->pending[t * wide + i] * c->weight + b[i];
     sf_fault_learn(c, &s->faults, w->force, n, good);
     if (s->age + duration >= m->kept_time) {
-        sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published);
-        sf_copy_known(c, m, &s->next, &s->belief, &s->published);
+        sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published, &s->next.tare);
+        sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
         s->age = 0;
     } else s->age += duration;
 }
 
-/* MomentFilter._lasting: variances of forces in W^2 by what no unknown stands for. */
+/* MomentFilter._lasting: variances of forces in W^2 that last and that no unknown stands for. */
 SF_API void sf_lasting(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, const sf_tares *tare,
                        sf_real *lasting) {
     int K = c->channels, M = sf_weighed(c);
-    const sf_real *P = s->published.covariance;
     sf_real longest = sf_max(m->product_time / (2 * m->mode_time[0]), 1);
     for (int i = 0; i < K; i++) {
         sf_real since = s->time - sf_max(tare->time[c->foot_of_channel[i]], 0);
         sf_real longer = sf_max(sf_min(since, m->product_time) / (2 * m->mode_time[0]), 1);
-        lasting[i] = longer * P[i * M + i] * P[(2 * K + i) * M + 2 * K + i];
+        sf_real drifted = m->walk[K + i] * (tare->rate * tare->rate) * since;
+        drifted = sf_min(drifted, s->published.covariance[(2 * K + i) * M + 2 * K + i]);
+        lasting[i] = longer * s->published.covariance[i * M + i] * drifted;
         lasting[i] += longest * sf_power2(s->faults.spare_std[i] / c->weight);
     }
 }
@@ -1529,16 +1596,15 @@ SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, sf_real 
     return (sf_real)-0.5 * square - size;
 }
 
-/* Suspects._error: what is left unexplained of rows that are linear about scales and drift `about`. */
+/* Suspects._error: what is left unexplained of rows. */
 SF_API void sf_unexplained(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                           const sf_real *before, const sf_real *about, const sf_real *known, sf_real *e) {
+                           const sf_real *before, const sf_real *known, sf_real *e) {
     int K = c->channels, N = sf_states(c, m);
     for (int r = 0; r < m->components; r++) {
         const sf_real *H = rows->mean + r * N;
         sf_real explained = rows->mean_rest[r] + sf_dot(H + 3 * K, known + 3 * K, 4 + m->talks);
         for (int i = 0; i < K; i++) {
-            explained += H[K + i] * (about[i] * about[2 * K + i]) + rows->crossed[(r * K + i) * K + i] * known[i];
-            explained += H[K + i] * (known[K + i] + known[i] * known[2 * K + i]);
+            explained += rows->crossed[(r * K + i) * K + i] * known[i] + H[K + i] * (known[K + i] + known[2 * K + i]);
         }
         e[r] = rows->measured[r] - before[r] - explained;
     }
@@ -1553,7 +1619,7 @@ SF_API void sf_less_suspect(const sf_config *c, const sf_moment_config *m, const
         const sf_real *X = rows->crossed + r * K * K, *reach = rows->mean + r * N + K;
         sf_real change = 0, sign = suspect < 2 * K + pairs ? 1 : -1;
         for (int l = 0; suspect < K && l < K; l++) {
-            sf_real zero = known[K + l] + a[l] * known[2 * K + l], by = others[i * K + l] - (l == i);
+            sf_real zero = known[K + l] + known[2 * K + l], by = others[i * K + l] - (l == i);
             change += by * (X[i * K + l] * a[l] + reach[i] * zero);
         }
         if (suspect >= K && suspect < 2 * K) change = -2 * a[i] * X[i * K + i];
@@ -1570,7 +1636,8 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                         sf_leap *leap) {
     int K = c->channels, C = m->components, found = 0;
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], most = least, left[SF_COMPONENTS], by[SF_CHANNELS], std[SF_CHANNELS];
-    sf_real smallest = m->smallest_step * m->smallest_step;
+    sf_real smallest = m->smallest_step * m->smallest_step, all = 0;
+    for (int i = 0; i < K; i++) all += lost[i] < (sf_real)0.5;
     for (int at = 0; at < 2 * m->capacity; at++) {
         const sf_real *old = s->force + at * K, *now = old + 2 * K; /* brought to one moment, between two readings each */
         for (int of = -1; of < c->feet; of++) {
@@ -1592,7 +1659,7 @@ SF_API int sf_find_leap(const sf_config *c, const sf_moment_config *m, const sf_
                 /* Loads that step do so each by its own, and by any size. */
                 seen = count * sf_log(sf_max(size, smallest) / variance) / 2;
                 /* A push on a robot that stands evenly comes on all of its cells alike. */
-                if (of < 0) seen += rare;
+                if (count == all) seen += rare;
                 if (!(seen > m->contrast && largest <= (tared ? m->largest_tared : m->largest_load))) continue;
                 sf_copy(left, e, C);
                 for (int i = 0; i < K; i++) {
@@ -1623,11 +1690,11 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
-    sf_real before[SF_COMPONENTS], weight[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
+    sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
     sf_others(c, faults, others, others_std);
     sf_suspected(c, both);
-    sf_unexplained(c, m, rows, s->before, known, known, e);
-    sf_unexplained(c, m, rows, s->before, known, s->known, before);
+    sf_unexplained(c, m, rows, s->before, known, e);
+    sf_unexplained(c, m, rows, s->before, s->known, before);
     for (int r = 0; r < C; r++) {
         const sf_real *H = rows->mean + r * N;
         sf_copy(reach + r * K, H + K, K);
@@ -1658,12 +1725,8 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     changing = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far) + rare;
     sf_copy(other, S, C * C);
     for (int r = 0; r < C; r++) {
-        weight[r] = rows->mean_rest[r];
-        for (int i = 0; i < K; i++) weight[r] += reach[r * K + i] * (known[i] * known[2 * K + i]);
-    }
-    for (int r = 0; r < C; r++) {
         sf_real arm = rows->mean[r * N + at + C + r] * (r == 0 ? 0 : r > 2 && r < 5 ? 1 : rows->height);
-        for (int k = 0; k < C; k++) other[r * C + k] += weight[r] * weight[k];
+        for (int k = 0; k < C; k++) other[r * C + k] += rows->mean_rest[r] * rows->mean_rest[k];
         other[r * C + r] += arm * arm;
     }
     unknown = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), e);
@@ -1723,7 +1786,7 @@ SF_API void sf_miss(const sf_config *c, const sf_moment_config *m, sf_channel_fa
     sf_real known[SF_KNOWN], e[SF_COMPONENTS], left[SF_COMPONENTS];
     sf_copy(known, about, sf_momenta(c, m));
     for (int i = 0; i < K; i++) known[i] = 1, known[K + i] = -tare->reading[i], known[2 * K + i] = 0;
-    sf_unexplained(c, m, rows, before, about, known, e);
+    sf_unexplained(c, m, rows, before, known, e);
     for (int i = 0; i < K; i++) {
         int both[2] = {i, i};
         sf_copy(left, e, m->components);
@@ -1770,7 +1833,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
     sf_moment_retract(c, m, s);
     if (guilty < 0) {
         for (int i = 0; i < K; i++) {
-            sf_real variance = leap->std[i] * leap->std[i], by = leap->reading[i] * c->weight;
+            sf_real variance = sf_power2(s->published.mean[i] * leap->std[i]), by = leap->reading[i] * c->weight;
             for (int t = 0; t <= c->kept; t++) s->front.history[t * 2 * K + i] -= by;
             s->shift[i] += by;
             for (int j = 0; j < SF_MODES; j++) s->belief.covariance[j * N * N + (2 * K + i) * (N + 1)] += variance;
@@ -1879,6 +1942,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         sf_copy_modes(c, m, &w->belief, &s->belief);
         sf_copy(published, s->published.mean, M);
         tare = s->tare;
+        sf_take_still(c, m, s, n, duration, &w->belief, published, &s->still);
         int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
         if (out) {
             /* Nothing stands in for two cells of a plate; zeros are seen without them. */

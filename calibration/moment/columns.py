@@ -4,7 +4,7 @@
 |---|---|---|---|
 | scale | K | 1 | a, against the starting map |
 | offset | K | W (W m for a torque) | b, offsets of the start |
-| drift | K | W (W m) | u, drift of the zeros since, in readings |
+| drift | K | W (W m) | u, drift of the zeros since, as a force |
 | talk | T | 1 (m) | of the vertical force of a six-axis sensor, the share that its other axes show |
 | com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
 | mass | 1 | 1 | m, error of the believed mass |

@@ -12,12 +12,13 @@ by the believed mass,
 
     \text{measured at the end of a block: its mean of } [v_z, (L + (c - o) \times M v)_{xy} / M] / g
 
-with f = a F0 + b + a u: scales a, offsets b of the start, and the zeros' drift u since, in readings. u
-starts at exactly 0 and the next tare shows it, so that drift says nothing of a scale. d is the error of
-the believed centre of mass, m that of the mass, w an outside wrench. Six-axis sensors add the other three
-components.
+with f = a F0 + b + u: scales a, offsets b of the start, and the zeros' drift u since, as a force. That is
+linear. u starts at exactly 0, and each later tare defines it again, so that drift says nothing of a scale.
+d is the error of the believed centre of mass, m that of the mass, w an outside wrench. Six-axis sensors add
+the other three components.
 
 * A foot in the air shows all its zeros: the **tare** comes first (:mod:`surefoot.calibration.moment.tare`).
+* A robot that **stands still** shows how they drift (:mod:`surefoot.calibration.moment.still`).
 * Who holds the robot is a **mode**, in which w may be large (:mod:`surefoot.calibration.moment.modes`).
 * How bad the sensors are is weighed by **evidence** (:mod:`surefoot.calibration.moment.severity`).
 * Whatever the data do not determine stays at the start, and the estimate says so (``undetermined``).

@@ -10,7 +10,7 @@ from surefoot.calibration.front_end.readings import FrontEnd, Sample
 from surefoot.calibration.moment.blocks import Block, Blocks
 from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
 from surefoot.calibration.moment.config import Moment
-from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.moment.faults import ChannelFaults, ChannelState
 from surefoot.calibration.moment.health import (
     contact_probability,
     map_covariance,
@@ -31,6 +31,7 @@ from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
+from surefoot.calibration.moment.still import Still
 from surefoot.calibration.moment.suspects import Leap
 from surefoot.calibration.moment.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
@@ -93,6 +94,7 @@ class MomentFilter:
         blocks: Makes blocks of samples.
         model: Makes rows of blocks.
         tare: Tares feet.
+        still: Lets zeros follow the readings of a robot that stands still.
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
@@ -104,6 +106,7 @@ class MomentFilter:
         self.front_end = FrontEnd(setup, imu=False, momentum=True)
         self.model = Model(setup, config, columns)
         self.tare, self._severity = Tare(setup, config, columns, spread), Severity(columns, spread)
+        self.still = Still.of(columns, spread, self.tare.variance)
         six_axis = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
         # The words of a six-axis sensor come together: one that leaps away alone is a landing.
         leaps = max(LEAP, LEAP_RATE * setup.dt), max(LEAP_ALONE, LEAP_ALONE_RATE * setup.dt)
@@ -139,6 +142,7 @@ class MomentFilter:
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
+        tare = TareState(zero, np.full(feet, -1.0), FIRST_RATE, 0)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
             front=front,
@@ -152,24 +156,27 @@ class MomentFilter:
             time=0.0,
             belief=belief,
             drifted=0.0,
-            tare=TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0),
+            tare=tare,
+            still=self.still.init(),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             shift=zero,
             published=published,
             covariance=self._map_covariance(published, 1.0),
-            kept=Kept(belief, published, belief, published, 0.0),
+            kept=Kept.begin(belief, published, tare),
             status=0,
         )
 
     def retract(self, state: MomentState) -> MomentState:
         """Take back the last seconds' learning; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
-        kept = state.kept
-        belief, published = kept.belief, kept.published
+        belief, published, tare = state.kept[:3]
+        # How fast zeros drift was seen, whatever came of it.
+        tare = tare._replace(rate=state.tare.rate, followed=state.tare.followed)
         return self.blocks.break_off(state)._replace(
             belief=belief,
             published=published,
-            covariance=self._map_covariance(published, state.tare.rate),
-            kept=Kept(belief, published, belief, published, 0.0),
+            tare=tare,
+            covariance=self._map_covariance(published, tare.rate),
+            kept=Kept.begin(belief, published, tare),
         )
 
     def update(
@@ -207,19 +214,19 @@ class MomentFilter:
             kinds = kinds | state.faults.kind
         return state, self._estimate(state, sample, kinds, nis, rows)
 
-    def _begin_again(self, state: MomentState) -> MomentState:
+    def _begin_again(self, state: MomentState, faults: ChannelState) -> MomentState:
         """Know nothing but the readings' faults and what feet in the air showed."""
         fresh = self.init(state.front.raw)
-        belief, tare = self.tare.repeat(fresh.belief, state.tare)
+        belief = self.tare.repeat(fresh.belief, state.tare, state.time, faults.lost)
         published = self._weigh(belief, 0.0).publish(belief.chance)
         return self.blocks.break_off(state)._replace(
+            faults=faults,
             belief=belief,
             drifted=0.0,
-            tare=tare,
             suspects=fresh.suspects,
             published=published,
-            covariance=self._map_covariance(published, tare.rate),
-            kept=Kept(belief, published, belief, published, 0.0),
+            covariance=self._map_covariance(published, state.tare.rate),
+            kept=Kept.begin(belief, published, state.tare),
             status=0,
         )
 
@@ -233,9 +240,10 @@ class MomentFilter:
         walked = self.spread.walk * state.tare.rate**2 * duration
         covariance = state.belief.covariance.copy()
         columns = self.columns
-        for part, variance in zip((columns.scale, columns.drift), walked, strict=True):
-            at = np.arange(part.start, part.stop)
-            covariance[:, at, at] += variance
+        at = np.arange(columns.scale.stop)
+        drift = at + columns.drift.start
+        covariance[:, at, at] += walked[0]
+        covariance[:, drift, drift] += walked[1] * state.published.mean[at] ** 2
         return state._replace(
             belief=state.belief._replace(covariance=covariance),
             drifted=state.drifted + float(walked[0, 0]),
@@ -249,15 +257,19 @@ class MomentFilter:
         faults, idle = self.faults.silent(state.faults, block.force * self.setup.weight, block.read)
         if idle:
             # All that was learnt made up for a cell that bore nothing.
-            return self._begin_again(state)._replace(faults=faults), np.nan, 0.0
+            return self._begin_again(state, faults), np.nan, 0.0
         if (faults.lost > state.faults.lost).any():
             # The last seconds' learning came from wrong readings.
             return self.retract(state)._replace(faults=faults), np.nan, 0.0
         state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
+        belief, published, still = self.still.take(
+            block, state.time, state.belief, state.published.mean, state.still, state.tare.rate, faults.lost
+        )
+        state = state._replace(still=still)
         belief, published, tare = self.tare.take(
-            block, state.time, state.belief, state.published.mean, state.tare, faults.lost
+            block, state.time, belief, published, state.tare, faults.lost
         )
         if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():
             # Nothing stands in for two cells of a plate; zeros are seen without them.
@@ -333,24 +345,25 @@ class MomentFilter:
         faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept
         if kept.age + block.duration >= KEPT_TIME:
-            kept = Kept(kept.next_belief, kept.next_published, state.belief, state.published, 0.0)
+            kept = kept.keep(state.belief, state.published, state.tare)
         else:
             kept = kept._replace(age=kept.age + block.duration)
         return state._replace(faults=faults, kept=kept)
 
     def _lasting(self, state: MomentState, tare: TareState) -> Array:
-        """Return variances of forces in W^2 by what no unknown stands for, shape (K,).
+        """Return variances of forces in W^2 that last and that no unknown stands for, shape (K,).
 
-        Open errors of scale and drift together last longer than an outside wrench does: their variance is as
-        much larger as it is shorter. Channels that are out are made of the others.
+        The force that a zero has drifted by since its tare is as unsure as the scale is, and channels that
+        are out are made of the others. Both last longer than an outside wrench: the variance is as much
+        larger as that is shorter.
         """
-        columns = self.columns
         variance = np.diagonal(state.published.covariance)
         since = (state.time - np.maximum(tare.time, 0.0))[self.setup.layout.foot_of_channel]
         longer, longest = (
             np.maximum(np.minimum(time, PRODUCT_TIME) / (2.0 * FREE.time), 1.0) for time in (since, np.inf)
         )
-        product = longer * variance[columns.scale] * variance[columns.drift]
+        drifted = np.minimum(self.spread.walk[1] * tare.rate**2 * since, variance[self.columns.drift])
+        product = longer * variance[self.columns.scale] * drifted
         lasting: Array = product + longest * (state.faults.spare_std / self.setup.weight) ** 2
         return lasting
 
@@ -366,8 +379,7 @@ class MomentFilter:
     def _line(self, state: MomentState) -> tuple[Array, Array]:
         """Return a, and b in N, as they are handed out, shape (K,) each."""
         columns, mean = self.columns, state.published.mean
-        a = mean[columns.scale]
-        return a, (mean[columns.offset] + a * mean[columns.drift]) * self.setup.weight
+        return mean[columns.scale], (mean[columns.offset] + mean[columns.drift]) * self.setup.weight
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: float, rows: float

@@ -32,16 +32,11 @@ def map_covariance(
     at = np.arange(K)
     J = np.zeros((2 * K, len(published)))
     J[at, at] = 1.0
-    J[K + at, at] = published[columns.drift] * weight
-    J[K + at, K + at] = weight
-    J[K + at, 2 * K + at] = published[columns.scale] * weight
+    J[K + at, K + at] = J[K + at, 2 * K + at] = weight
     learnt: Array = J @ covariance @ J.T
     learnt = 0.5 * (learnt + learnt.T)
-    a, u = published[columns.scale] * weight, published[columns.drift] * weight
     learnt[at, at] += walked[0]
-    learnt[at, K + at] += walked[0] * u
-    learnt[K + at, at] += walked[0] * u
-    learnt[K + at, K + at] += walked[0] * u**2 + walked[1] * a**2
+    learnt[K + at, K + at] += walked[1] * (published[columns.scale] * weight) ** 2
     return learnt
 
 

@@ -1,6 +1,6 @@
 r"""A block's effect on the momentum, and its measurement: linear in the unknowns.
 
-With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + a u,
+With C_n the components of a unit force of each channel about o, g_n those of gravity, and f = a F0 + b + u,
 
     end of the block:   p + sum_n dt_n ((1 + m) C_n f_n + g_n + w)
     mean over it:       p + sum_n s_n dt_n ((1 + m) C_n f_n + g_n + w)
@@ -92,17 +92,17 @@ class Model:
 
         Args:
             block: The samples.
-            published: Scales, offsets and drift, about which forces are linear, shape (M,).
-            lasting: Variance of each channel's force in W^2 that lasts and is not linear in the unknowns,
+            published: Scales, offsets and drift, by which the point o is found, shape (M,).
+            lasting: Variance of each channel's force in W^2 that lasts and that no unknown stands for,
                 shape (K,).
             spare: How forces are made of those of the channels that are not out, shape (K, K); ``None`` where
                 none is.
         """
-        columns, dt, T, C = self._columns, block.dt, block.duration, self._columns.components
+        columns, dt = self._columns, block.dt
+        T, C = block.duration, columns.components
         a, b, u = (published[part] for part in (columns.scale, columns.offset, columns.drift))
         com, sole, rotation = block.com, block.sole, block.rotation
-        felt = block.force + u
-        force = a * felt + b
+        force = a * block.force + b + u
         point = self._point(force if spare is None else force @ spare.T, sole, rotation, dt)
         own = self._of_channels(sole - point, rotation)
         unit = own if spare is None else own @ spare
@@ -117,8 +117,8 @@ class Model:
             H = np.zeros((C, columns.size))
             weighted = unit * share[:, None, None]
             reach = weighted.sum(axis=0)
-            H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, felt)
-            H[:, columns.offset], H[:, columns.drift] = reach, reach * a
+            H[:, columns.scale] = np.einsum("nck,nk->ck", weighted, block.force)
+            H[:, columns.offset], H[:, columns.drift] = reach, reach
             shown = block.force[:, self.talk_from]
             H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self.talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
@@ -126,13 +126,13 @@ class Model:
             H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
             H[:, columns.momentum] = np.eye(C)
             H[:, columns.wrench] = share.sum() * np.eye(C)
-            # a u is linear about the published map.
-            return H, share @ gravity - reach @ (a * u)
+            return H, share @ gravity
 
         mean, mean_rest = add_up(dt * after)
         mean[:, columns.delay] -= (dt @ (summed + gravity) / T)[:, None]
         end, end_rest = add_up(dt)
         each, variance = self._measure(block, point)
+        read = block.read if spare is None else block.read[:, np.diagonal(spare) > 0.5]
         return Rows(
             mean=mean,
             mean_rest=mean_rest,
@@ -141,22 +141,21 @@ class Model:
             measured=dt @ each / T,
             at_end=each[-1],
             variance=variance,
-            walk=self._walk(block, force, unit, spare),
+            walk=self._walk(force, unit, read, dt),
             crossed=np.einsum("n,nck,nl->ckl", dt * after, unit, block.force),
             lasting=np.einsum("nck,n->ck", own, dt / T) ** 2 @ lasting,
             point=point,
             height=float((com[:, 2] - point[2]).mean()),
         )
 
-    def _walk(self, block: Block, force: Array, unit: Array, spare: Array | None) -> Array:
+    def _walk(self, force: Array, unit: Array, read: Array, dt: Array) -> Array:
         """Return the variance of the momentum by forces between the readings, shape (C, C).
 
         Chips have clocks of their own: each channel's change is an error of its own, and the larger the more
         samples a reading stands for.
         """
-        read = block.read if spare is None else block.read[:, np.diagonal(spare) > 0.5]
-        held = len(read) / max(float(read.sum(axis=0).min()), 1.0)
-        change = np.diff(force, axis=0, prepend=force[:1]) * (block.dt * self._ripple * held)[:, None]
+        held = len(dt) / max(float(read.sum(axis=0).min()), 1.0)
+        change = np.diff(force, axis=0, prepend=force[:1]) * (dt * self._ripple * held)[:, None]
         change = np.einsum("nck,nk->nkc", unit, change).reshape(-1, unit.shape[1])
         walk: Array = change.T @ change
         return walk

@@ -44,7 +44,7 @@ class Repairs:
             state: The filter's state.
             block: The samples.
             rows: Theirs.
-            published: Map about which rows are linear, shape (M,).
+            published: The published map, shape (M,).
             belief: The modes' posteriors before the block, about its point o.
             moved: Transition of the unknowns to that point, shape (N, N).
             added: Constant that it adds, shape (N,).
@@ -67,7 +67,7 @@ class Repairs:
         as_stated[columns.scale], as_stated[columns.drift] = 1.0, 0.0
         as_stated[columns.offset] = -state.tare.reading
         faults = self._faults.miss(
-            state.faults, *self.suspects.miss(suspects, rows, known, as_stated, self._faults.by_others)
+            state.faults, *self.suspects.miss(suspects, rows, as_stated, self._faults.by_others)
         )
         lost = state.faults.lost
         others, std = stand_in.others(state.faults.moments, lost)
@@ -98,7 +98,7 @@ class Repairs:
     def _shift(self, state: MomentState, leap: Leap) -> MomentState:
         """Take a leap off the readings, as far as it was seen."""
         columns = self._columns
-        by, open_to = leap.reading * self._weight, leap.std**2
+        by, open_to = leap.reading * self._weight, (state.published.mean[columns.scale] * leap.std) ** 2
         history, covariance = state.front.history.copy(), state.belief.covariance.copy()
         history[:, : len(by)] -= by
         at = np.arange(columns.drift.start, columns.drift.stop)

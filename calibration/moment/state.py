@@ -41,17 +41,29 @@ class TareState(NamedTuple):
 
     Attributes:
         reading: Mean reading of each channel in W, shape (K,).
-        centre: Reading that the offset belongs to: the first tare's, shape (K,).
         time: When it ended in s, -1 before the first, shape (F,).
         rate: By how many times sensors drift faster than stated.
         followed: From how many tares that was learnt.
     """
 
     reading: Array
-    centre: Array
     time: Array
     rate: float
     followed: int
+
+
+class StillState(NamedTuple):
+    """Readings of late, which say whether the robot stands still.
+
+    Attributes:
+        reading: Mean of the last block in W, shape (K,).
+        level: Mean over some seconds in W, shape (K,).
+        time: When the last block ended in s, -1 before the first.
+    """
+
+    reading: Array
+    level: Array
+    time: float
 
 
 class Kept(NamedTuple):
@@ -60,16 +72,29 @@ class Kept(NamedTuple):
     Attributes:
         belief: The modes' posteriors, the last time but one.
         published: The posterior that was published then.
+        tare: Results of tares until then.
         next_belief: The modes' posteriors the last time.
         next_published: The posterior that was published then.
+        next_tare: Results of tares until then.
         age: Time in s since the last time.
     """
 
     belief: Belief
     published: Publication
+    tare: TareState
     next_belief: Belief
     next_published: Publication
+    next_tare: TareState
     age: float
+
+    @classmethod
+    def begin(cls, belief: Belief, published: Publication, tare: TareState) -> "Kept":
+        """Keep one state, and no other."""
+        return cls(belief, published, tare, belief, published, tare, 0.0)
+
+    def keep(self, belief: Belief, published: Publication, tare: TareState) -> "Kept":
+        """Keep another state, and forget the older one."""
+        return Kept(self.next_belief, self.next_published, self.next_tare, belief, published, tare, 0.0)
 
 
 class SuspectState(NamedTuple):
@@ -109,6 +134,7 @@ class MomentState(NamedTuple):
         belief: The modes' posteriors.
         drifted: Variance that scales have drifted by since the start.
         tare: Results of tares.
+        still: Readings of late.
         suspects: Evidence against the readings.
         shift: By how much zeros have leapt together in N, which is taken off the readings, shape (K,).
         published: The published posterior.
@@ -129,6 +155,7 @@ class MomentState(NamedTuple):
     belief: Belief
     drifted: float
     tare: TareState
+    still: StillState
     suspects: SuspectState
     shift: Array
     published: Publication

@@ -125,7 +125,7 @@ class Suspects:
         Args:
             state: Evidence so far.
             rows: The block.
-            known: The unknowns before the momentum, about which rows are linear, shape (M,).
+            known: The unknowns before the momentum, shape (M,).
             covariance: Theirs, shape (M, M).
             others: How each force follows from the others of its foot, shape (K, K).
             others_std: How far that is off in W, shape (K,).
@@ -138,7 +138,7 @@ class Suspects:
         """
         columns = self._columns
         H, reach = rows.mean[:, : len(known)], rows.mean[:, columns.offset]
-        e, e_before = (self._error(state, rows, known, one) for one in (known, state.known))
+        e, e_before = (self._error(state, rows, one) for one in (known, state.known))
         larger = np.sqrt(state.noise)
         S = (2.0 * rows.variance + rows.walk + H @ covariance @ H.T) * np.outer(larger, larger)
         span = rows.mean[:, columns.wrench].max(axis=0)
@@ -150,12 +150,11 @@ class Suspects:
         for k in np.flatnonzero(possible[self.out]):
             extra = np.outer(reach[:, k], reach[:, k]) * others_std[k] ** 2
             each[k] = _evidence(S + extra, off[:, [k]])[0]
+        # A force in W, or a torque in W times the height, seen in the mean momentum.
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
         rare = float(np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration))
-        weight = rows.mean_rest + reach @ (known[columns.scale] * known[columns.drift])
-        body = np.outer(weight, weight) + np.diag(np.concatenate([[0.0], arm[1:]]) ** 2)
-        nothing, innocent = self._excuse(state, rows, S, body, e, span, rare, duration)
+        nothing, innocent = self._excuse(state, rows, S, e, span, arm, rare, duration)
         gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
         score = np.maximum(state.score + gain, 0.0)
         noise, before = state.noise, state.known
@@ -174,9 +173,9 @@ class Suspects:
         state: SuspectState,
         rows: Rows,
         S: Array,
-        body: Array,
         e: Array,
         span: Array,
+        arm: Array,
         rare: float,
         duration: float,
     ) -> tuple[float, float]:
@@ -191,25 +190,23 @@ class Suspects:
         decay = np.exp(-duration / HELD.time)
         hand = np.diag(span**2 * wrench_variance(HELD, rows) * (1.0 - decay**2))
         changing = rare + _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
+        body = np.outer(rows.mean_rest, rows.mean_rest) + np.diag(np.concatenate([[0.0], arm[1:]]) ** 2)
         unknown = _evidence(S + body, e[:, None])[0]
         return nothing, max(nothing, lasting, changing, unknown)
 
-    def miss(
-        self, state: SuspectState, rows: Rows, about: Array, known: Array, others: Array
-    ) -> tuple[Array, Array]:
+    def miss(self, state: SuspectState, rows: Rows, known: Array, others: Array) -> tuple[Array, Array]:
         """Return the error of a block, and its changes by channels that are out; torques over the height.
 
         Args:
             state: Evidence so far.
             rows: The block.
-            about: The unknowns before the momentum, about which rows are linear, shape (M,).
-            known: The unknowns to judge by, shape (M,).
+            known: The unknowns before the momentum to judge by, shape (M,).
             others: How each force follows from the others of its foot, shape (K, K).
         """
         reach = rows.mean[:, self._columns.offset]
         arm = np.where(force_and_wrench(len(reach)) > 0.0, 1.0, rows.height)
         changes = self._changes(rows.crossed, reach, known, others)[:, self.out]
-        return self._error(state, rows, about, known) / arm, changes / arm[:, None]
+        return self._error(state, rows, known) / arm, changes / arm[:, None]
 
     def read(self, state: SuspectState, force: Array) -> SuspectState:
         """Note the readings F0 of a block in W, shape (n, K)."""
@@ -249,7 +246,7 @@ class Suspects:
         # Readings are brought to one moment, between two of each channel's.
         steps = state.force[2:] - state.force[:-2]
         for before, step in zip(state.force[:-2], steps, strict=True):
-            for place, together in enumerate(self._together * there):
+            for together in self._together * there:
                 count, force = max(together.sum(), 1.0), together * a
                 size = together @ step**2 / count
                 alike = np.full(len(step), together @ step / count)
@@ -259,7 +256,7 @@ class Suspects:
                     # Loads that step do so each by its own, and by any size.
                     seen = 0.5 * count * np.log(max(size, SMALLEST_STEP**2) / variance)
                     # A push on a robot that stands evenly comes on all of its cells alike.
-                    seen += rare * (place == 0)
+                    seen += rare * (together.sum() == there.sum())
                     if seen > CONTRAST and np.abs(together * leap).max() <= largest:
                         S_leap = S + variance * (reach * force**2) @ reach.T
                         seen += _evidence(S_leap, (e + reach @ (force * leap))[:, None])[0]
@@ -267,14 +264,15 @@ class Suspects:
                             found, most = Leap(together * leap, together * np.sqrt(variance)), seen
         return found
 
-    def _error(self, state: SuspectState, rows: Rows, about: Array, known: Array) -> Array:
-        """Return the innovation of rows that are linear about ``about``, shape (C,)."""
+    def _error(self, state: SuspectState, rows: Rows, known: Array) -> Array:
+        """Return the innovation of rows, shape (C,)."""
         columns = self._columns
         robot = slice(columns.map.stop, columns.momentum.start)
         a, reach = known[columns.scale], rows.mean[:, columns.offset]
-        weight = rows.mean_rest + reach @ (about[columns.scale] * about[columns.drift])
         force = np.einsum("ckk->ck", rows.crossed) @ a + reach @ _zero(known, columns)
-        error: Array = rows.measured - state.before - weight - force - rows.mean[:, robot] @ known[robot]
+        error: Array = (
+            rows.measured - state.before - rows.mean_rest - force - rows.mean[:, robot] @ known[robot]
+        )
         return error
 
     def _changes(self, crossed: Array, reach: Array, known: Array, others: Array) -> Array:
@@ -290,8 +288,8 @@ class Suspects:
 
 
 def _zero(known: Array, columns: Columns) -> Array:
-    """Return b + a u in W, shape (K,)."""
-    zero: Array = known[columns.offset] + known[columns.scale] * known[columns.drift]
+    """Return b + u in W, shape (K,)."""
+    zero: Array = known[columns.offset] + known[columns.drift]
     return zero
 
 

@@ -1,8 +1,14 @@
 r"""A foot in the air shows its zeros.
 
-Its mean reading r obeys a (r + u) + b = 0. At the first tare that ties b to a; from then on u is the drift of
-the zeros since, known by definition, u = r_first - r, and the row says the same of scales as then.
-From tare to tare the readings show how fast zeros drift, and scales are thought to drift with them.
+Its mean reading r obeys a r + b + u = 0, where the zero's drift u is 0 at the start, so that the first tare
+ties b to a. From then on u is *defined* by it, u = -(a r + b): learnt from this row, drift would say that a
+scale is small. What it says of the time since the last tare, at which r0 was read, is a force that must have
+drifted away,
+
+    a r0 + b + u = -a (r - r0),
+
+with the published a on the right; a zero that leaps says nothing. From tare to tare the readings show how
+fast zeros drift, and scales are thought to drift with them.
 """
 
 from collections.abc import Iterator
@@ -37,7 +43,8 @@ STATED_RATE = 2.0
 """Tares that the rate to start from counts for."""
 
 LEAP = 5.0
-"""Standard deviations of drift and noise beyond which zeros have leapt: a false alarm in 1.7 million."""
+"""Standard deviations of drift and noise beyond which a zero has leapt, and says nothing of the time since: a
+false alarm in 1.7 million."""
 
 LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
 """Change of a channel's mean reading since the last tare, or since the start, and of a foot's sum, in body
@@ -71,7 +78,13 @@ class Tare:
         self._drift, self._block = spread.walk[1], config.block
 
     def take(
-        self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
+        self,
+        block: Block,
+        time: float,
+        belief: Belief,
+        published: Array,
+        state: TareState,
+        lost: Array,
     ) -> tuple[Belief, Array, TareState]:
         """Tare the feet that hang in a block.
 
@@ -79,33 +92,47 @@ class Tare:
             block: The samples.
             time: At its end in s.
             belief: The modes' posteriors.
-            published: The published map, about which a u is linear, shape (M,).
+            published: The published map, shape (M,).
             state: Results of tares before.
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
             The belief, the published map with the drift of now, and the state.
         """
-        in_swing = (state.time >= 0.0) & (time - state.time <= LEAST_APART)
-        before = np.where(in_swing[self._foot_of_channel], state.reading, np.inf)
-        for foot, channels, reading, seconds in self._hanging(block, lost, before, state.reading):
-            belief, published, state = self._tare(
-                foot, channels, reading, seconds, time, belief, published, state
-            )
-        return belief, published, state
+        columns, rate, followed = self._columns, state.rate, state.followed
+        published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
+        in_swing = (times >= 0.0) & (time - times <= LEAST_APART)
+        in_air = np.where(in_swing[self._foot_of_channel], shown, np.inf)
+        for foot, at, reading, seconds in self._hanging(block, lost, in_air, state.reading):
+            a, noise, last = published[columns.scale][at], self.variance[at] / seconds, times[foot]
+            before, steady = reading if last < 0.0 else shown[at], np.ones(len(at), dtype=bool)
+            change = reading - before
+            if last >= 0.0:
+                walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
+                steady = change**2 <= LEAP**2 * walked
+                if time - last > LEAST_APART:
+                    rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
+            variance, asked = a**2 * noise, -a * change
+            belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
+            if last >= 0.0:
+                belief = self._redefine(belief, at, reading, variance)
+            published[columns.drift.start + at] = -a * reading - published[columns.offset.start + at]
+            shown[at], times[foot] = reading, time
+        return belief, published, TareState(shown, times, rate, followed)
 
-    def repeat(self, belief: Belief, state: TareState) -> tuple[Belief, TareState]:
+    def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
 
         Args:
             belief: The modes' posteriors, with scales of 1.
             state: Results of tares before.
+            time: Now in s.
+            lost: Channels that are out (0 or 1), shape (K,).
         """
-        at = np.flatnonzero(state.time[self._foot_of_channel] >= 0.0)
-        reading, centre = state.reading[at], state.centre.copy()
-        centre[at] = reading
-        belief = self._learn(belief, at, reading, np.ones(len(at)), reading, self.variance[at] / self._block)
-        return belief, state._replace(centre=centre)
+        last = state.time[self._foot_of_channel]
+        at = np.flatnonzero((last >= 0.0) & (lost < 0.5))
+        variance = self.variance / self._block + state.rate**2 * self._drift * (time - last)
+        return self._learn(belief, at, state.reading[at], np.zeros(len(at)), variance[at])
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
         """Write the rows of the feet that hang in a block.
@@ -118,10 +145,11 @@ class Tare:
             Rows, shape (m, N), and their variance, shape (m, m).
         """
         columns = self._columns
-        a, b = known[columns.scale], known[columns.offset]
+        a, b, u = (known[part] for part in (columns.scale, columns.offset, columns.drift))
+        zero = -(b + u) / a
         found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
         for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf), -b / a):
-            found.append(self._write(at, -b[at] / a[at], a[at]))
+            found.append(self._write(at, zero[at]))
             variance.append(a[at] ** 2 * self.variance[at] / seconds)
         return np.vstack(found), np.diag(np.concatenate(variance))
 
@@ -139,13 +167,12 @@ class Tare:
             if seconds >= LEAST_SHARE * block.duration:
                 yield foot, channels, reading, seconds
 
-    def _write(self, channels: NDArray[np.int64], centre: Array, a: Array) -> Array:
-        """Return the rows a centre + b + a u of some channels, shape (m, N)."""
+    def _write(self, channels: NDArray[np.int64], reading: Array) -> Array:
+        """Return the rows a r + b + u of some channels, shape (m, N)."""
         columns, rows = self._columns, np.arange(len(channels))
         H = np.zeros((len(channels), columns.size))
-        H[rows, channels + columns.scale.start] = centre
-        H[rows, channels + columns.offset.start] = 1.0
-        H[rows, channels + columns.drift.start] = a
+        H[rows, channels + columns.scale.start] = reading
+        H[rows, channels + columns.offset.start] = H[rows, channels + columns.drift.start] = 1.0
         return H
 
     def _reading(
@@ -168,64 +195,34 @@ class Tare:
         in_air = np.abs(change).max() <= LARGEST_LOAD and abs(change.sum()) <= LARGEST_SUM
         return reading, float(block.dt[sure].sum()) * in_air
 
-    def _tare(
-        self,
-        foot: int,
-        channels: NDArray[np.int64],
-        reading: Array,
-        seconds: float,
-        time: float,
-        belief: Belief,
-        published: Array,
-        state: TareState,
-    ) -> tuple[Belief, Array, TareState]:
-        columns = self._columns
-        at = channels
-        scale, drift = at + columns.scale.start, at + columns.drift.start
-        a, last = published[scale], float(state.time[foot])
-        noise = self.variance[channels] / seconds
-        centre = reading + published[drift] if last < 0.0 else state.centre[channels]
-
-        walked = noise * 2.0
-        leapt = np.zeros(len(at), dtype=bool)
-        rate, followed = state.rate, state.followed
-        change = reading - state.reading[channels]
-        if last >= 0.0:
-            walked = walked + rate**2 * self._drift[channels] * (time - last)
-            leapt = change**2 > LEAP**2 * walked
-            if time - last > LEAST_APART:
-                rate, followed = self._follow(rate, followed, change, walked), followed + 1
-        if leapt.any():
-            covariance = belief.covariance.copy()
-            covariance[:, drift[leapt], drift[leapt]] += change[leapt] ** 2
-            belief = belief._replace(covariance=covariance)
-        belief = self._learn(belief, at, centre, a, reading, noise)
-        published = published.copy()
-        published[drift] = centre - reading
-        shown, centres, times = state.reading.copy(), state.centre.copy(), state.time.copy()
-        shown[channels], centres[channels], times[foot] = reading, centre, time
-        return belief, published, TareState(shown, centres, times, rate, followed)
-
     def _learn(
         self,
         belief: Belief,
         channels: NDArray[np.int64],
-        centre: Array,
-        a: Array,
         reading: Array,
-        noise: Array,
+        asked: Array,
+        variance: Array,
     ) -> Belief:
-        """Let all modes know what channels read of no load; ``noise`` is the readings' variance."""
-        H, variance = self._write(channels, centre, a), np.diag(a**2 * noise)
-        asked = a * (centre - reading)
-        found = [
-            update(mean, covariance, H, asked - H @ mean, variance, self._columns.mass)
-            for mean, covariance in zip(belief.mean, belief.covariance, strict=True)
-        ]
+        """Let all modes know that readings are forces ``asked``, of a variance in W^2, shapes (m,)."""
+        H, found = self._write(channels, reading), []
+        for mean, covariance in zip(belief.mean, belief.covariance, strict=True):
+            found.append(update(mean, covariance, H, asked - H @ mean, np.diag(variance), self._columns.mass))
         means, covariances = (np.stack(part) for part in zip(*found, strict=True))
         return belief._replace(mean=means, covariance=covariances)
 
-    def _follow(self, rate: float, followed: int, change: Array, expected: Array) -> float:
+    def _redefine(
+        self, belief: Belief, channels: NDArray[np.int64], reading: Array, variance: Array
+    ) -> Belief:
+        """Define the drift again by readings without load, of forces of a variance in W^2, shapes (m,)."""
+        columns = self._columns
+        drift, turned = channels + columns.drift.start, np.eye(columns.size)
+        turned[drift] = -self._write(channels, reading)
+        turned[drift, drift] = 0.0
+        covariance = turned @ belief.covariance @ turned.T
+        covariance[:, drift, drift] += variance
+        return belief._replace(mean=belief.mean @ turned.T, covariance=covariance)
+
+    def _learn_rate(self, rate: float, followed: int, change: Array, expected: Array) -> float:
         """Return by how many times sensors drift faster than stated, by changes since the last tare.
 
         A change that a foot's channels share is not drift alone: a sole's own inertia is in it.

@@ -9,7 +9,7 @@ from surefoot.calibration.baselines import SwingTare, tare
 from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.moment import columns, health, model, modes, motion, severity, suspects
+from surefoot.calibration.moment import columns, health, model, modes, motion, severity, still, suspects
 from surefoot.calibration.moment import filter as stream
 from surefoot.calibration.moment import tare as tares
 from surefoot.calibration.moment.config import Moment
@@ -158,7 +158,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "least_share": severity.LEAST_SHARE,
     }
     parts = core, core.config, core.columns, core.blocks, core.spread, core.model
-    return own, *parts, stream, model, tares, severity, columns, health, modes, motion, suspects
+    return own, *parts, stream, model, tares, still, severity, columns, health, modes, motion, suspects
 
 
 def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:

@@ -23,8 +23,9 @@ from surefoot.calibration.moment.modes import (
     wrench_variance,
 )
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
-from surefoot.calibration.moment.state import Belief
+from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.moment.suspects import SURE, Suspects
+from surefoot.calibration.moment.tare import Tare
 
 CONFIG = Moment()
 WEIGHT = MASS * GRAVITY
@@ -63,7 +64,7 @@ def block(layout=LAYOUT, seed=0):
 
 def momentum_of(block, layout, point, x, columns):
     """Add up sample by sample what acts, about a point, in another way: the momenta at the samples' ends."""
-    a, b, u = x[columns.scale], x[columns.offset], x[columns.drift]
+    a, zero = x[columns.scale], x[columns.offset] + x[columns.drift]
     d, m = x[columns.com], float(x[columns.mass][0])
     momentum, total = np.concatenate([x[columns.momentum], np.zeros(6 - columns.components)]), []
     wrench = np.concatenate([x[columns.wrench], np.zeros(6 - columns.components)])
@@ -71,7 +72,7 @@ def momentum_of(block, layout, point, x, columns):
     H = np.array([momentum[1], momentum[2], momentum[5]])
     shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
-        f = (1.0 + m) * (a * block.force[n] + b + a * u)
+        f = (1.0 + m) * (a * block.force[n] + zero)
         f[to] += x[columns.talk] * block.force[n, origin]
         P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - 1.0])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
@@ -220,6 +221,37 @@ def test_a_row_is_taken_in_and_what_is_considered_stays():
     found, after = update(mean, covariance, H, np.array([4.2]), np.eye(1), slice(1, 2))
     np.testing.assert_allclose(found, (2.1, 0.0))
     np.testing.assert_allclose(after, [[0.5, 0.15], [0.15, 1.0]])
+
+
+def test_a_foot_in_the_air_shows_its_zeros_and_nothing_of_its_scales():
+    """However far they have drifted since the first tare, which ties offsets to scales."""
+    columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
+    tare, mean = Tare(setup(), CONFIG, columns, spread), first_mean(columns)
+    covariance = np.diag(first_variance(columns, spread, CONFIG))
+    belief = Belief(np.tile(mean, (3, 1)), np.tile(covariance, (3, 1, 1)), FIRST_CHANCE)
+    state, published = TareState(np.zeros(8), np.full(2, -1.0), 1.0, 0), mean[columns.map]
+    hanging, rng = block()._replace(swing=np.ones((9, 2))), np.random.default_rng(0)
+    at = np.arange(columns.drift.start, columns.drift.stop)
+    for k, time in enumerate((1.0, 2.0, 300.0)):
+        zero = rng.normal(0.0, 0.02, size=8)
+        seen = hanging._replace(force=np.tile(zero, (8, 1)))
+        belief, published, state = tare.take(seen, time, belief, published, state, np.zeros(8))
+        for j in range(3):
+            force = zero * belief.mean[j, columns.scale] + belief.mean[j, columns.offset] + belief.mean[j, at]
+            np.testing.assert_allclose(force, 0.0, atol=1e-3)
+        if k == 0:
+            first = belief
+        np.testing.assert_allclose(
+            belief.mean[:, columns.scale], first.mean[:, columns.scale], rtol=1e-3 * k + 1e-12
+        )
+        std, before = (
+            np.sqrt(np.diagonal(one.covariance, axis1=1, axis2=2))[:, columns.scale]
+            for one in (belief, first)
+        )
+        np.testing.assert_allclose(std, before, rtol=1e-3)
+        covariance = belief.covariance.copy()
+        covariance[:, at, at] += spread.walk[1] * 100.0
+        belief = belief._replace(covariance=covariance)
 
 
 def test_contact_is_likelier_the_more_a_foot_bears():
