@@ -20,7 +20,7 @@ from surefoot.calibration.baselines import TareState
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.motion import Track
-from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, SuspectState
+from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, StillState, SuspectState
 from surefoot.calibration.moment.state import TareState as FootTares
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
@@ -39,6 +39,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         MomentState: (*("time", "belief", "drifted", "tare", "shift", "published", "covariance", "kept"),),
         SuspectState: ("noise", "known"),
         Track: (),
+        StillState: (),
         **{kind: kind._fields for kind in (Belief, Publication, FootTares, Kept)},
         ChannelState: (
             *("moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed", "altered"),

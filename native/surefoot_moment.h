@@ -77,7 +77,7 @@ typedef struct {
 
 /* TareState */
 typedef struct {
-    sf_real reading[SF_CHANNELS], time[SF_FEET], rate;
+    sf_real reading[SF_CHANNELS], moved[SF_CHANNELS], time[SF_FEET], rate;
     sf_whole followed;
 } sf_tares;
 
@@ -1305,13 +1305,13 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         if (!(seconds >= m->tare_share * duration)) continue;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            sf_real noise = m->tare_variance[i] / seconds, shown = last < 0 ? reading[k] : tare->reading[i];
-            change[k] = reading[k] - shown;
+            sf_real noise = m->tare_variance[i] / seconds, shown = last < 0 ? reading[k] : tare->reading[i] + tare->moved[i];
+            change[k] = last < 0 ? 0 : reading[k] - tare->reading[i];
             walked[k] = 2 * noise + tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
             variance[k] = published[i] * published[i] * noise;
             /* A zero that leapt says nothing of the time since. */
             if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
-            steady[few] = i, before[few] = shown, asked[few] = -published[i] * change[k], unsure[few++] = variance[k];
+            steady[few] = i, before[few] = shown, asked[few] = -published[i] * (reading[k] - shown), unsure[few++] = variance[k];
         }
         if (last >= 0 && s->time - last > m->least_apart) {
             tare->rate = sf_followed_rate(m, tare, change, walked, count);
@@ -1322,7 +1322,7 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             published[2 * K + i] = -published[i] * reading[k] - published[K + i];
-            tare->reading[i] = reading[k];
+            tare->reading[i] = reading[k], tare->moved[i] = 0;
         }
         tare->time[foot] = s->time;
     }
@@ -1339,11 +1339,11 @@ SF_API sf_real sf_still_likelihood(sf_real sum, int count) {
 }
 
 /* Still.take and _follow: let zeros follow the readings of a robot that stands still. Changes the belief, what is
-   published of drift, and the readings of late. */
+   published of drift, the readings of late, and by how much those of tares have moved. */
 SF_API void sf_take_still(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
-                          sf_real duration, sf_modes *belief, sf_real *published, sf_still *still) {
+                          sf_real duration, sf_modes *belief, sf_real *published, sf_still *still, sf_tares *tare) {
     int K = c->channels, N = sf_states(c, m), wide = sf_waiting(c), count = 0;
-    sf_real last = still->time, apart = s->time - last, rate = s->tare.rate * s->tare.rate, d = 0, off = 0;
+    sf_real last = still->time, apart = s->time - last, rate = tare->rate * tare->rate, d = 0, off = 0;
     sf_real change[SF_CHANNELS], share = sf_min(apart / m->level_time, 1), likely;
     still->time = s->time;
     for (int i = 0; i < K; i++) {
@@ -1373,6 +1373,7 @@ SF_API void sf_take_still(const sf_config *c, const sf_moment_config *m, const s
             P[at * N + at] -= known * rate * m->walk[K + i] * duration * sf_power2(published[i]);
         }
         published[2 * K + i] -= drifted * published[i];
+        tare->moved[i] += drifted;
     }
 }
 
@@ -1451,7 +1452,7 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
         if (last < 0 || s->faults.lost[i] > (sf_real)0.5) continue;
         noise[count] = m->tare_variance[i] / m->block;
         noise[count] += s->tare.rate * s->tare.rate * m->walk[c->channels + i] * (s->time - last);
-        reading[count] = s->tare.reading[i];
+        reading[count] = s->tare.reading[i] + s->tare.moved[i];
         channels[count++] = i;
     }
     sf_learn_tare(c, m, &s->belief, channels, count, reading, none, noise, w);
@@ -1942,7 +1943,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         sf_copy_modes(c, m, &w->belief, &s->belief);
         sf_copy(published, s->published.mean, M);
         tare = s->tare;
-        sf_take_still(c, m, s, n, duration, &w->belief, published, &s->still);
+        sf_take_still(c, m, s, n, duration, &w->belief, published, &s->still, &tare);
         int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
         if (out) {
             /* Nothing stands in for two cells of a plate; zeros are seen without them. */

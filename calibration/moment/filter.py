@@ -142,7 +142,7 @@ class MomentFilter:
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
-        tare = TareState(zero, np.full(feet, -1.0), FIRST_RATE, 0)
+        tare = TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
             front=front,
@@ -264,13 +264,11 @@ class MomentFilter:
         state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
-        belief, published, still = self.still.take(
-            block, state.time, state.belief, state.published.mean, state.still, state.tare.rate, faults.lost
+        belief, published, still, tare = self.still.take(
+            block, state.time, state.belief, state.published.mean, state.still, state.tare, faults.lost
         )
         state = state._replace(still=still)
-        belief, published, tare = self.tare.take(
-            block, state.time, belief, published, state.tare, faults.lost
-        )
+        belief, published, tare = self.tare.take(block, state.time, belief, published, tare, faults.lost)
         if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():
             # Nothing stands in for two cells of a plate; zeros are seen without them.
             zeros = state.published._replace(mean=published)

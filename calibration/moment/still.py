@@ -14,7 +14,7 @@ import numpy as np
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread
-from surefoot.calibration.moment.state import Belief, StillState
+from surefoot.calibration.moment.state import Belief, StillState, TareState
 
 LEVEL_TIME = 4.0
 """Time in s of the mean that readings are compared with: with 2 s a G1 whose policy turns its load slowly
@@ -54,9 +54,9 @@ class Still(NamedTuple):
         belief: Belief,
         published: Array,
         state: StillState,
-        rate: float,
+        tare: TareState,
         lost: Array,
-    ) -> tuple[Belief, Array, StillState]:
+    ) -> tuple[Belief, Array, StillState, TareState]:
         """Let zeros follow the readings of a robot that stands still.
 
         Args:
@@ -65,16 +65,16 @@ class Still(NamedTuple):
             belief: The modes' posteriors, whose zeros have drifted for the block already.
             published: The published map, shape (M,).
             state: Readings until then.
-            rate: By how many times sensors drift faster than stated.
+            tare: Results of tares before.
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The belief, the published map, and the state.
+            The belief, the published map, the state, and the tares, whose readings have moved.
         """
         reading = block.force.mean(axis=0)
         if state.time < 0.0:
-            return belief, published, StillState(reading, reading, time)
-        apart, drift, noise = time - state.time, rate**2 * self.drift, self.noise / block.duration
+            return belief, published, StillState(reading, reading, time), tare
+        apart, drift, noise = time - state.time, tare.rate**2 * self.drift, self.noise / block.duration
         change, level = (
             reading - state.reading,
             state.level + min(apart / LEVEL_TIME, 1.0) * (reading - state.level),
@@ -86,10 +86,11 @@ class Still(NamedTuple):
         )
         state = StillState(reading, level, time)
         if still < LEAST_STILL:
-            return belief, published, state
+            return belief, published, state, tare
         # Noise comes and goes, and is all that a sensor shows that does not drift.
         share = still * there * drift * LEVEL_TIME / (drift * LEVEL_TIME + noise)
-        return *self._follow(belief, published, share * change, share * drift * block.duration), state
+        belief, published = self._follow(belief, published, share * change, share * drift * block.duration)
+        return belief, published, state, tare._replace(moved=tare.moved + share * change)
 
     def _follow(self, belief: Belief, published: Array, drifted: Array, known: Array) -> tuple[Belief, Array]:
         """Let zeros drift by ``drifted`` in W; a variance ``known`` of it is no longer open, shapes (K,)."""

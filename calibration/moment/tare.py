@@ -101,24 +101,26 @@ class Tare:
         """
         columns, rate, followed = self._columns, state.rate, state.followed
         published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
+        moved = state.moved.copy()
         in_swing = (times >= 0.0) & (time - times <= LEAST_APART)
         in_air = np.where(in_swing[self._foot_of_channel], shown, np.inf)
         for foot, at, reading, seconds in self._hanging(block, lost, in_air, state.reading):
             a, noise, last = published[columns.scale][at], self.variance[at] / seconds, times[foot]
-            before, steady = reading if last < 0.0 else shown[at], np.ones(len(at), dtype=bool)
-            change = reading - before
+            before, steady = reading if last < 0.0 else shown[at] + moved[at], np.ones(len(at), dtype=bool)
+            unseen = reading - before
             if last >= 0.0:
+                change = reading - shown[at]
                 walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
                 steady = change**2 <= LEAP**2 * walked
                 if time - last > LEAST_APART:
                     rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
-            variance, asked = a**2 * noise, -a * change
+            variance, asked = a**2 * noise, -a * unseen
             belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
             if last >= 0.0:
                 belief = self._redefine(belief, at, reading, variance)
             published[columns.drift.start + at] = -a * reading - published[columns.offset.start + at]
-            shown[at], times[foot] = reading, time
-        return belief, published, TareState(shown, times, rate, followed)
+            shown[at], moved[at], times[foot] = reading, 0.0, time
+        return belief, published, TareState(shown, moved, times, rate, followed)
 
     def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
@@ -132,7 +134,7 @@ class Tare:
         last = state.time[self._foot_of_channel]
         at = np.flatnonzero((last >= 0.0) & (lost < 0.5))
         variance = self.variance / self._block + state.rate**2 * self._drift * (time - last)
-        return self._learn(belief, at, state.reading[at], np.zeros(len(at)), variance[at])
+        return self._learn(belief, at, (state.reading + state.moved)[at], np.zeros(len(at)), variance[at])
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
         """Write the rows of the feet that hang in a block.

@@ -229,7 +229,7 @@ def test_a_foot_in_the_air_shows_its_zeros_and_nothing_of_its_scales():
     tare, mean = Tare(setup(), CONFIG, columns, spread), first_mean(columns)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
     belief = Belief(np.tile(mean, (3, 1)), np.tile(covariance, (3, 1, 1)), FIRST_CHANCE)
-    state, published = TareState(np.zeros(8), np.full(2, -1.0), 1.0, 0), mean[columns.map]
+    state, published = TareState(np.zeros(8), np.zeros(8), np.full(2, -1.0), 1.0, 0), mean[columns.map]
     hanging, rng = block()._replace(swing=np.ones((9, 2))), np.random.default_rng(0)
     at = np.arange(columns.drift.start, columns.drift.stop)
     for k, time in enumerate((1.0, 2.0, 300.0)):

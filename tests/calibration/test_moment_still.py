@@ -9,7 +9,7 @@ from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import FIRST_CHANCE
-from surefoot.calibration.moment.state import Belief
+from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.moment.still import Still
 from surefoot.calibration.moment.tare import Tare
 
@@ -24,25 +24,36 @@ def read(force):
     return Block(np.tile(force, (8, 1)), np.ones((8, 8)), *(empty,) * 7, np.full(8, DT))
 
 
-def follow(readings, config=None, rate=1.0, lost=None):
-    """Follow blocks of readings; return the first belief, the last, the published maps and the state."""
+def follow(readings, config=None, rate=1.0, lost=None, hangs=()):
+    """Follow blocks of readings; return the first belief, the last, the published maps and the tares."""
     config = config or Moment()
     columns, spread = Columns.of(LAYOUT), Spread.of(SETUP, config)
-    still = Still.of(columns, spread, Tare(SETUP, config, columns, spread).variance)
+    tare = Tare(SETUP, config, columns, spread)
+    still = Still.of(columns, spread, tare.variance)
     mean, rng = first_mean(columns), np.random.default_rng(3)
     mean[columns.scale] *= 1.0 + 0.2 * rng.normal(size=8)
     covariance = np.diag(first_variance(columns, spread, config))
     first = belief = Belief(np.tile(mean, (3, 1)), np.tile(covariance, (3, 1, 1)), FIRST_CHANCE)
     published = before = mean[columns.map].copy()
     state, at = still.init(), np.arange(columns.drift.start, columns.drift.stop)
+    tares = TareState(np.zeros(8), np.zeros(8), np.full(2, -1.0), rate, 0)
     for k, reading in enumerate(readings):
         covariance = belief.covariance.copy()
         covariance[:, at, at] += rate**2 * spread.walk[1] * T * published[columns.scale] ** 2
-        belief, published, state = still.take(
-            read(reading), T * (k + 1), belief._replace(covariance=covariance), published, state, rate,
+        belief, published, state, tares = still.take(
+            read(reading), T * (k + 1), belief._replace(covariance=covariance), published, state, tares,
             np.zeros(8) if lost is None else lost,
         )  # fmt: skip
-    return columns, first, belief, before, published, state
+        if k in hangs:
+            belief, published, tares = tare.take(
+                read(reading)._replace(swing=np.ones((9, 2))),
+                T * (k + 1),
+                belief,
+                published,
+                tares,
+                np.zeros(8),
+            )
+    return columns, first, belief, before, published, tares
 
 
 def drift(blocks, rate=1.0, seed=0):
@@ -85,6 +96,21 @@ def test_a_belief_of_a_force_is_as_sure_as_before():
         std.append(np.sqrt(np.diagonal(H @ belief.covariance[0] @ H.T)))
     np.testing.assert_allclose(force[0], force[1], rtol=1e-12)
     np.testing.assert_allclose(std[0], std[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("hangs", [(0, 299), range(300)], ids=["before and after", "all the time"])
+def test_a_tare_of_zeros_that_were_followed_says_nothing_of_scales(hangs):
+    columns, first, belief, _, published, tares = follow(drift(300) - LOAD, hangs=hangs)
+    _, _, tared, *_ = follow(drift(1) - LOAD, hangs=(0,))
+    std, stated = (np.sqrt(np.diagonal(one.covariance[0]))[columns.scale] for one in (belief, tared))
+    np.testing.assert_allclose(std, stated, rtol=0.01)
+    np.testing.assert_allclose(
+        belief.mean[0, columns.scale], first.mean[0, columns.scale], atol=0.02 * std.max()
+    )
+    np.testing.assert_array_equal(tares.moved, 0.0)
+    reading = drift(300)[-1] - LOAD
+    a, b, u = (published[part] for part in (columns.scale, columns.offset, columns.drift))
+    np.testing.assert_allclose(a * reading + b + u, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("change", ["step", "sway", "slow lean"])

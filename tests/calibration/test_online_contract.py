@@ -181,8 +181,8 @@ def test_a_missing_sample_is_held_and_flagged(name):
     held = log.force.copy()
     held[40, 2], held[41, 6], held[42] = held[39, 2], held[40, 6], held[41]
     held[42, 6] = held[40, 6]
-    # The moment filter learns from held readings as well, as from ones that are less sure.
-    np.testing.assert_allclose(estimate.force, held, atol=1e-3 if name == "moment" else 1e-6)
+    # The moment filter learns from held readings as well, and takes small changes of a stand for drift.
+    np.testing.assert_allclose(estimate.force, held, atol=5e-4 * MASS * 9.81 if name == "moment" else 1e-6)
     seen = estimate.flags & (Flag.MISSING | Flag.OUT_OF_RANGE)
     expected = np.zeros_like(seen)
     expected[40, 2], expected[41, 6], expected[42, :] = Flag.MISSING, Flag.OUT_OF_RANGE, Flag.OUT_OF_RANGE
