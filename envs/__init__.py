@@ -18,11 +18,12 @@ try:
     from surefoot.envs.nao.carry import NaoCarryEnv
     from surefoot.envs.nao.env import NaoEnv
     from surefoot.envs.nao.stand import NaoStandEnv
-    from surefoot.envs.nao.truth import Truth
     from surefoot.envs.nao.walk import NaoWalkEnv
     from surefoot.envs.prelude import Prelude
     from surefoot.envs.robots.library import load_robot_spec
     from surefoot.envs.robots.nao import load_nao_spec
+
+    Truth = FeetTruth  # what the truth of the NAO's tasks was called
 except ModuleNotFoundError as missing:
     raise not_installed(__name__, missing, "sim") from None
 

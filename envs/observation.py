@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, rotate_level
 from surefoot.envs.instrumentation.means import FootPlaces, places_record
-from surefoot.envs.instrumentation.robot import RowColumns
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
 from surefoot.native import ENVS, Call, Library, PointerRecord
 
@@ -32,38 +31,15 @@ STATE: Final = 15
 
 
 class Places(NamedTuple):
-    """Where in a row of sensor data things are that are shown: of each, the first of its numbers.
+    """Where things are that are shown.
 
     Attributes:
-        feet: The loads of the feet.
-        axes_torso: The torso's axes one after another (9).
-        position_torso: Its origin (3).
-        gyroscope: Its angular velocity in its own axes (3).
-        com_velocity: Velocity of the centre of mass in the world (3).
-        joints: Angles of the J hinge joints.
-        joint_dofs: Where their speeds are in ``qvel``.
+        feet: In a row of sensor data.
+        joint_dofs: Where the joints' speeds are in ``qvel``.
     """
 
     feet: FootPlaces
-    axes_torso: int
-    position_torso: int
-    gyroscope: int
-    com_velocity: int
-    joints: slice
     joint_dofs: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, feet: FootPlaces, columns: RowColumns, joint_dofs: NDArray[np.intp]) -> "Places":
-        """Return those of a row."""
-        return cls(
-            feet,
-            columns.axes_torso.start,
-            columns.position_torso.start,
-            columns.gyroscope.start,
-            columns.com_velocity.start,
-            columns.joint_position,
-            joint_dofs,
-        )
 
 
 class Seen(NamedTuple):
@@ -196,7 +172,6 @@ class FeetObserver:
         state = shown["state"]
         np.maximum(state, self._low, out=state)
         np.minimum(state, self._high, out=state)
-        assert self._places.feet.force_cell is not None
         force = self._places.feet.force_cell(rows[..., -1, :], wrench).astype(np.float32)
         np.maximum(force, -self._force_bound, out=force)
         np.minimum(force, self._force_bound, out=force)
@@ -221,7 +196,8 @@ def observe(
         ``cop_held`` of :class:`Look`.
     """
     row = last.tolist()
-    wrench, common = ground_at_feet(places.feet.feet(row), places.feet.up)
+    columns = places.feet.columns
+    wrench, common = ground_at_feet(places.feet.feet(row), columns.up)
     ((x, y), *cop_foot), valid = centres(wrench, common, places.feet.flat)
     middle_x, middle_y, heading = places.feet.level(row)
     level = rotate_level(x - middle_x, y - middle_y, heading)
@@ -231,16 +207,16 @@ def observe(
     ]
     shown = [[_clip(part, COP_BOUND) for part in place] for place in held]
 
-    at, joints = places.com_velocity, places.joint_dofs.size
+    at, joints = columns.com_velocity.start, places.joint_dofs.size
     velocity = rotate_level(row[at], row[at + 1], heading)
     seen = [float(valid[0]), *_errors(command, (x, y), level, velocity)]
-    torso, gyro = places.axes_torso, places.gyroscope
+    torso = columns.axes_torso.start
     up = row[torso + 2], row[torso + 5], row[torso + 8]
     state = np.empty(2 * joints + STATE, dtype=np.float32)
-    state[:joints] = last[places.joints]
+    state[:joints] = last[columns.joint_position]
     state[joints : 2 * joints] = qvel[places.joint_dofs]
     tilt = atan2(up[1], up[2]), -asin(_clip(up[0], 1.0))
-    state[2 * joints :] = [*tilt, *row[gyro : gyro + 3], *command_state(command)]
+    state[2 * joints :] = [*tilt, *row[columns.gyroscope], *command_state(command)]
     return (
         {
             "state": state,
@@ -249,7 +225,7 @@ def observe(
             "cop_valid": np.array(valid, dtype=np.float32),
         },
         np.array(wrench).ravel(),
-        np.array([*seen, *up, row[places.position_torso + 2]]),
+        np.array([*seen, *up, row[columns.position_torso.start + 2]]),
         np.array(held),
     )
 
@@ -294,10 +270,9 @@ class _Observe:
                 "feet": places_record(library, places.feet, substeps, columns),
                 "joint_dofs": places.joint_dofs.astype(np.int32),
                 "cop_bound": COP_BOUND,
-                "joint_position": places.joints.start,
                 "joints": places.joint_dofs.size,
                 "speeds": speeds,
-                **{name: getattr(places, name) for name in _COLUMNS},
+                **{name: getattr(places.feet.columns, name).start for name in _COLUMNS},
             },
         )
         single, real = np.float32, np.float64
@@ -330,4 +305,4 @@ class _Observe:
         return results, results["wrench"], results["seen"], results["held"]
 
 
-_COLUMNS = ("axes_torso", "position_torso", "gyroscope", "com_velocity")
+_COLUMNS = ("axes_torso", "position_torso", "gyroscope", "com_velocity", "joint_position")

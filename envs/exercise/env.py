@@ -224,7 +224,7 @@ def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
     """Return where in the sensor data of a robot with two feet things are that are shown."""
     layout, start = instrumentation.layout, instrumentation.columns(model).start
     dofs = np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names])
-    return Places.of(foot_places(layout, start), layout.columns_after(start), dofs)
+    return Places(foot_places(layout, layout.columns_after(start)), dofs)
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:

@@ -4,8 +4,7 @@
 with the same bits.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import chain
 from math import atan2
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import rotate_level
-from surefoot.envs.instrumentation.robot import MeasuredRobot, RowColumns
+from surefoot.envs.instrumentation.robot import CellMap, RowColumns, RowLayout
 from surefoot.envs.instrumentation.truth import centres
 from surefoot.native import ENVS, Call, Library, PointerRecord
 
@@ -22,53 +21,43 @@ Array = NDArray[np.float64]
 
 
 class FootPlaces(NamedTuple):
-    """Where in a row of sensor data things are that feet feel: of each foot, the first of its numbers.
+    """Where in a row of sensor data things are that feet feel.
 
     Attributes:
-        ankle: Force and torque at the ankle, of the robot on the foot (6 numbers).
-        contact: Force, torque and the place at which they act, in the world (9).
-        up: 1 if these are the ground's on the robot, -1 if the robot's on the ground.
-        position_sole: Origin of the sole frame in the world (3).
-        axes_sole: Its axes one after another (9).
-        com: Centre of mass of the robot (3); one for all feet.
-        force_cell: Makes forces of the cells in N, shape (..., 4 F), of a row and of the wrenches at the
-            soles, shape (..., 6 F); None where a foot has no area.
+        columns: Where the parts stand.
         flat: Which feet have an area, (F).
+        cell_map: Of :class:`~surefoot.envs.instrumentation.robot.RowLayout`; None where a foot has no area.
     """
 
-    ankle: tuple[int, ...]
-    contact: tuple[int, ...]
-    up: float
-    position_sole: tuple[int, ...]
-    axes_sole: tuple[int, ...]
-    com: int
-    force_cell: Callable[[Array, Array], Array] | None
+    columns: RowColumns
     flat: tuple[bool, ...]
+    cell_map: CellMap | None
 
-    @classmethod
-    def of(
-        cls, columns: RowColumns, force_cell: Callable[[Array, Array], Array] | None, flat: tuple[bool, ...]
-    ) -> "FootPlaces":
-        """Return those of a row."""
-        ankle, contact, sole, axes = (
-            tuple(part[:, 0].tolist())
-            for part in (columns.ankle, columns.ground, columns.position_sole, columns.axes_sole)
-        )
-        return cls(ankle, contact, columns.up, sole, axes, columns.com.start, force_cell, flat)
+    def force_cell(self, row: Array, wrench: Array) -> Array:
+        """Return forces of the cells in N, (..., 4 F), of a row and of wrenches at the soles, (..., 6 F)."""
+        assert self.cell_map is not None
+        (factors, added), sensed = self.cell_map, self.columns.sensed
+        data = wrench if sensed.soles else row[..., sensed.cells : sensed.cells + len(factors)]
+        force: Array = (data[..., None, :] @ factors)[..., 0, :]
+        return force if sensed.soles else force + added
 
     def level(self, row: Sequence[float]) -> tuple[float, float, float]:
         """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
         x = y = along = across = 0.0
-        for at, axes in zip(self.position_sole, self.axes_sole, strict=True):
+        for at, axes in zip(*self._starts("position_sole", "axes_sole"), strict=True):
             x, y = x + row[at], y + row[at + 1]
             along, across = along + row[axes], across + row[axes + 1]
-        share = 1.0 / len(self.position_sole)
+        share = 1.0 / len(self.flat)
         return share * x, share * y, atan2(across, along)
 
     def feet(self, row: Sequence[float]) -> list[list[float]]:
         """Take the 21 numbers of each foot after its ankle out of a row, (F, 21)."""
-        starts = zip(self.contact, self.position_sole, self.axes_sole, strict=True)
+        starts = zip(*self._starts("ground", "position_sole", "axes_sole"), strict=True)
         return [[*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]] for i, j, k in starts]
+
+    def _starts(self, *names: str) -> list[list[int]]:
+        """Return the first number of parts, of each foot."""
+        return [getattr(self.columns, name)[:, 0].tolist() for name in names]
 
 
 def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, float]:
@@ -112,8 +101,8 @@ def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
         them; ``cop_valid`` (1 + F), which of these there are, the common one first (the others are 0);
         ``com`` (3) m; ``wrench_sole`` and ``wrench_ankle`` (F, 6) N and N m.
     """
-    share = 1.0 / len(rows)
-    up = places.up * share
+    share, columns = 1.0 / len(rows), places.columns
+    up = columns.up * share
     row = np.add.reduce(rows) * share
     own, wrench = row.tolist(), []
     moment_x = moment_y = load = 0.0
@@ -121,7 +110,7 @@ def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
         felt, x, y = _add_up(substeps)
         wrench.append([up * part for part in felt])
         moment_x, moment_y = moment_x + up * x, moment_y + up * y
-    vgrf = [0.0 + places.up * own[at + 2] for at in places.contact]
+    vgrf = [0.0 + columns.up * own[at] for at in columns.ground[:, 2]]
     for part in vgrf:
         load = load + part
     ((x, y), *cop_foot), valid = centres(wrench, (load, moment_x, moment_y), places.flat)
@@ -133,11 +122,11 @@ def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
         "cop": np.array(level),
         "cop_foot": np.array(cop_foot),
         "cop_valid": np.array(valid),
-        "com": row[places.com : places.com + 3],
+        "com": row[columns.com],
         "wrench_sole": np.array(wrench),
-        "wrench_ankle": np.array([-row[at : at + 6] for at in places.ankle]),
+        "wrench_ankle": -row[columns.ankle],
     }
-    if places.force_cell is not None:
+    if places.cell_map is not None:
         truth["force_cell"] = places.force_cell(row, np.array([*chain.from_iterable(wrench)]))
     return truth
 
@@ -172,7 +161,7 @@ class MeanTruth:
             return mean_truth(rows, self._places) if rows.ndim == 2 else self._of_each(rows)
         results = found(np.ascontiguousarray(rows), threads=threads)
         truth = {name: results[name] for name in _TOLD}
-        if self._places.force_cell is not None:
+        if self._places.cell_map is not None:
             wrench = results["wrench_sole"].reshape(*rows.shape[:-2], -1)
             truth["force_cell"] = self._places.force_cell(results["row"], wrench)
         return truth
@@ -184,7 +173,7 @@ class MeanTruth:
     def _call(self, library: Library, *shape: int) -> Call:
         """Return the library's function for rows of a shape."""
         *robots, substeps, columns = shape
-        feet = len(self._places.contact)
+        feet = len(self._places.flat)
         at = places_record(library, self._places, substeps, columns)
         real = np.float64
         fields = {
@@ -203,20 +192,16 @@ _TOLD = ("vgrf", "cop_world", "cop", "cop_foot", "cop_valid", "com", "wrench_sol
 
 def places_record(library: Library, places: FootPlaces, substeps: int, columns: int) -> PointerRecord:
     """Make the library's record of places in rows."""
-    whole = ("ankle", "contact", "position_sole", "axes_sole", "flat")
-    arrays = {name: np.array(getattr(places, name), dtype=np.int32) for name in whole}
-    sizes = {"feet": len(places.contact), "rows": substeps, "columns": columns}
-    return PointerRecord(library, "foot_places", {**arrays, **sizes, "up": places.up, "com": places.com})
+    columns_of = places.columns
+    whole = {"ankle": columns_of.ankle, "contact": columns_of.ground}
+    whole |= {"position_sole": columns_of.position_sole, "axes_sole": columns_of.axes_sole}
+    arrays = {name: part[:, 0].astype(np.int32) for name, part in whole.items()}
+    arrays["flat"] = np.array(places.flat, dtype=np.int32)
+    sizes = {"feet": len(places.flat), "rows": substeps, "columns": columns}
+    at = {"up": columns_of.up, "com": columns_of.com.start}
+    return PointerRecord(library, "foot_places", {**arrays, **sizes, **at})
 
 
-def _force_of_wrench(shares: Array, row: Array, wrench: Array) -> Array:
-    """Share wrenches at the soles among cells: the ``force_cell`` of robots with cells under a plate."""
-    force: Array = (wrench[..., None, :] @ shares)[..., 0, :]
-    return force
-
-
-def foot_places(layout: MeasuredRobot, start: int = 0) -> FootPlaces:
-    """Return where the feet's columns are in rows of an instrumented robot, which begin at ``start``."""
-    force_cell = None if layout.flaw else partial(_force_of_wrench, layout.force_of_wrench)
-    flat = tuple(not foot.flaw for foot in layout.feet)
-    return FootPlaces.of(layout.columns_after(start), force_cell, flat)
+def foot_places(layout: RowLayout, columns: RowColumns | None = None) -> FootPlaces:
+    """Return where the feet's columns are in rows of a layout, or in rows in which they are elsewhere."""
+    return FootPlaces(columns or layout.columns, layout.flat, None if layout.flaw else layout.cell_map)

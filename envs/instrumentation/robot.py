@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -49,7 +49,7 @@ class SensedColumns(NamedTuple):
         joints: Of the encoders' angles.
         inertial: Of accelerometer and gyroscope.
         ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
-        cells: The data of which the cells' forces are made by ``cell_map()``.
+        cells: The data of which the cells' forces are made by ``cell_map``.
         stride: Columns from one foot's to the next one's.
         soles: How many feet have force, torque, place and the sole's frame there, of which wrenches are made
             first; 0 where these stand there.
@@ -95,6 +95,38 @@ class RowColumns(NamedTuple):
     time: int
 
 
+CellMap = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Factors from data of F feet to the forces of 4 F cells, shape (n, 4 F), and N to add, shape (4 F,)."""
+
+
+class RowLayout(Protocol):
+    """The meaning of a row, and how cells share the loads in it.
+
+    The cells' data are wrenches at the soles, shape (6 F), where ``columns.sensed.soles`` says that these are
+    made first; otherwise columns from ``columns.sensed.cells`` on.
+    """
+
+    @property
+    def columns(self) -> RowColumns:
+        """Where in a row the parts stand."""
+
+    @property
+    def flaw(self) -> str:
+        """Why not all feet have cells, or empty."""
+
+    @property
+    def flat(self) -> tuple[bool, ...]:
+        """Which feet have an area, (F)."""
+
+    @property
+    def cell_map(self) -> CellMap:
+        """The map from the cells' data to their forces."""
+
+    @property
+    def shear_map(self) -> NDArray[np.float64]:
+        """Factors from these data to the cells' horizontal forces, along x of all, then y, shape (n, 8 F)."""
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredRobot:
     """A robot with F feet and J encoders, measured.
@@ -118,18 +150,23 @@ class MeasuredRobot:
         """Why not all feet have cells, or empty."""
         return next((foot.flaw for foot in self.feet if foot.flaw), "")
 
+    @property
+    def flat(self) -> tuple[bool, ...]:
+        """Which feet have an area, (F)."""
+        return tuple(not foot.flaw for foot in self.feet)
+
     @cached_property
-    def force_of_wrench(self) -> NDArray[np.float64]:
-        """Forces of all cells per wrench of each foot, to be multiplied from the left, shape (6 F, 4 F)."""
+    def cell_map(self) -> CellMap:
+        """Forces of all cells by the wrenches at the soles, factors of shape (6 F, 4 F); nothing to add."""
         shares = np.zeros((6 * len(self.feet), 4 * len(self.feet)))
         for i, plate in enumerate(self.plates):
             if plate is not None:
                 shares[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = plate.share.T
-        return shares
+        return shares, np.zeros(shares.shape[1])
 
     @cached_property
-    def shear_of_wrench(self) -> NDArray[np.float64]:
-        """Horizontal forces of all cells along x, and then y, per wrench of each foot, shape (6 F, 8 F)."""
+    def shear_map(self) -> NDArray[np.float64]:
+        """Horizontal forces of all cells along x, and then y, by these wrenches, shape (6 F, 8 F)."""
         shares = np.zeros((6 * len(self.feet), 2, 4 * len(self.feet)))
         for i, plate in enumerate(self.plates):
             if plate is not None:

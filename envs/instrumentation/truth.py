@@ -9,14 +9,13 @@ The cells are springs under a massless plate that covers the sole (:class:`SoleP
 share the ground's force, and their centre of pressure is that of the contacts.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.robot import MeasuredRobot, RowColumns
+from surefoot.envs.instrumentation.robot import RowLayout
 
 Array = NDArray[np.float64]
 
@@ -24,29 +23,16 @@ CONTACT_FORCE = 5.0
 """Vertical force in N above which a centre of pressure is defined."""
 
 
-class RobotTruth(ABC):
+class FeetTruth:
     """The loads of F feet and the torso in one substep, or in many; its arrays are not to be changed.
 
     Args:
         rows: Readings, shape (..., columns); they are kept and not copied.
-        columns: Where the parts stand.
+        layout: The meaning of the columns.
     """
 
-    def __init__(self, rows: Array, columns: RowColumns) -> None:
-        self.rows, self.columns = rows, columns
-
-    @property
-    @abstractmethod
-    def cell_data(self) -> Array:
-        """The data of which the cells' forces are made."""
-
-    @abstractmethod
-    def cell_map(self) -> tuple[Array, Array]:
-        """Return the map from :attr:`cell_data` to the cells' forces: factors, and N to add."""
-
-    @abstractmethod
-    def shear_map(self) -> Array:
-        """Return the map from :attr:`cell_data` to the cells' horizontal forces: along x of all, then y."""
+    def __init__(self, rows: Array, layout: RowLayout) -> None:
+        self.rows, self.layout, self.columns = rows, layout, layout.columns
 
     @property
     def time(self) -> Array:
@@ -95,18 +81,51 @@ class RobotTruth(ABC):
         """Rotations from the sole frames to the world, shape (..., F, 3, 3)."""
         return _rotation(self.rows.take(self.columns.axes_sole, axis=-1))
 
+    @property
+    def cell_data(self) -> Array:
+        """The data of which the cells' forces are made, see :class:`RowLayout`, shape (..., n).
+
+        A cell is pulled where the ground pushes outside the cells.
+
+        Raises:
+            ValueError: If a foot has no area, with the reason.
+        """
+        self._refuse_flaws()
+        sensed = self.columns.sensed
+        if not sensed.soles:
+            return self.rows[..., sensed.cells : sensed.cells + len(self.layout.shear_map)]
+        wrench = self.wrench_sole
+        return wrench.reshape(*wrench.shape[:-2], -1)
+
     @cached_property
     def force_cell(self) -> Array:
         """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F)."""
-        factors, added = self.cell_map()
+        factors, added = self.layout.cell_map
         force: Array = self.cell_data @ factors + added
         return force
 
     @property
     def shear_cell(self) -> Array:
         """Horizontal forces of the load cells in N, along x of all, and then along y, shape (..., 8 F)."""
-        shear: Array = self.cell_data @ self.shear_map()
+        shear: Array = self.cell_data @ self.layout.shear_map
         return shear
+
+    @property
+    def cop_sole(self) -> Array:
+        """Centres of pressure in the sole frames in m, shape (..., F, 2); NaN at no more than 5 N.
+
+        Raises:
+            ValueError: If a foot has no area, with the reason.
+        """
+        self._refuse_flaws()
+        wrench = self.wrench_sole
+        load = np.where(wrench[..., 2] > CONTACT_FORCE, wrench[..., 2], np.nan)
+        return np.stack([-wrench[..., 4] / load, wrench[..., 3] / load], axis=-1)
+
+    def _refuse_flaws(self) -> None:
+        """Raise ValueError if a foot has no area."""
+        if self.layout.flaw:
+            raise ValueError(self.layout.flaw)
 
     @property
     def position_torso(self) -> Array:
@@ -171,56 +190,6 @@ class RobotTruth(ABC):
         """
         ground = self._ground
         return ground if self.rows.ndim == 1 else ground[..., -1, :, :]
-
-
-class FeetTruth(RobotTruth):
-    """The truth of a robot whose sensors were added, as of :class:`RobotTruth`.
-
-    Args:
-        rows: Readings, shape (..., 27 F + 28 + J); they are kept and not copied.
-        layout: The robot, in whose order the columns are.
-    """
-
-    def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
-        super().__init__(rows, layout.columns)
-        self.layout = layout
-
-    @property
-    def cop_sole(self) -> Array:
-        """Centres of pressure in the sole frames in m, shape (..., F, 2); NaN at no more than 5 N.
-
-        Raises:
-            ValueError: If a foot has no area, with the reason.
-        """
-        self._refuse_flaws()
-        return cop_in_sole(self.wrench_sole)
-
-    @property
-    def cell_data(self) -> Array:
-        """Wrenches at the soles, shape (..., 6 F).
-
-        A cell is pulled where the ground pushes outside the cells.
-
-        Raises:
-            ValueError: If a foot has no area, with the reason.
-        """
-        self._refuse_flaws()
-        wrench = self.wrench_sole
-        return wrench.reshape(*wrench.shape[:-2], -1)
-
-    def cell_map(self) -> tuple[Array, Array]:
-        """As of :class:`RobotTruth`: factors (6 F, 4 F), and no force to add, (4 F)."""
-        factors = self.layout.force_of_wrench
-        return factors, np.zeros(factors.shape[1])
-
-    def shear_map(self) -> Array:
-        """As of :class:`RobotTruth`, shape (6 F, 8 F)."""
-        return self.layout.shear_of_wrench
-
-    def _refuse_flaws(self) -> None:
-        """Raise ValueError if a foot has no area."""
-        if self.layout.flaw:
-            raise ValueError(self.layout.flaw)
 
 
 def wrench_at_sole(foot: Sequence[float], up: float) -> list[float]:
@@ -308,16 +277,3 @@ def cross(a: Array, b: Array) -> Array:
     """Multiply vectors, shape (..., 3); np.cross takes several times as long for a few robots' rows."""
     x, y, z = (a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1)))
     return np.stack([x, y, z], axis=-1)
-
-
-def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find where each foot's load acts on its sole.
-
-    Args:
-        wrench_sole: Wrenches at and in the sole frames in N and N m, shape (..., 6).
-
-    Returns:
-        The centres of pressure in the sole frames in m, shape (..., 2); NaN at no more than 5 N.
-    """
-    load = np.where(wrench_sole[..., 2] > CONTACT_FORCE, wrench_sole[..., 2], np.nan)
-    return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)

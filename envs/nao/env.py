@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from surefoot.envs.biped import BipedEnv, Fall
 from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
+from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.nao.disturbances import Payload, Pushes
-from surefoot.envs.nao.truth import Truth, TruthChannels
+from surefoot.envs.nao.truth import TruthChannels
 from surefoot.envs.observation import FORCE_BOUND, Observation, Seen, closeness
 from surefoot.envs.options import (
     check_range,
@@ -179,7 +180,7 @@ class NaoEnv(BipedEnv):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
-    truth: Truth
+    truth: FeetTruth
     shared = (*BipedEnv.shared, "channels", "_renderer", "position_cell_sole")
     varied = ("pair_friction", "body_mass", "body_ipos", "body_inertia", "body_iquat")
     _neutral = "a policy that returns NaN has diverged, zeros leave the pattern alone"
@@ -249,9 +250,9 @@ class NaoEnv(BipedEnv):
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
 
-    def read(self, rows: NDArray[np.float64]) -> Truth:
+    def read(self, rows: NDArray[np.float64]) -> FeetTruth:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
-        return Truth(rows, self.channels)
+        return FeetTruth(rows, self.channels)
 
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""

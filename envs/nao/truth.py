@@ -1,4 +1,4 @@
-"""The truth of one control step, at every substep of the simulation.
+"""Where the truth of one control step stands in the sensor data of nao.xml, at every substep.
 
 Signs and frames are defined here, once. MuJoCo's force and torque sensors measure the load that the parent
 exerts on the child; a load cell or an ankle sensor measures the load from the ground, so both change sign. A
@@ -15,10 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.means import FootPlaces
+from surefoot.envs.instrumentation.means import foot_places
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.envs.instrumentation.robot import RowColumns, SensedColumns
-from surefoot.envs.instrumentation.truth import RobotTruth
 from surefoot.envs.observation import Places
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
@@ -26,10 +25,14 @@ from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 class TruthChannels:
     """Where MuJoCo's sensors lie in one row of sensor data, and how the plates share their loads.
 
+    It is a :class:`~surefoot.envs.instrumentation.robot.RowLayout`.
+
     Args:
         model: A compiled model with the sensors of nao.xml.
         stiffness: Relative stiffnesses of the eight cells, shape (8,).
     """
+
+    flat, flaw = (True, True), ""
 
     def __init__(self, model: mujoco.MjModel, stiffness: Sequence[float]) -> None:
         def block(first: str, last: str) -> slice:
@@ -42,8 +45,7 @@ class TruthChannels:
 
         joints = hinge_joint_names(model)
         self.size = int(model.nsensordata)
-        self.plate = block("left_plate_force", "right_plate_torque")
-        self.joint_velocity = block(f"{joints[0]}_velocity", f"{joints[-1]}_velocity")
+        plates = block("left_plate_force", "right_plate_torque")
         ankle, inertial = of_feet("ankle_force ankle_torque", 6), block("accelerometer", "gyroscope")
         joint_position = block(f"{joints[0]}_position", f"{joints[-1]}_position")
         self.columns = RowColumns(
@@ -57,7 +59,7 @@ class TruthChannels:
             inertial=inertial,
             joint_position=joint_position,
             sensed=SensedColumns(
-                joint_position.start, inertial.start, int(ankle[0, 0]), self.plate.start, stride=6
+                joint_position.start, inertial.start, int(ankle[0, 0]), plates.start, stride=6
             ),
             time=int(model.sensor("time").adr[0]),
             **{
@@ -72,53 +74,16 @@ class TruthChannels:
             for i, position in enumerate(cell_positions(model))
         )
         # Cell forces are linear in the 12 readings of both plate sensors: -reading plus the preload.
-        self.force_of_plates: NDArray[np.float64] = np.zeros((12, 8))
-        self.shear_of_plates: NDArray[np.float64] = np.zeros((12, 2, 8))
-        preload = np.zeros(12)
+        factors, across, preload = np.zeros((12, 8)), np.zeros((12, 2, 8)), np.zeros(12)
         for i, (foot, plate) in enumerate(zip(FEET, self.plates, strict=True)):
-            self.force_of_plates[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = -plate.share.T
+            factors[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = -plate.share.T
             sideways = -plate.across.T.reshape(3, 2, 4)
-            self.shear_of_plates[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = sideways
+            across[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = sideways
             body = model.body(f"{foot}_plate")
             load = np.array([0.0, 0.0, weight * body.mass[0]])
             arm = body.ipos - model.site(f"{foot}_sole").pos
             preload[6 * i : 6 * i + 6] = np.concatenate([load, np.cross(arm, load)])
-        self.preload: NDArray[np.float64] = -preload @ self.force_of_plates
+        self.cell_map = factors, -preload @ factors
+        self.shear_map: NDArray[np.float64] = across.reshape(12, 16)
         dofs = np.array([model.joint(name).dofadr[0] for name in joints])
-        feet = FootPlaces.of(self.columns, self._force_cell, (True, True))
-        self.places = Places.of(feet, self.columns, dofs)
-
-    def _force_cell(self, last: NDArray[np.float64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:
-        force: NDArray[np.float64] = (last[..., None, self.plate] @ self.force_of_plates)[..., 0, :]
-        return force + self.preload
-
-
-class Truth(RobotTruth):
-    """The last control step, S substeps, as of :class:`RobotTruth`.
-
-    Args:
-        rows: One row of sensor data a substep, shape (S, channels).
-        channels: The meaning of the columns.
-    """
-
-    def __init__(self, rows: NDArray[np.float64], channels: TruthChannels) -> None:
-        super().__init__(rows, channels.columns)
-        self.channels = channels
-
-    @property
-    def cell_data(self) -> NDArray[np.float64]:
-        """The readings of both plates' sensors in N and N m, shape (S, 12)."""
-        return self.rows[..., self.channels.plate]
-
-    def cell_map(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of :class:`RobotTruth`: factors (12, 8), and the plates' weight in N, (8,)."""
-        return self.channels.force_of_plates, self.channels.preload
-
-    def shear_map(self) -> NDArray[np.float64]:
-        """As of :class:`RobotTruth`, shape (12, 16)."""
-        return self.channels.shear_of_plates.reshape(12, 16)
-
-    @property
-    def joint_velocity(self) -> NDArray[np.float64]:
-        """Speeds of all hinge joints in rad/s, shape (S, J)."""
-        return self.rows[..., self.channels.joint_velocity]
+        self.places = Places(foot_places(self), dofs)

@@ -124,10 +124,10 @@ class CellsUnderFeet:
         ``None`` where the library does not find these loads: of single cells in a simulation of plates.
         """
         if not self._one_a_foot:
-            found: tuple[Floats, Floats] = truth.cell_map()
+            found: tuple[Floats, Floats] = truth.layout.cell_map
             if not self.config.shear_std:
                 return found
-            across = truth.shear_map()
+            across = truth.layout.shear_map
             return np.hstack([found[0], across]), np.append(found[1], np.zeros(across.shape[1]))
         if not truth.columns.sensed.soles:
             return None

@@ -1,6 +1,7 @@
 """Truth and observations by the library against the Python that specifies them: the same bits."""
 
 from copy import deepcopy
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from _native import library_of
 
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.instrumentation.means import FootPlaces, MeanTruth, mean_truth
+from surefoot.envs.instrumentation.robot import RowColumns
 from surefoot.envs.instrumentation.truth import CONTACT_FORCE
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.observation import STATE, Look
@@ -92,16 +94,12 @@ def test_the_looks_of_many_are_those_of_each(env, monkeypatch):
 
 def test_any_number_of_feet_has_a_mean_truth():
     starts = tuple(range(0, 4 * 27, 27))
-    places = FootPlaces(
-        starts,
-        tuple(start + 6 for start in starts),
-        -1.0,
-        tuple(start + 15 for start in starts),
-        tuple(start + 18 for start in starts),
-        com=108,
-        force_cell=None,
-        flat=(True, False, True, False),
-    )
+    first = np.array(starts)[:, None]
+    ankle, ground, sole, axes = (first + at + np.arange(n) for at, n in ((0, 6), (6, 9), (15, 3), (18, 9)))
+    nowhere: dict[str, Any] = dict.fromkeys(RowColumns._fields)
+    there = {"ankle": ankle, "ground": ground, "position_sole": sole, "axes_sole": axes, "up": -1.0}
+    columns = RowColumns(**(nowhere | there | {"com": slice(108, 111)}))
+    places = FootPlaces(columns, (True, False, True, False), None)
     rng = np.random.default_rng(2)
     rows = rng.normal(0.0, 1.0, (SUBSTEPS, 111))
     rows[:, [start + 8 for start in starts]] = -10.0 * CONTACT_FORCE

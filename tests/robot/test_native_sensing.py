@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import surefoot  # noqa: F401
-from surefoot.envs import Truth
+from surefoot.envs import FeetTruth
 from surefoot.native import SENSORS, Record, compiler
 from surefoot.robot import RobotSensors
 from surefoot.robot.sensing.native import NativeSensing
@@ -120,7 +120,7 @@ def test_steps_may_have_other_substeps(config: str) -> None:
         python.reset(truth, dt, seed=0)
     library.reset(truth, dt, seed=0)
     for rows in (2, 10, 300):
-        other = Truth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.channels)
+        other = FeetTruth(np.resize(truth.rows, (rows, truth.rows.shape[1])), truth.layout)
         for robot in robots:
             robot.step(other)
         np.testing.assert_allclose(library.raw, python.raw, rtol=CLOSE, atol=CLOSE)

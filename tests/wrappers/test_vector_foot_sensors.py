@@ -112,7 +112,7 @@ def test_perfect_cells_read_the_truth_and_truth_is_each_copys_own():
     for i, copy in enumerate(copies.envs):
         truth = copy.unwrapped.truth
         np.testing.assert_allclose(seen["foot_raw"][i], truth.force_cell.mean(axis=0), atol=1e-4)
-        own = mean_truth(truth.rows, truth.channels.places.feet)
+        own = mean_truth(truth.rows, foot_places(truth.layout))
         assert set(told) == set(own)
         for name, part in own.items():
             np.testing.assert_allclose(told[name][i], part, atol=1e-12)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.calibration.checks import check_flag
-from surefoot.envs import RobotDrawing
-from surefoot.envs.instrumentation.means import MeanTruth
+from surefoot.envs import FeetTruth, RobotDrawing
+from surefoot.envs.instrumentation.means import MeanTruth, foot_places
 from surefoot.native import cores
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, severity_of_each
@@ -21,7 +21,7 @@ from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing, NativeSensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
 from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
-from surefoot.wrappers.vector.truth_row import NO_PLAN, Lent, RowMeaning, places_of, read_rows
+from surefoot.wrappers.vector.truth_row import NO_PLAN, Lent, RowMeaning
 
 Floats = NDArray[np.float64]
 Rows = Floats | Lent
@@ -142,7 +142,7 @@ class BatchSensors(OfOneVersion):
         if not isinstance(seed, Sequence) and seed is not None:
             each = [seed + robot for robot in range(count)]  # one number counts up, as Gymnasium has it
         self._key = self._attribute("row_key")[0]
-        self._mean_truth = MeanTruth(places_of(self._key))
+        self._mean_truth = MeanTruth(foot_places(self._key))
         self.begin(rows, mask, each, asked)
 
     def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
@@ -157,7 +157,7 @@ class BatchSensors(OfOneVersion):
         begins = np.zeros(len(substeps), dtype=bool) if starting is None else np.asarray(starting)
         left = np.flatnonzero(self._read_together(substeps, ~begins)).tolist()
         for i in left:
-            truth = read_rows(substeps[i], self._key)
+            truth = FeetTruth(substeps[i], self._key)
             if begins[i]:
                 self.robots[i].reset(truth, dt)
             else:
@@ -190,7 +190,7 @@ class BatchSensors(OfOneVersion):
         seeds = [None] * len(substeps) if seeds is None else seeds
         which = np.flatnonzero(mask).tolist()
         for i in which:
-            truth = read_rows(substeps[i], self._key)
+            truth = FeetTruth(substeps[i], self._key)
             self.robots[i].reset(truth, self._meaning.dt, seeds[i], asked.get("sensors"))
         self._gather(which)
         self._note_conditions()

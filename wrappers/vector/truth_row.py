@@ -17,8 +17,6 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from surefoot.envs import FeetTruth, Truth
-from surefoot.envs.instrumentation.means import FootPlaces, foot_places
 from surefoot.envs.instrumentation.robot import TORSO_WIDTH, FootColumns
 from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
 from surefoot.sensors.telemetry.computer import MEASURED
@@ -140,9 +138,8 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     @property
     def row_key(self) -> Any:
-        """The data that :func:`read_rows` needs besides the rows."""
-        truth = self._source.truth
-        return truth.channels if isinstance(truth, Truth) else truth.layout
+        """The :class:`~surefoot.envs.instrumentation.robot.RowLayout` of the simulator's columns."""
+        return self._source.truth.layout
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -248,26 +245,6 @@ class VectorTruthRow(AnyVectorWrapper):
 
 def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:
     return {key: part for key, part in infos.items() if key not in ("surefoot", "_surefoot")}
-
-
-def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
-    """Read the simulator's columns of one robot's substeps, or of many robots in the place of substeps.
-
-    Args:
-        rows: Shape (S, columns) or (N, columns).
-        key: :attr:`TruthRow.row_key`.
-    """
-    return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
-
-
-def places_of(key: Any) -> FootPlaces:
-    """Return where the feet's columns are in a row.
-
-    Args:
-        key: :attr:`TruthRow.row_key`.
-    """
-    places: FootPlaces = foot_places(key) if hasattr(key, "feet") else key.places.feet
-    return places
 
 
 def _meaning(source: Any) -> RowMeaning:
