@@ -16,41 +16,28 @@ it is the *nominal* map F_0 = c_0 s + d_0 with c_0 = 1 / k and d_0 = -s_0 / k.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.corruption import (
-    Array,
-    Corruption,
-    Rng,
-    chain,
-    check_channels,
-    device,
-    limit,
-    stateless,
-)
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit, stateless
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import normal
-from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
 from surefoot.sensors.stages.clock import (
     init_clock,
     init_window,
     integrate,
     latest_conversion,
     most_conversions,
-    sample_and_hold,
     settle,
 )
-from surefoot.sensors.stages.converter import quantize, saturate, white_noise
 from surefoot.sensors.stages.mechanics import mechanics, offset_shift
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.nonlinearity import bent
 from surefoot.sensors.stages.shear import shear
-from surefoot.sensors.stages.temperature import temperature_rise, thermal_drift
-from surefoot.sensors.transport.wire import WireState, wire
+from surefoot.sensors.stages.temperature import temperature_rise
+from surefoot.sensors.transport.wire import wire
 
 
 class LoadCellState(NamedTuple):
@@ -90,39 +77,9 @@ SCALE, OFFSET, RISE = 0, 1, 2
 """Rows of :attr:`LoadCellState.error` and :attr:`LoadCellState.thermal`."""
 
 
-def load_cell_chain(config: LoadCells) -> Corruption[Any]:
-    """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
-
-    With a clock the reading is a block of substeps (:mod:`~surefoot.sensors.stages.clock`); without one it is
-    the load of the instant, or the mean where that is asked for.
-    """
-    sideways = [shear(config.shear_std)] if config.shear_std else []
-    element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
-    bridge: list[Corruption[Any]] = [
-        scale_drift(config.initial_scale_std, config.scale_drift),
-        drift(config.initial_offset_std, config.offset_drift),
-    ]
-    if config.warms:
-        warming = partial(thermal_drift, ramp=config.temperature_ramp, rise=config.temperature_rise)
-        bridge = [
-            warming(config.initial_scale_std, config.scale_drift, config.scale_tempco, relative=True),
-            warming(config.initial_offset_std, config.offset_drift, config.offset_tempco),
-        ]
-    converter: list[Corruption[Any]] = [scale(config.slope), offset(config.zero_code)]
-    converter.append(white_noise(config.noise_counts))
-    if config.adc_bits:
-        converter += [saturate(*config.code_range), quantize(1.0)]
-    way = [_wire(config)] if config.wire.acts else []
-    if config.rate is None:
-        return chain(*sideways, *element, *bridge, moving_average(config.settling), *converter, *way)
-    measured = chain(*element, *bridge)
-    held = sample_and_hold(measured, config.rate, settling=config.settling, converter=chain(*converter))
-    return chain(*sideways, held, *way)
-
-
 @device
 def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
-    """Build load cells with their stages fused, for speed.
+    """Build load cells: all of their stages in one function, which draws each step's numbers at once.
 
     ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes true
     loads in N in S equal substeps that fill dt, shape (S, K), or (S, 3 K) of cells that feel shear
@@ -139,7 +96,12 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     drawn_per_step = len(errors.walking) + (config.noise_counts > 0.0)
     average, convert = moving_average(settling), _converter(config)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else _NOTHING
-    way = _wire(config) if config.wire.acts else _NOTHING
+    rated = config.counts_per_newton * config.capacity
+    way = (
+        wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)
+        if config.wire.acts
+        else _NOTHING
+    )
     sideways = shear(config.shear_std) if config.shear_std else _NOTHING
     remembers = config.mechanics.acts or settling > 1
 
@@ -311,8 +273,3 @@ def with_true_map(config: LoadCells, state: LoadCellState, scale: Array, offset:
     shift = offset_shift(config.mechanics, state.mechanics) if state.mechanics else 0.0
     error = np.array([scale_true - 1.0, -scale_true * (config.zero_code * scale + offset + shift)])
     return state._replace(error=error)
-
-
-def _wire(config: LoadCells) -> Corruption[WireState]:
-    rated = config.counts_per_newton * config.capacity
-    return wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)

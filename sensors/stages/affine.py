@@ -11,21 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
 from surefoot.sensors.randomness import normal
 
 PER_SQRT_MINUTE = 60.0**-0.5
 """Turns a density "per square root of a minute" into one per square root of a second."""
-
-
-class FixedState(NamedTuple):
-    """A number that stays as it is.
-
-    Attributes:
-        value: One number, or one a channel.
-    """
-
-    value: Array
 
 
 class WalkState(NamedTuple):
@@ -38,30 +28,16 @@ class WalkState(NamedTuple):
     error: Array
 
 
-def scale(value: ArrayLike) -> Corruption[FixedState]:
-    """Multiply readings by a number.
-
-    Args:
-        value: Reported units per unit read: one number, or one a channel.
-    """
-
-    def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
-        return reading * state.value, state
-
-    return Corruption(_constant_init(value), apply)
+def scale(value: ArrayLike) -> Corruption[tuple[()]]:
+    """Multiply readings by a number, or one a channel: reported units per unit read."""
+    factor = np.asarray(value, dtype=np.float64)
+    return stateless(lambda reading, rng, dt: reading * factor)
 
 
-def offset(value: ArrayLike) -> Corruption[FixedState]:
-    """Add a number to readings.
-
-    Args:
-        value: In the unit of the readings: one number, or one a channel.
-    """
-
-    def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
-        return reading + state.value, state
-
-    return Corruption(_constant_init(value), apply)
+def offset(value: ArrayLike) -> Corruption[tuple[()]]:
+    """Add a number, or one a channel, in the unit of the readings."""
+    added = np.asarray(value, dtype=np.float64)
+    return stateless(lambda reading, rng, dt: reading + added)
 
 
 def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
@@ -74,13 +50,7 @@ def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[Wa
     Raises:
         ValueError: If an argument is negative.
     """
-    check_not_negative(initial_std=initial_std, density=density)
-
-    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
-        error = _walk_step(state.error, density, rng, dt)
-        return reading * (1.0 + error), WalkState(error)
-
-    return Corruption(_walk_init(initial_std), apply)
+    return _walk(initial_std, density, lambda reading, error: reading * (1.0 + error))
 
 
 def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
@@ -93,31 +63,20 @@ def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkStat
     Raises:
         ValueError: If an argument is negative.
     """
+    return _walk(initial_std, density, lambda reading, error: reading + error)
+
+
+def _walk(initial_std: float, density: float, read: Callable[[Array, Array], Array]) -> Corruption[WalkState]:
+    """Make a corruption of ``read(reading, error)`` with an error that drifts."""
     check_not_negative(initial_std=initial_std, density=density)
 
-    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
-        error = _walk_step(state.error, density, rng, dt)
-        return reading + error, WalkState(error)
-
-    return Corruption(_walk_init(initial_std), apply)
-
-
-def _constant_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
-    def init(shape: tuple[int, ...], rng: Rng) -> FixedState:
-        return FixedState(np.asarray(value, dtype=np.float64))
-
-    return init
-
-
-def _walk_init(initial_std: float) -> Callable[[tuple[int, ...], Rng], WalkState]:
     def init(shape: tuple[int, ...], rng: Rng) -> WalkState:
         return WalkState(initial_std * normal(rng, shape))
 
-    return init
+    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
+        error = state.error
+        if density:
+            error = error + density * dt**0.5 * normal(rng, error.shape)
+        return read(reading, error), WalkState(error)
 
-
-def _walk_step(error: Array, density: float, rng: Rng, dt: float) -> Array:
-    if density == 0.0:
-        return error
-    walked: Array = error + density * dt**0.5 * normal(rng, error.shape)
-    return walked
+    return Corruption(init, apply)

@@ -12,7 +12,6 @@ with the same two random numbers for the whole foot, for good. A force plate was
 files of ezc3d). Nobody has published the effect of one impact of a robot's foot: choose it within these.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +25,10 @@ WARP = (1, -1, -1, 1)
 
 
 class MountingState(NamedTuple):
-    """The mounting of F feet of C cells.
+    """The mounting of F feet of four cells.
 
     Attributes:
-        offset: The change of each offset by impacts, in the unit of the readings, shape (F * C,).
+        offset: The change of each offset by impacts, in the unit of the readings, shape (4 F,).
         load: Each foot's load at the last reading, shape (F,); NaN before the first.
         impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,).
     """
@@ -39,9 +38,7 @@ class MountingState(NamedTuple):
     impact: Array
 
 
-def mounting(
-    threshold: float, warp_std: float, common_std: float = 0.0, *, warp: Sequence[int] = WARP
-) -> Corruption[MountingState]:
+def mounting(threshold: float, warp_std: float, common_std: float = 0.0) -> Corruption[MountingState]:
     """Change the offsets of a foot at impacts, touch-down as well as lift-off.
 
     An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
@@ -53,16 +50,13 @@ def mounting(
             it goes with the rate at which the stage is stepped.
         warp_std: Standard deviation of a jump of each offset along the warp, in the unit of the readings.
         common_std: Standard deviation of the part of the jump that all cells of a foot share.
-        warp: Signs of the warp, +1 or -1 for each cell of a foot; their number says how many cells it has.
 
     Raises:
-        ValueError: If a number is negative, or a sign is none; from ``init`` if channels make no whole feet.
+        ValueError: If a number is negative; from ``init`` if channels make no whole feet.
     """
     check_not_negative(threshold=threshold, warp_std=warp_std, common_std=common_std)
-    cells = len(warp)
-    if not cells or any(sign not in (-1, 1) for sign in warp):
-        raise ValueError(f"'warp' must hold +1 or -1 for each cell of a foot, got {tuple(warp)}.")
-    modes = [mode for mode in (warp_std * np.array(warp), np.full(cells, common_std)) if mode.any()]
+    cells = len(WARP)
+    modes = [mode for mode in (warp_std * np.array(WARP), np.full(cells, common_std)) if mode.any()]
 
     def init(shape: tuple[int, ...], rng: Rng) -> MountingState:
         if len(shape) != 1 or shape[0] % cells:

@@ -1,21 +1,17 @@
-r"""The filter of a converter: a mean over the last readings, once or several times over.
+r"""The filter of a converter: a mean over the last readings.
 
-A sigma-delta converter averages its modulator's bits over a conversion, and again over conversions: a
-cascade of :math:`m` means over :math:`n` readings each, a sinc filter of order :math:`m`,
+A sigma-delta converter averages its modulator's bits over a conversion, and again over :math:`n` conversions,
 
-.. math:: |H(f)| = \left| \frac{\sin(\pi f n T)}{n \sin(\pi f T)} \right|^m .
+.. math:: |H(f)| = \left| \frac{\sin(\pi f n T)}{n \sin(\pi f T)} \right| .
 
 Its response at rest is one and vanishes at the multiples of :math:`1 / (n T)`. Every frequency has the same
-group delay :math:`m (n - 1) T / 2`, and a step has settled after :math:`m (n - 1) + 1` readings
-(Hogenauer, 1981, of which this is the impulse response). An HX711 settles in four conversions by its data
-sheet, 50 ms at 80 SPS, as :math:`n = 4` does at its conversion rate and :math:`m (n - 1) \approx 4 T_c / T`
-on substeps of the length :math:`T` of a conversion's :math:`T_c`.
+group delay :math:`(n - 1) T / 2`, and a step has settled after :math:`n` readings (Hogenauer, 1981). An HX711
+settles in four conversions by its data sheet, 50 ms at 80 SPS.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import check_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
@@ -25,28 +21,24 @@ class MovingAverageState(NamedTuple):
     """The state of a filter.
 
     Attributes:
-        window: The readings before, the oldest first, shape (L, K) with L = m (n - 1); NaN before the first,
-            which then counts as having been there for ever.
+        window: The n - 1 readings before, the oldest first, shape (n - 1, K); NaN before the first, which
+            then counts as having been there for ever.
     """
 
     window: Array
 
 
-def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corruption[MovingAverageState]:
+def moving_average(count: int) -> Corruption[MovingAverageState]:
     """Average over the last readings, which must be equally far apart in time.
 
-    A reading that is not finite makes its own output NaN and spoils no other: the one before it, or at the
-    start the one after it, takes its place.
+    A reading that is not finite makes its own output NaN and spoils no other: the one before it takes its
+    place.
 
     Args:
         count: Over how many readings n; 1 changes nothing.
-        order: How many times m.
-        blocks: Whether a reading is a block of substeps, shape (S, K), as a stage with a clock takes it:
-            each substep is filtered and the result is a block again, so that the filter can stand before load
-            cells or :mod:`~surefoot.sensors.stages.clock`.
 
     Raises:
-        ValueError: If a number is not a positive whole one.
+        ValueError: If it is not a positive whole number.
 
     >>> import numpy as np
     >>> mean, rng = moving_average(4), np.random.default_rng(0)
@@ -57,43 +49,23 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     >>> read
     [0.0, 2.0, 4.0, 6.0, 8.0]
     """
-    check_whole(count=count, order=order)
-    kernel = np.ones(1)
-    for _ in range(order):
-        kernel = np.convolve(kernel, np.full(count, 1.0 / count))
-    weights = kernel.tolist()
-    length = len(weights) - 1
+    check_whole(count=count)
+    weight = 1.0 / count
 
     def init(shape: tuple[int, ...], rng: Rng) -> MovingAverageState:
-        return MovingAverageState(np.full((length, *shape), np.nan))
+        return MovingAverageState(np.full((count - 1, *shape), np.nan))
 
     def apply(
         reading: Array, state: MovingAverageState, rng: Rng, dt: float
     ) -> tuple[Array, MovingAverageState]:
-        if not length:
+        if count == 1:
             return reading + 0.0, state
-        block = reading if blocks else reading[None]
-        window, came = state.window, np.isfinite(block)
-        if not came.all():
-            block = _fill_gaps(block, came, window[-1])
-        rows = np.concatenate([np.where(np.isnan(window), block[:1], window), block])
-        # The kernel is its own mirror image: the oldest row comes first either way.
-        averaged = weights[0] * rows[: len(block)]
-        for number, weight in enumerate(weights[1:], start=1):
-            averaged = averaged + weight * rows[number : number + len(block)]
-        averaged = np.where(came, averaged, np.nan)
-        kept = MovingAverageState(rows[len(block) :])
-        return (averaged if blocks else averaged[0]), kept
+        window, came = state.window, np.isfinite(reading)
+        newest = np.where(came, reading, window[-1])
+        rows = np.concatenate([np.where(np.isnan(window), newest, window), newest[None]])
+        averaged = weight * rows[0]
+        for row in rows[1:]:
+            averaged = averaged + weight * row
+        return np.where(came, averaged, np.nan), MovingAverageState(rows[1:])
 
     return Corruption(init, apply)
-
-
-def _fill_gaps(block: Array, came: NDArray[np.bool_], before: Array) -> Array:
-    """Replace each reading that did not come by the one before it, or at the start by the one after it."""
-    rows = []
-    for row, here in zip(block, came, strict=True):
-        before = np.where(here, row, before)
-        rows.append(before)
-    for index in range(len(rows) - 2, -1, -1):
-        rows[index] = np.where(np.isnan(rows[index]), rows[index + 1], rows[index])
-    return np.stack(rows)

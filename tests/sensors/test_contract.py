@@ -37,7 +37,6 @@ from surefoot.sensors import (
     white_noise,
 )
 from surefoot.sensors.corruption import stateless
-from surefoot.sensors.devices.load_cells import load_cell_chain
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.clock import sample_and_hold
 from surefoot.sensors.stages.creep import creep
@@ -132,7 +131,6 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "latency": (lambda: latency(0.02, 0.004), 8, False),
     "sample and hold": (lambda: sample_and_hold(white_noise(0.1), (60.0, 94.0)), 8, True),
     "chain": (lambda: chain(scale(2.0), drift(1.0, 0.1), quantize(0.01)), 8, False),
-    "load cells, stage by stage": (lambda: load_cell_chain(LoadCells()), 8, True),
     "thermal drift": (lambda: thermal_drift(1.0, 0.1, 0.01, ramp=0.5, rise=14.0), 8, False),
     "thermal scale": (lambda: thermal_drift(0.1, 0.0, 1e-3, ramp=0.5, relative=True), 8, False),
     "hysteresis": (lambda: hysteresis(0.05, [10.0] * 8), 8, False),
@@ -142,11 +140,6 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "mounting": (lambda: mounting(1.0, 2.0, 0.5), 8, False),
     "overload": (lambda: overload(0.1, 6.0), 8, False),
     "moving average": (lambda: moving_average(4), 8, False),
-    "filtered load cells": (
-        lambda: chain(moving_average(5, 2, blocks=True), load_cells(LoadCells())),
-        8,
-        True,
-    ),
     "burst gaps": (lambda: burst_gaps(0.3, 0.05), 8, False),
     "burst gaps of channels": (lambda: burst_gaps(0.3, 0.05, each=True), 8, False),
     "stale repeats": (lambda: stale_repeats(0.5), 8, False),
@@ -155,7 +148,6 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "spikes": (lambda: spikes(20.0, 5.0), 8, False),
     "faults": (lambda: channel_faults(FAULTS, LoadCells()), 8, False),
     "warming load cells": (cells_with(**WARM), 8, True),
-    "warming load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WARM)), 8, True),
     "drawn nonlinearity": (lambda: random_nonlinearity(0.05, 10.0), 8, False),
     "coupled nonlinearity": (lambda: cross_nonlinearity(0.04, 0.01, [10.0] * 8), 8, False),
     "bent gauges": (
@@ -168,7 +160,6 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "settling": (lambda: sample_and_hold(chain(), (60.0, 94.0), settling=4), 8, True),
     "whole load cells": (cells_with(**WHOLE, **WARM), 8, True),
     "whole load cells without a clock": (cells_with(**WHOLE, rate=None), 8, True),
-    "whole load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WHOLE)), 8, True),
     "force-torque on a wire": (lambda: force_torque(ForceTorque(wire=BAD_WIRE)), 12, False),
     "skewed IMU": (
         lambda: imu(Imu(accelerometer_scale_std=0.1, gyroscope_scale_std=0.2, misalignment_std=0.05)),
@@ -214,7 +205,7 @@ NULL = {
     "mounting": (lambda: mounting(1.0, 0.0), False),
     "overload": (lambda: overload(0.0, 5.0), False),
     "shear": (lambda: sideways(shear(0.0)), False),
-    "moving average": (lambda: moving_average(1, 3), False),
+    "moving average": (lambda: moving_average(1), False),
     "burst gaps": (lambda: burst_gaps(0.0, 0.1), False),
     "stale repeats": (lambda: stale_repeats(0.0), False),
     "wrong words": (lambda: wrong_words(0.0), False),

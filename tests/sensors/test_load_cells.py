@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _chain import load_cell_chain
 from _streams import DT
 
 from surefoot.sensors import LoadCells, Mechanics, Wire, chain, load_cells, preset, sized
-from surefoot.sensors.devices.load_cells import load_cell_chain, static_counts, true_map
+from surefoot.sensors.devices.load_cells import static_counts, true_map
 from surefoot.sensors.presets import (
     BAR_CELLS_ON_HX711,
     HX711_LOAD_CELLS,
