@@ -22,6 +22,7 @@ from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.observation import FeetObserver, Look, Observation, Places, Seen
 from surefoot.envs.options import check_action, positive
 from surefoot.envs.prelude import Player, Prelude
+from surefoot.envs.rendering import DrawnEnv
 
 
 class State(NamedTuple):
@@ -58,7 +59,7 @@ class Fall(NamedTuple):
     lowest_height: float
 
 
-class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
+class BipedEnv(DrawnEnv):
     """One robot and its task.
 
     Args:
@@ -89,15 +90,13 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         ValueError: If an option is out of its range, naming it.
     """
 
-    model: mujoco.MjModel
-    data: mujoco.MjData
     truth: Any
     state: State
 
     quiet_ticks = 0
     fastest: Any = np.inf
     varied: tuple[str, ...] = ()
-    shared: tuple[str, ...] = ("model", "data", "observer", "mean_truth", "observation_space")
+    shared: tuple[str, ...] = ("model", "data", "observer", "mean_truth", "observation_space", "_renderer")
     began: Callable[[], None] | None = None
 
     _neutral: str
@@ -246,6 +245,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         look = self._end_step(State(plan, 0, command, target, 0.0, np.zeros((3, 2))), rows, self.data.qvel)
         if self.began is not None:
             self.began()
+        self._show()
         return look.observation, {"surefoot": {"truth": self.mean_truth(rows)}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -287,6 +287,7 @@ class BipedEnv(gym.Env[Observation, NDArray[np.float32]]):
         terms, fallen = self.judge([*look.seen.tolist(), effort(residual).item()])
         truncated = self.last_tick is not None and state.tick >= self.last_tick
         info = {"surefoot": {"truth": self.mean_truth(rows)}, **terms}
+        self._show()
         return look.observation, sum(terms.values()), fallen, truncated, info
 
     def _end_step(self, state: State, rows: NDArray[np.float64], qvel: NDArray[np.float64]) -> Look:

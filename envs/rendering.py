@@ -16,6 +16,34 @@ from surefoot.envs.options import number_of
 Marker = tuple[Sequence[float], Sequence[float], float]
 """A sphere: its position in the world in m, its RGBA and its radius in m."""
 
+VIEW = {"azimuth": 140.0, "elevation": -15.0}
+"""From where a free camera looks, in degrees."""
+
+WINDOW = {"distance": 1.6, **VIEW}
+"""The camera of a window, in m and degrees."""
+
+
+class DrawnEnv(gym.Env[Any, Any]):
+    """An environment that draws its robot, and spheres beside it."""
+
+    _renderer: "SceneRenderer"
+
+    def _draw_by(self, renderer: "SceneRenderer", mode: str | None) -> None:
+        self._renderer, self.render_mode, self.markers = renderer, mode, list[Marker]()
+
+    def _show(self) -> None:
+        """Show a new state in a window, if there is to be one."""
+        if self.render_mode == "human":
+            self.render()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""
+        return self._renderer.render(self.render_mode, self.markers)
+
+    def close(self) -> None:
+        """Close the window and give its memory back; the next frame opens another."""
+        self._renderer.close()
+
 
 class SceneRenderer:
     """Gymnasium's MuJoCo renderer, made when the first frame is wanted.
@@ -23,7 +51,8 @@ class SceneRenderer:
     Args:
         model: The model to draw.
         data: Its state.
-        camera: A camera of the model; a window follows the torso instead, and the mouse turns it.
+        camera: A camera of the model, or where a free one looks: its ``lookat`` in m and ``distance`` in m.
+            A window follows the torso in place of a named one, and the mouse turns it.
         width: Width in pixels.
         height: Height in pixels.
 
@@ -32,13 +61,18 @@ class SceneRenderer:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, height: int
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        camera: str | dict[str, Any],
+        width: int,
+        height: int,
     ) -> None:
         cameras = [model.camera(i).name for i in range(model.ncam)]
-        if camera not in cameras:
+        if isinstance(camera, str) and camera not in cameras:
             raise ValueError(f"The robot's model has no camera '{camera}'; choose one of {cameras}.")
         check_size(model, width, height)
-        self._model, self._data = model, data
+        self._scene = model, data
         self._camera, self._width, self._height = camera, width, height
         self._renderer: MujocoRenderer | None = None
 
@@ -64,16 +98,14 @@ class SceneRenderer:
         if self._renderer is None:
             if mode == "human":
                 _require_screen()
-            window = {
-                "type": int(mujoco.mjtCamera.mjCAMERA_TRACKING),
-                "trackbodyid": int(self._model.body("torso").id),
-                "distance": 1.6,
-                "azimuth": 140.0,
-                "elevation": -15.0,
-            }
-            self._renderer = MujocoRenderer(
-                self._model, self._data, window, self._width, self._height, 2000, camera_name=self._camera
-            )
+            size = self._width, self._height
+            if isinstance(self._camera, str):
+                torso = int(self._scene[0].body("torso").id)
+                window = WINDOW | {"type": int(mujoco.mjtCamera.mjCAMERA_TRACKING), "trackbodyid": torso}
+                renderer = MujocoRenderer(*self._scene, window, *size, 2000, camera_name=self._camera)
+            else:
+                renderer = MujocoRenderer(*self._scene, VIEW | self._camera, *size, 2000)
+            self._renderer = renderer
         try:
             viewer: Any = self._renderer._get_viewer(mode)
         except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
@@ -93,7 +125,7 @@ class SceneRenderer:
         return frame
 
     def close(self) -> None:
-        """Close the window and give its memory back; the next frame opens another."""
+        """Close it."""
         if self._renderer is not None:
             self._renderer.close()  # type: ignore[no-untyped-call]
             self._renderer = None

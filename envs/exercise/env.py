@@ -5,10 +5,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-import gymnasium as gym
 import mujoco
 import numpy as np
-from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
 from surefoot.envs.biped import BipedEnv, Fall
@@ -22,7 +20,7 @@ from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.observation import FORCE_BOUND, Places, Seen, closeness
 from surefoot.envs.options import check_range, check_render_mode, positive
 from surefoot.envs.prelude import Prelude
-from surefoot.envs.rendering import check_size
+from surefoot.envs.rendering import SceneRenderer
 
 CONTROL_STEP: Final = 0.02
 """Duration of a step in s, up to the simulation's own step: a whole number of the 2 ms and 1.25 ms with which
@@ -149,16 +147,15 @@ class ExerciseEnv(BipedEnv):
         self._balance = AnkleBalance(prepared, self.motion)
         self._cop_width = COP_WIDTH * self.motion.height
         self._joint_dofs = places.joint_dofs
-        self.render_mode = render_mode
-        check_size(model, width, height)
-        self._size = width, height
-        self._renderer: MujocoRenderer | None = None
+        reach = self.motion.height
+        view = {"lookat": np.array([0.0, 0.0, reach]), "distance": 4.0 * reach}
+        self._draw_by(SceneRenderer(model, self.data, view, width, height), render_mode)
 
     def __getstate__(self) -> dict[str, Any]:
         given = {} if self.spec is None else self.spec.kwargs
         # An MjSpec cannot be copied: without it there is no env.spec, as where it was made.
         spec = None if isinstance(given.get("robot"), mujoco.MjSpec) else self.spec
-        return vars(self) | {"_renderer": None, "spec": spec}
+        return vars(self) | {"spec": spec}
 
     def draw(self, options: dict[str, Any]) -> Schedule:
         """Draw the moves of an episode."""
@@ -195,29 +192,6 @@ class ExerciseEnv(BipedEnv):
         """Return the terms of the reward, by name."""
         cop = closeness(seen.cop_error_x, seen.cop_error_y, self._cop_width) if seen.cop_valid else 0.0
         return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draw the robot: a frame (height, width, 3); nothing without a render mode."""
-        if self.render_mode is None:
-            gym.logger.warn("render() draws nothing without render_mode='rgb_array'.")
-            return None
-        if self._renderer is None:
-            reach = self.motion.height
-            view = {
-                "lookat": np.array([0.0, 0.0, reach]),
-                "distance": 4.0 * reach,
-                "azimuth": 140.0,
-                "elevation": -15.0,
-            }
-            self._renderer = MujocoRenderer(self.model, self.data, view, *self._size)
-        frame: NDArray[np.uint8] | None = self._renderer.render(self.render_mode)
-        return frame
-
-    def close(self) -> None:
-        """Close the renderer; the next frame opens another."""
-        if self._renderer is not None:
-            self._renderer.close()  # type: ignore[no-untyped-call]
-            self._renderer = None
 
 
 def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:

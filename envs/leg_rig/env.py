@@ -21,7 +21,7 @@ from surefoot.envs.leg_rig.spec import (
     sensor_frames,
 )
 from surefoot.envs.options import check_action, check_render_mode, positive
-from surefoot.envs.rendering import Marker, SceneRenderer
+from surefoot.envs.rendering import DrawnEnv, SceneRenderer
 
 CONTROL_STEP = 0.1
 """Duration of one environment step in s."""
@@ -36,7 +36,7 @@ PRIOR_INFORMATION = 1e-3
 """Information on each direction of (g / 9.81, 1) before the first sample, in samples."""
 
 
-class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class LegRigEnv(DrawnEnv):
     r"""A leg on a stand, with F/T sensors at hip and foot, that is turned to calibrate them.
 
     The leg hangs by its hip; its knee is held. Masses can be added to a beam under its foot, as in the eight
@@ -144,7 +144,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.model = load_leg_rig_spec(configuration, knee_slack=knee_slack, floor=floor).compile()
         self.data = mujoco.MjData(self.model)
         self.configuration = configuration
-        self._renderer = SceneRenderer(self.model, self.data, camera, width, height)
+        self._draw_by(SceneRenderer(self.model, self.data, camera, width, height), render_mode)
         self._range = self.model.actuator_ctrlrange.T.copy()
         self._drive = HipDrive(*self._range, acceleration=ACCELERATION, step=CONTROL_STEP, substeps=SUBSTEPS)
         self._stiffness = np.concatenate([self.model.actuator_gainprm[:, 0], self.model.jnt_stiffness[2:]])
@@ -152,8 +152,6 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         bound = np.array([1.0] * 2 + [5.0] * 2 + [50.0] * 3 + [10.0] * 3, dtype=np.float32)
         self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (len(HIP_JOINTS),), dtype=np.float32)
-        self.render_mode = render_mode
-        self.markers: list[Marker] = []
         self._covariance: NDArray[np.float64] = np.eye(4)
         self._limbs: list[LimbBody] = []
 
@@ -197,8 +195,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._limbs = [limb_beyond(model, data, sensor) for sensor in SENSORS]
         truth = self._truth()
         self._gain(truth)
-        if self.render_mode == "human":
-            self.render()
+        self._show()
         return self._observation(), self._info(truth)
 
     def step(
@@ -225,8 +222,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         mujoco.mj_forward(model, data)
         truth = self._truth()
         reward = self._gain(truth)
-        if self.render_mode == "human":
-            self.render()
+        self._show()
         return self._observation(), reward, False, False, self._info(truth)
 
     def _gain(self, truth: dict[str, Any]) -> float:
@@ -265,11 +261,3 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def _info(self, truth: dict[str, Any]) -> dict[str, Any]:
         return {"surefoot": {"configuration": self.configuration, "truth": truth}}
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draw the rig and the markers: a frame (height, width, 3), or a window in "human" mode."""
-        return self._renderer.render(self.render_mode, self.markers)
-
-    def close(self) -> None:
-        """Close the renderer."""
-        self._renderer.close()

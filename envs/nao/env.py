@@ -22,7 +22,7 @@ from surefoot.envs.options import (
     positive,
 )
 from surefoot.envs.prelude import Prelude
-from surefoot.envs.rendering import Marker, SceneRenderer
+from surefoot.envs.rendering import SceneRenderer
 from surefoot.envs.robots.nao import (
     LEG_MOTORS,
     cell_positions,
@@ -181,7 +181,7 @@ class NaoEnv(BipedEnv):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
     truth: FeetTruth
-    shared = (*BipedEnv.shared, "channels", "_renderer", "position_cell_sole")
+    shared = (*BipedEnv.shared, "channels", "position_cell_sole")
     varied = ("pair_friction", "body_mass", "body_ipos", "body_inertia", "body_iquat")
     _neutral = "a policy that returns NaN has diverged, zeros leave the pattern alone"
 
@@ -224,7 +224,7 @@ class NaoEnv(BipedEnv):
             action_scale=action_scale,
             prelude=prelude,
         )
-        self._renderer = SceneRenderer(model, self.data, camera, width, height)
+        self._draw_by(SceneRenderer(model, self.data, camera, width, height), render_mode)
         self.joint_names = hinge_joint_names(model)
         self.motor_names = motor_names(model)
         self.position_cell_sole = cell_positions(model)
@@ -236,8 +236,6 @@ class NaoEnv(BipedEnv):
         self._motor_of_joint = motor_of_joint(model)
         self.fastest = model.actuator_user[:, 0] * CONTROL_STEP
         self._torso = model.body("torso").id
-        self.render_mode = render_mode
-        self.markers: list[Marker] = []
 
     @property
     def drawing(self) -> RobotDrawing:
@@ -280,22 +278,4 @@ class NaoEnv(BipedEnv):
             options: Handed to the task.
         """
         self._payload.reset()
-        shown = super().reset(seed=seed, options=options)
-        if self.render_mode == "human":
-            self.render()
-        return shown
-
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Walk on for 1/80 s, as :meth:`BipedEnv.step` says."""
-        seen = super().step(action)
-        if self.render_mode == "human":
-            self.render()
-        return seen
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""
-        return self._renderer.render(self.render_mode, self.markers)
-
-    def close(self) -> None:
-        """Close the renderer."""
-        self._renderer.close()
+        return super().reset(seed=seed, options=options)
