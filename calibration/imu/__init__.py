@@ -6,7 +6,7 @@ from surefoot.calibration.imu.accelerometer import (
     calibrate_accelerometer,
 )
 from surefoot.calibration.imu.motion import ImuMotion, gravity_from_imu
-from surefoot.calibration.imu.static import savitzky_golay, static_samples
+from surefoot.calibration.imu.static import savitzky_golay
 
 __all__ = [
     "AccelerometerFit",
@@ -15,5 +15,4 @@ __all__ = [
     "calibrate_accelerometer",
     "gravity_from_imu",
     "savitzky_golay",
-    "static_samples",
 ]

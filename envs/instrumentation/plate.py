@@ -15,6 +15,8 @@ be equally stiff.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Array = NDArray[np.float64]
+
 
 class SolePlate:
     """The statics of one sole: a rigid plate on four springs, which are its load cells.
@@ -22,6 +24,12 @@ class SolePlate:
     Args:
         position_cell_sole: Places of the cells in the sole frame in m, shape (4, 2) or (4, 3).
         stiffness: Stiffnesses of the cells in any one unit, shape (4,): only their ratios matter.
+
+    Attributes:
+        load_of_cells: Load (fz, tx, ty) per force of each cell, shape (3, 4): 1 and m.
+        share: Forces of the cells per load (fz, tx, ty) at the sole's origin, shape (4, 3): 1 and 1/m.
+        constraint: The unit combination of the four forces that is zero under any load, shape (4,).
+        across: Horizontal forces of the cells, along x, then y, per load (fx, fy, tz) at the origin, (8, 3).
 
     Raises:
         ValueError: If a shape is wrong, a stiffness is not positive or the cells lie on one line.
@@ -49,32 +57,12 @@ class SolePlate:
             raise ValueError(
                 f"The cells of a sole plate lie on one line, so that it would tip over: {position.tolist()}."
             )
-        self._load_of_cells = np.stack([np.ones(4), y, -x])
-        spread = k[:, None] * self._load_of_cells.T
-        self._share: NDArray[np.float64] = spread @ np.linalg.inv(self._load_of_cells @ spread)
-        null = np.linalg.svd(self._load_of_cells)[2][3]
+        self.load_of_cells: Array = np.stack([np.ones(4), y, -x])
+        spread = k[:, None] * self.load_of_cells.T
+        self.share: Array = spread @ np.linalg.inv(self.load_of_cells @ spread)
+        null = np.linalg.svd(self.load_of_cells)[2][3]
         constraint = np.sign(null[0]) * null / k
-        self._constraint: NDArray[np.float64] = constraint / np.linalg.norm(constraint)
-
-    @property
-    def share(self) -> NDArray[np.float64]:
-        """Forces of the cells per load (fz, tx, ty) at the sole's origin, shape (4, 3): 1 and 1/m."""
-        return self._share
-
-    @property
-    def across(self) -> NDArray[np.float64]:
-        """Horizontal forces of the cells, along x, then y, per load (fx, fy, tz) at the origin, (8, 3)."""
-        y, x = self._load_of_cells[1], -self._load_of_cells[2]
+        self.constraint: Array = constraint / np.linalg.norm(constraint)
         turn = np.concatenate([y.mean() - y, x - x.mean()]) / (4.0 * (x.var() + y.var()))
         even = np.repeat(np.eye(2), 4, axis=0) / 4.0
-        return np.column_stack([even + np.outer(turn, [y.mean(), -x.mean()]), turn])
-
-    @property
-    def load_of_cells(self) -> NDArray[np.float64]:
-        """Load (fz, tx, ty) per force of each cell, shape (3, 4): 1 and m."""
-        return self._load_of_cells
-
-    @property
-    def constraint(self) -> NDArray[np.float64]:
-        """The unit combination of the four forces that is zero under any load, shape (4,)."""
-        return self._constraint
+        self.across: Array = np.column_stack([even + np.outer(turn, [y.mean(), -x.mean()]), turn])

@@ -1,13 +1,12 @@
-"""The filter of the in-situ paper and the choice of samples at rest."""
+"""The filter of the in-situ paper."""
 
 import re
 
 import numpy as np
 import pytest
-from _in_situ import swept_gravity
 from scipy.signal import savgol_filter
 
-from surefoot.calibration.imu import savitzky_golay, static_samples
+from surefoot.calibration.imu import savitzky_golay
 
 DT = 0.01
 
@@ -47,50 +46,3 @@ def test_the_filter_is_scipys(window, order, derivative):
 def test_what_cannot_be_filtered_is_refused(signal, options, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         savitzky_golay(signal, **options)
-
-
-def test_knocks_and_gaps_are_not_static():
-    gravity = swept_gravity(500)
-    gravity[100] *= 1.03
-    gravity[200] *= 0.97
-    gravity[300, 1] = np.nan
-    static = static_samples(gravity)
-    assert np.flatnonzero(~static).tolist() == [100, 200, 300]
-    assert static_samples(gravity, tolerance=0.05).sum() == 499
-    assert not static_samples(np.full((3, 3), np.nan)).any()
-
-
-@pytest.mark.parametrize("source", ["gyroscope", "gravity"])
-def test_only_slow_rotation_is_static(source):
-    time = np.arange(2000) * DT
-    rate = np.where(time < 10.0, 0.05, 0.3)
-    angle = np.cumsum(rate) * DT
-    gravity = 9.81 * np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=-1)
-    if source == "gyroscope":
-        static = static_samples(gravity, np.stack([rate, 0.0 * rate, 0.0 * rate], axis=-1))
-    else:
-        static = static_samples(gravity, dt=DT)
-    assert static[:980].all()
-    assert not static[1020:].any()
-    assert static_samples(gravity, dt=DT, maximum_rate=0.5).all()
-
-
-def test_gravity_alone_does_not_see_a_turn_about_the_vertical():
-    gravity = np.tile([0.0, 0.0, 9.81], (100, 1))
-    assert static_samples(gravity, dt=DT).all()
-    assert not static_samples(gravity, np.tile([0.0, 0.0, 1.0], (100, 1))).any()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
-        ((np.zeros(3),), {}, "'gravity' must have shape (n, 3), got (3,)."),
-        ((np.ones((4, 3)), np.ones((3, 3))), {}, "'angular_velocity' must have shape (4, 3), got (3, 3)."),
-        ((np.ones((4, 3)),), {"tolerance": 0.0}, "'tolerance' must be positive and finite, got 0.0."),
-        ((np.ones((4, 3)),), {"maximum_rate": np.nan}, "'maximum_rate' must be positive and finite"),
-        ((np.ones((4, 3)),), {"dt": DT}, "The log holds 4 samples, but the filter's window is 31"),
-    ],
-)
-def test_bad_arguments_are_refused(arguments, options, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        static_samples(*arguments, **options)
