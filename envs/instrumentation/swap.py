@@ -151,19 +151,10 @@ def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
 
 
 def fingerprint(model: mujoco.MjModel) -> bytes:
-    """Return a digest of all numbers and names of a model, but of the parts that only its drawing needs."""
-    digest = blake2b(bytes(model.names))
-    for name, value in _public(model):
-        if isinstance(value, np.ndarray) and (
-            name in ("mesh_vert", "mesh_graph") or not name.startswith(_DRAWN)
-        ):
-            digest.update(name.encode())
-            digest.update(np.ascontiguousarray(value).data)
-    for part in _options(model):
-        for name, value in _public(part):
-            if isinstance(value, np.ndarray | int | float):
-                digest.update(f"{name} {np.asarray(value).tolist()}".encode())
-    return digest.digest()
+    """Return a digest of a model."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return blake2b(buffer.data).digest()
 
 
 def find_holder(env: gym.Env[Any, Any]) -> str:

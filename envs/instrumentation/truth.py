@@ -11,6 +11,7 @@ share the ground's force, and their centre of pressure is that of the contacts.
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,19 @@ CONTACT_FORCE = 5.0
 """Vertical force in N above which a centre of pressure is defined."""
 
 
+class _Part:
+    """A part of rows whose columns have its name."""
+
+    def __init__(self, text: str) -> None:
+        self.__doc__ = text
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, truth: Any, owner: type | None = None) -> Any:
+        return self if truth is None else truth.rows[..., getattr(truth.columns, self._name)]
+
+
 class FeetTruth:
     """The loads of F feet and the torso in one substep, or in many; its arrays are not to be changed.
 
@@ -31,13 +45,20 @@ class FeetTruth:
         layout: The meaning of the columns.
     """
 
+    time = _Part("Simulated time in s, shape (...).")
+    position_torso = _Part("Origin of the torso's frame in the world in m, shape (..., 3).")
+    com = _Part("Centre of mass of the robot in the world in m, shape (..., 3).")
+    com_velocity = _Part("Velocity of the centre of mass in the world in m/s, shape (..., 3).")
+    angular_momentum = _Part(
+        "Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."
+    )
+    accelerometer = _Part("Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3).")
+    gyroscope = _Part("Angular velocity of the torso in its own axes in rad/s, shape (..., 3).")
+    inertial = _Part("Accelerometer and gyroscope, shape (..., 6).")
+    joint_position = _Part("Angles of the hinge joints in rad, shape (..., J).")
+
     def __init__(self, rows: Array, layout: RowLayout) -> None:
         self.rows, self.layout, self.columns = rows, layout, layout.columns
-
-    @property
-    def time(self) -> Array:
-        """Simulated time in s, shape (...)."""
-        return self.rows[..., self.columns.time]
 
     @property
     def wrench_ankle(self) -> Array:
@@ -128,49 +149,9 @@ class FeetTruth:
             raise ValueError(self.layout.flaw)
 
     @property
-    def position_torso(self) -> Array:
-        """Origin of the torso's frame in the world in m, shape (..., 3)."""
-        return self.rows[..., self.columns.position_torso]
-
-    @property
     def R_world_torso(self) -> Array:  # noqa: N802
         """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
         return _rotation(self.rows[..., self.columns.axes_torso])
-
-    @property
-    def com(self) -> Array:
-        """Centre of mass of the robot in the world in m, shape (..., 3)."""
-        return self.rows[..., self.columns.com]
-
-    @property
-    def com_velocity(self) -> Array:
-        """Velocity of the centre of mass in the world in m/s, shape (..., 3)."""
-        return self.rows[..., self.columns.com_velocity]
-
-    @property
-    def angular_momentum(self) -> Array:
-        """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."""
-        return self.rows[..., self.columns.angular_momentum]
-
-    @property
-    def accelerometer(self) -> Array:
-        """Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3)."""
-        return self.rows[..., self.columns.accelerometer]
-
-    @property
-    def gyroscope(self) -> Array:
-        """Angular velocity of the torso in its own axes in rad/s, shape (..., 3)."""
-        return self.rows[..., self.columns.gyroscope]
-
-    @property
-    def inertial(self) -> Array:
-        """Accelerometer and gyroscope, shape (..., 6)."""
-        return self.rows[..., self.columns.inertial]
-
-    @property
-    def joint_position(self) -> Array:
-        """Angles of the hinge joints in rad, shape (..., J)."""
-        return self.rows[..., self.columns.joint_position]
 
     def vgrf(self) -> Array:
         """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
@@ -181,7 +162,12 @@ class FeetTruth:
 
         NaN where all feet together bear no more than 5 N.
         """
-        return centre_of_pressure(self.contacts())
+        ground = self.contacts()
+        force, torque, place = ground[..., :3], ground[..., 3:6], ground[..., 6:]
+        moment = (torque + cross(place * (1.0, 1.0, 0.0), force)).sum(axis=-2)
+        load = force[..., 2].sum(axis=-1)
+        load = np.where(load > CONTACT_FORCE, load, np.nan)
+        return np.stack([-moment[..., 1] / load, moment[..., 0] / load], axis=-1)
 
     def contacts(self) -> Array:
         """The ground's load on each foot at the last row, a single one or the last substep's, (..., F, 9).
@@ -254,23 +240,6 @@ def centres(
 def _rotation(axes: Array) -> Array:
     """Turn three axes in a row, shape (..., 9), into a rotation with these columns, shape (..., 3, 3)."""
     return axes.reshape(*axes.shape[:-1], 3, 3).swapaxes(-1, -2)
-
-
-def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find where on the ground the vertical forces of contacts act together.
-
-    Args:
-        ground: Force in N, torque in N m and the place in m at which they act, in the world,
-            shape (..., n, 9).
-
-    Returns:
-        The centre of pressure in m, shape (..., 2); NaN where n contacts bear no more than 5 N together.
-    """
-    force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
-    moment = torque + np.cross(position * (1.0, 1.0, 0.0), force)
-    load = force[..., 2].sum(axis=-1)
-    load = np.where(load > CONTACT_FORCE, load, np.nan)
-    return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)
 
 
 def cross(a: Array, b: Array) -> Array:
