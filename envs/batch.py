@@ -152,8 +152,7 @@ class BatchVectorEnv(SyncVectorEnv):
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step all robots; in the mode ``NEXT_STEP`` those whose episode is over are reset instead.
 
-        Args:
-            actions: Residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
+        Actions are residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
 
         Raises:
             ValueError: If the actions have another shape or are not finite.
@@ -365,14 +364,7 @@ def _bytes_of(model: mujoco.MjModel) -> dict[str, bytes]:
 
 
 def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
-    """Gather infos of robots as Gymnasium does.
-
-    Args:
-        truth: The truth, with all robots in front.
-        terms: Terms of the reward, likewise.
-        seen: Robots whose truth is told, shape (N,).
-        paid: Robots whose terms are, shape (N,).
-    """
+    """Gather infos as Gymnasium does: truth of robots ``seen``, terms of reward of those ``paid``, (N,)."""
     told = _add_masks({"surefoot": _add_masks({"truth": _add_masks(_of(truth, seen), seen)}, seen)}, seen)
     return told | (_add_masks(_of(terms, paid), paid) if paid.any() else {})
 

@@ -166,13 +166,9 @@ class BipedEnv(DrawnEnv):
         return plans[0]
 
     def command_at(self, plan: Any, tick: Any) -> Command:
-        """Return the command at a control step of an episode, 0 at its start.
+        """Return the command at a control step of an episode, 0 at its start; of N robots at ticks (N,).
 
         During a step the targets move to the ``joint_target`` of its end. Steps may exceed the plan's length.
-
-        Args:
-            plan: As drawn, or joined.
-            tick: A number, or one a robot, shape (N,).
         """
         raise NotImplementedError
 
@@ -195,11 +191,7 @@ class BipedEnv(DrawnEnv):
         return not (up > fall.lowest_up and seen.height > fall.lowest_height)
 
     def check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
-        """Return residuals on the leg motors' targets as shares of ``action_scale``, shape (..., L).
-
-        Raises:
-            ValueError: If the action has another shape or is not finite.
-        """
+        """Return residuals on leg motors' targets as shares of ``action_scale``, (..., L), or ValueError."""
         return check_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
 
     def targets(self, state: State, residual: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -226,12 +218,7 @@ class BipedEnv(DrawnEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the robot where its episode begins.
-
-        Args:
-            seed: Seeds all that the environment draws.
-            options: Handed to the task.
-        """
+        """Put the robot where its episode begins; the task takes the options."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         plan = self.draw(options or {})
@@ -249,10 +236,7 @@ class BipedEnv(DrawnEnv):
         return look.observation, {"surefoot": {"truth": self.mean_truth(rows)}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Go on for one control step.
-
-        Args:
-            action: Residuals on the leg motors' targets as shares of ``action_scale``, shape (L,).
+        """Go on for one control step, with residuals as shares of ``action_scale``, shape (L,).
 
         Raises:
             ValueError: If the action has another shape or is not finite.

@@ -144,14 +144,10 @@ class FeetObserver:
         return FeetObserver, (self._places, self._force_bound)
 
     def look(self, rows: Floats, qvel: Floats, command: Command, cop_held: Floats, threads: int = 1) -> Look:
-        """Show the last row of a control step, of one robot or of many.
+        """Show the last row of a control step, of one robot, or of many on so many threads.
 
-        Args:
-            rows: Sensor data, shape (..., S, columns).
-            qvel: MuJoCo's velocities at the instant of the last row, shape (..., nv).
-            command: The robot's command at its end.
-            cop_held: As of :class:`Look`, before this step.
-            threads: Threads that many robots are shared among.
+        Sensor data, shape (..., S, columns), and MuJoCo's velocities at the instant of the last row, (...,
+        nv); ``cop_held`` is that of :class:`Look` before this step.
         """
         key = *rows.shape, qvel.shape[-1]
         if key not in self._calls:
@@ -184,12 +180,7 @@ def observe(
 ) -> tuple[Observation, Floats, Floats, Floats]:
     """Show one robot, but for the forces of its cells; the state is not brought into its bounds.
 
-    Args:
-        last: The last row of a control step, shape (columns,).
-        qvel: MuJoCo's velocities at that instant, shape (nv,).
-        command: The robot's command.
-        cop_held: As of :class:`Look`, before this step.
-        places: Where things are in a row.
+    Of the last row, (columns,), MuJoCo's velocities then, (nv,), and ``cop_held`` before this step.
 
     Returns:
         The observation; wrenches at and in the soles' frames in N and N m, shape (12,); ``seen`` and

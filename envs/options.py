@@ -50,17 +50,11 @@ def check_stiffness(value: Sequence[float]) -> tuple[float, ...]:
 def check_action(
     action: Any, names: tuple[str, ...], each: str, cure: str, robots: tuple[int, ...] = ()
 ) -> NDArray[np.float64]:
-    """Return an action, clipped to -1 ... 1.
+    """Return an action, clipped to -1 ... 1, of one robot, or of N with ``robots`` (N,).
 
-    Args:
-        action: The action.
-        names: The joints that it moves.
-        each: The name of one of its numbers, for the message.
-        cure: The way out of one that is not finite, for the message.
-        robots: (N,) for the actions of N robots.
-
-    Raises:
-        ValueError: If it has another shape or is not finite.
+    ``names`` are the joints that it moves. Messages have the name of ``each`` of its numbers, and the
+    ``cure`` of one that is not finite: other shapes and numbers that are not finite are refused with a
+    ValueError.
     """
     try:
         numbers = np.asarray(action, dtype=np.float64)

@@ -168,11 +168,7 @@ class Player:
         return self._next in self._stops
 
     def begin(self, first: Command) -> None:
-        """Start an episode, whose own commands begin with ``first``.
-
-        Raises:
-            ValueError: If the prelude has the soles elsewhere.
-        """
+        """Start an episode whose commands begin with ``first``; ValueError if its soles are elsewhere."""
         if not self._played:
             return
         off = float(np.abs(self._played[0].position_sole - first.position_sole).max())

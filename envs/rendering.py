@@ -80,14 +80,7 @@ class SceneRenderer:
         return vars(self) | {"_renderer": None}
 
     def render(self, mode: str | None, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
-        """Draw the scene.
-
-        Args:
-            mode: ``"rgb_array"``, ``"human"`` or ``None``, which draws nothing.
-            markers: Spheres to add to this frame.
-
-        Returns:
-            A frame of shape (height, width, 3), or nothing for a window and without a mode.
+        """Draw the scene with spheres: a frame, (height, width, 3); nothing for a window or without a mode.
 
         Raises:
             RuntimeError: If there is no screen for a window, or nothing that could draw a frame.

@@ -51,15 +51,7 @@ class AnkleBalance:
         self._left, self._right = np.array(of_shift).swapaxes(-1, -2)
 
     def correction(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
-        """Answer the last row of truth.
-
-        Args:
-            truth: The last control step, of one robot or with many in front.
-            command: The plan for its end.
-
-        Returns:
-            The correction of the leg motors' targets in rad, shape (..., L).
-        """
+        """Answer the last row of truth with a correction of leg motors' targets in rad, shape (..., L)."""
         share = self._motion.shares(command)
         left, right = share[..., :1], share[..., 1:]
         slid = (truth.position_sole[..., -1, :, :] - command.position_sole)[..., :2]

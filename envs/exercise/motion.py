@@ -136,15 +136,8 @@ class Paths(NamedTuple):
 def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Motion":
     """Plan the exercise of a robot, once for all environments of the same; each has a model of its own.
 
-    Args:
-        robot: As of :func:`~surefoot.envs.exercise.robot.prepare_robot`; a ``mujoco.MjSpec`` is not kept.
-        feet: Names of the feet's bodies, the left one first; None to guess.
-        boxes: Whether meshes that are only seen become boxes.
-
-    Raises:
-        ModuleNotFoundError: If a named robot's package is missing.
-        TypeError: If ``robot`` or ``feet`` is of another type.
-        ValueError: If there is no such robot, or it cannot do the exercise.
+    Arguments and errors are those of :func:`~surefoot.envs.exercise.robot.prepare_robot`; a ``mujoco.MjSpec``
+    is not kept, and ValueError says as well that the robot cannot do the exercise.
     """
     named = isinstance(robot, str) and robot in ROBOTS
     if not named and not (isinstance(robot, str | File) and File(robot).is_file()):
@@ -270,10 +263,7 @@ class Motion:
     ) -> Schedule:
         """Draw an episode: its tempo, which foot is lifted first, the sways' order and every extent.
 
-        Args:
-            rng: The source of chance.
-            amplitude: Least and largest share of a path that is used.
-            tempo: Least and largest factor on all speeds.
+        ``amplitude`` is the least and largest share of a path, ``tempo`` the same of a factor on all speeds.
         """
         unit = self._unit / rng.uniform(*tempo)
         first = int(rng.integers(2))
@@ -300,11 +290,7 @@ class Motion:
         return self._plan_moves(moves, unit)
 
     def prelude(self, names: Sequence[str], dt: float) -> Prelude:
-        """Plan motions one after another.
-
-        Args:
-            names: Of motions, see :func:`~surefoot.envs.exercise.moves.motions_of`.
-            dt: Time between two rows in s.
+        """Plan motions by name (:func:`~surefoot.envs.exercise.moves.motions_of`), a row each ``dt`` s.
 
         Raises:
             ValueError: If there is no such motion, or it goes farther than the legs reach.

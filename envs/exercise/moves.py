@@ -75,14 +75,10 @@ class Schedule(NamedTuple):
 def motions_of(name: str) -> list[Move]:
     """Return the moves of a motion that starts and ends in the middle, on both feet.
 
-    Args:
-        name: The kind, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
-            "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot
-            and sway about it), "step" (in place, one foot after the other) or "march" (twice that, without
-            a halt in the middle).
-
-    Raises:
-        ValueError: If there is no such motion.
+    The name has the kind, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
+    "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot and sway
+    about it), "step" (in place, one foot after the other) or "march" (twice that, without a halt in the
+    middle). Other names are refused with a ValueError.
     """
     what, _, tempo = name.partition("@")
     words = what.split()
@@ -122,12 +118,9 @@ def motions_of(name: str) -> list[Move]:
 
 
 def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move]:
-    """Return the moves by which a robot stands on one foot.
+    """Return the moves by which a robot stands on one foot and sways about it by "pitch" and "roll", so far.
 
-    Args:
-        foot: The foot that bears it.
-        turns: How far it sways about it, by "pitch" and "roll".
-        pause: Factor on the time that it waits between moves, and that a lift takes.
+    ``pause`` is a factor on the time that it waits between moves, and that a lift takes.
     """
     moves = [Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause)]
     moves += [Move(f"lift {foot}", 0.0, 1.0, pause), Move(f"lift {foot}", 1.0, 1.0, 0.3 * pause)]

@@ -96,15 +96,7 @@ class Postures:
     def solve(
         self, com: NDArray[np.float64], lift: NDArray[np.float64], start: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Find a posture.
-
-        Args:
-            com: Centre of mass in m, shape (3,).
-            lift: Heights of the soles in m, shape (2,).
-            start: Posture to start from, shape (nq,).
-
-        Returns:
-            The posture, shape (nq,).
+        """Find a posture, (nq,), from another: centre of mass, (3,), and heights of the soles, (2,), in m.
 
         Raises:
             UnreachableError: If it is out of the legs' reach or limits.
@@ -141,14 +133,9 @@ class Postures:
         )
 
     def shares(self, cop: NDArray[np.float64], lift: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Share the load between the soles so that it acts at a centre of pressure.
+        """Share the load between the soles, (..., 2), so that it acts at a centre of pressure in m, (..., 2).
 
-        Args:
-            cop: Centre of pressure in m, shape (..., 2).
-            lift: Heights of the soles in m, shape (..., 2); who is lifted bears nothing.
-
-        Returns:
-            Shares of the weight, shape (..., 2).
+        Who is lifted, by heights of the soles in m, (..., 2), bears nothing.
         """
         left, right = self.stand
         off, apart = cop - right, left - right
@@ -160,16 +147,11 @@ class Postures:
     def leads(
         self, qpos: NDArray[np.float64], slope: NDArray[np.float64], share: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the motors' targets in a posture on a path.
+        """Return the motors' targets in a posture on a path, with shares of the load on the soles, (2,).
 
-        Args:
-            qpos: The posture, shape (nq,).
-            slope: Change of the posture per unit of the path's parameter, shape (nv,).
-            share: Shares of the load on the soles, shape (2,).
-
-        Returns:
-            The targets at rest, and their change per unit of the parameter's speed and acceleration
-            against damping and inertia, in rad, rad s and rad s^2, shape (M,) each.
+        ``slope`` is the change of the posture per unit of the path's parameter, (nv,). Targets at rest, and
+        their change per unit of the parameter's speed and acceleration against damping and inertia, in rad,
+        rad s and rad s^2, shape (M,) each.
         """
         model, data = self.robot.model, self._data
         data.qpos[:] = qpos

@@ -57,11 +57,9 @@ class ExerciseRobot:
 def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool = False) -> ExerciseRobot:
     """Put sensors into a biped and make it strong enough to stand on one leg.
 
-    Args:
-        robot: A name that :func:`~surefoot.envs.load_robot_spec` knows, the path of an MJCF file with robot
-            and floor, or such a ``mujoco.MjSpec``, which is not changed.
-        feet: Names of the feet's bodies, the left one first; None to guess.
-        boxes: Whether meshes that are only seen become boxes, which take less memory.
+    The robot is a name that :func:`~surefoot.envs.load_robot_spec` knows, the path of an MJCF file with robot
+    and floor, or such a ``mujoco.MjSpec``, which is not changed; ``feet`` are names of bodies, the left one
+    first, or guessed. With ``boxes`` meshes that are only seen become boxes, which take less memory.
 
     Raises:
         ModuleNotFoundError: If a named robot's package is missing.

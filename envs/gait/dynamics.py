@@ -25,15 +25,9 @@ Small: the feet shall share forces rather than twist against each other.
 
 
 def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-    """Differentiate postures by central differences, at rest before the first and after the last.
+    """Differentiate postures, shape (ticks, nq), by central differences to velocities, shape (ticks, nv).
 
-    Args:
-        model: The robot.
-        qpos: Postures, shape (ticks, nq).
-        dt: Time from one to the next in s.
-
-    Returns:
-        Generalised velocities, shape (ticks, nv).
+    They are at rest before the first and after the last; ``dt`` s lie between two.
     """
     qvel = np.empty((len(qpos), model.nv))
     last = len(qpos) - 1
@@ -43,15 +37,9 @@ def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float
 
 
 def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-    """Compute the zero-moment point of a motion by central differences.
+    """Compute the zero-moment point of a motion on the ground, shape (ticks, 2), in m by central differences.
 
-    Args:
-        model: The robot; its body 1 is the root of the tree.
-        qpos: Postures, shape (ticks, nq), at rest before the first and after the last.
-        dt: Time from one to the next in s.
-
-    Returns:
-        The zero-moment point on the ground, shape (ticks, 2), m.
+    Postures, shape (ticks, nq), are at rest before the first and after the last; body 1 is the tree's root.
     """
     data = mujoco.MjData(model)
     com, momentum = np.empty((len(qpos), 3)), np.empty((len(qpos), 3))
@@ -81,21 +69,18 @@ def joint_torques(
     share: NDArray[np.float64],
     dt: float,
 ) -> NDArray[np.float64]:
-    """Find the torques of a motion with its feet on the ground.
+    """Find the torques of a motion with its feet on the ground in N m, shape (ticks, nv).
 
-    While both feet carry, their wrenches are not determined by the motion: the one taken is the smallest,
-    each foot's weighed by its share of the load.
+    They are what the motors have to supply besides friction and damping, which are counted in; zero for the
+    floating torso up to rounding. While both feet carry, their wrenches are not determined by the motion: the
+    one taken is the smallest, each foot's weighed by its share of the load, shape (ticks, 2).
 
     Args:
         model: The robot, with bodies ``left_plate`` and ``right_plate``.
         qpos: Postures, shape (ticks, nq), at rest before the first and after the last.
         cop_foot: Where each foot is to carry, in the world, shape (ticks, 2, 2), m.
-        share: Share of the load on each foot, shape (ticks, 2); at least one is positive.
+        share: Share of the load on each foot; at least one is positive.
         dt: Time from one posture to the next in s.
-
-    Returns:
-        Torques that the motors have to supply besides friction and damping, which are counted in, shape
-        (ticks, nv), N m; zero for the floating torso up to rounding.
     """
     free = copy.copy(model)
     free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -126,18 +111,11 @@ def motor_targets(
     qvel: NDArray[np.float64],
     torque: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Lead a motion to make up for servos that give way and lag behind.
+    """Lead a motion to make up for servos that give way and lag behind: targets in rad, shape (ticks, M).
 
-    A servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp.
-
-    Args:
-        model: The robot, each motor named after the joint it turns; LHipYawPitch turns the right one as well.
-        qpos: Postures, shape (ticks, nq).
-        qvel: Their velocities, shape (ticks, nv).
-        torque: Torques that they take, shape (ticks, nv), N m.
-
-    Returns:
-        Targets in the order of the model's actuators, shape (ticks, M), rad.
+    A servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp. Postures,
+    velocities and torques in N m have shapes (ticks, nq) and (ticks, nv). Each motor is named after the joint
+    that it turns; LHipYawPitch turns the right one as well.
     """
     target = np.empty((len(qpos), model.nu))
     for motor, name in enumerate(motor_names(model)):

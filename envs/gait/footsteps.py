@@ -105,14 +105,9 @@ def stance_of_stand() -> tuple[Footstep, Footstep]:
 def plan_footsteps(speed: float, turn_rate: float, steps: int, step_time: float) -> tuple[Footstep, ...]:
     """Place the footsteps of a walk that starts from, and ends in, a stand with the feet side by side.
 
-    Args:
-        speed: Forward speed along the path in m/s; negative walks backwards, zero marks time.
-        turn_rate: Change of heading in rad/s, positive to the left.
-        steps: Number of footsteps, the closing one included; at least 2.
-        step_time: Duration of a step in s.
-
-    Returns:
-        The footsteps in order. The first is by the foot on the inside of the turn, the left when straight.
+    Speed in m/s, negative backwards, and change of heading in rad/s, positive to the left, with a number of
+    footsteps, the closing one included, of ``step_time`` s. The first is by the foot on the inside of the
+    turn, the left when straight.
 
     Raises:
         ValueError: If a step would be longer, or turn further, than the legs allow, if fewer than two
@@ -131,10 +126,7 @@ def plan_footsteps(speed: float, turn_rate: float, steps: int, step_time: float)
 def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
     """Raise ValueError if steps are longer, or turn further, than the legs allow, or a number is not finite.
 
-    Args:
-        speed: Forward speed in m/s.
-        turn_rate: Change of heading in rad/s.
-        step_time: Duration of a step in s.
+    Speed is in m/s, turn rate in rad/s and the duration of a step in s.
     """
     for name, value in {"speed": speed, "turn_rate": turn_rate}.items():
         if not math.isfinite(value):
@@ -158,15 +150,10 @@ def place_footsteps(
     turn: NDArray[np.float64],
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Footstep, ...]:
-    """Place footsteps beside a path of moves, one move a step and then a step that closes the feet.
+    """Place moves + 1 footsteps beside a path: one a move, and then one that closes the feet.
 
-    Args:
-        length: Length of each move in m, shape (moves,); the first and the last are walked by half.
-        turn: Change of heading in each in rad, shape (moves,); likewise.
-        start: Where the path begins: (x, y) in m and the heading in rad, midway between the feet.
-
-    Returns:
-        The moves + 1 footsteps in order.
+    Moves have a length in m and a change of heading in rad, shape (moves,); the first and the last are walked
+    by half. The path starts at (x, y) in m with a heading in rad, midway between the feet.
     """
     pose = _path(length, turn, start)
     steps = len(pose)

@@ -59,11 +59,8 @@ class Ground:
 def lay_out(walks: Sequence[Walk], timing: GaitTiming, ticks: int, foot_roll: float = 0.0) -> Ground:
     """Return, tick by tick, where the soles and the centre of pressure are to be.
 
-    Args:
-        walks: Walks in the order of time, each with room for the last shift of the weight before the next.
-        timing: Duration of a step and of its parts.
-        ticks: Control steps of all of it.
-        foot_roll: Pitch at lift-off and touch-down in rad.
+    Walks come in the order of time, each with room for the last shift of the weight before the next;
+    ``foot_roll`` is the pitch at lift-off and touch-down in rad.
     """
     feet = list(stance_of_stand())
     ground = Ground(

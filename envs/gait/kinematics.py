@@ -85,7 +85,7 @@ class WholeBodyKinematics:
         start: NDArray[np.float64] | None = None,
         pitch_sole: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], float]:
-        """Find the posture with the soles and the centre of mass in given places.
+        """Find the posture with the soles and the centre of mass in given places, and its error.
 
         Args:
             com: Centre of mass, shape (3,), m.
@@ -140,17 +140,9 @@ class WholeBodyKinematics:
     ) -> JointTrack:
         """Find the postures of a motion, each started from the one before.
 
-        A posture depends on where things are relative to the left sole, not on where in the world that is.
-        A steady walk repeats itself in these terms, so that each posture of its cycle is solved once.
-
-        Args:
-            com: Centre of mass, shape (ticks, 3), m.
-            position_sole: Soles' origins, shape (ticks, 2, 3), m.
-            yaw_sole: Soles' headings, shape (ticks, 2), rad.
-            pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad; level when not given.
-
-        Raises:
-            ValueError: If a posture is out of the legs' reach or limits.
+        A posture depends on where things are relative to the left sole, not on where in the world that is. A
+        steady walk repeats itself in these terms, so that each posture of its cycle is solved once. Arguments
+        and errors are those of :meth:`solve`, with ticks in front.
         """
         heading = yaw_sole[:, 0]
         cosine, sine = np.cos(heading), np.sin(heading)

@@ -170,14 +170,9 @@ def plan_route(
     """Plan walking, turning and standing one after another, from standing to standing.
 
     Legs that walk flow into each other; a leg that stands has the feet side by side from its first moment to
-    its last. A walk takes whole steps, so that it may stand up to a step before its time is over.
-
-    Args:
-        legs: The legs, from :func:`~surefoot.envs.gait.route.parse_route`.
-        duration: Duration of all of it in s, the stands before and after the route included; the time that
-            the route leaves over is stood. ``None`` for as long as it takes.
-        timing: Duration of a step and of its parts.
-        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
+    its last. A walk takes whole steps, so that it may stand up to a step before its time is over. The stands
+    before and after the route are part of the duration, and so is the time that it leaves over; without one
+    it is as long as it takes. Other arguments are those of :func:`plan_walk`.
 
     Raises:
         ValueError: If the route asks more than the legs can do, or does not fit into the duration.

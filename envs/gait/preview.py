@@ -123,16 +123,10 @@ def preview_gains(model: CartTable) -> PreviewGains:
 
 
 def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
-    """Move the cart so that its zero-moment point follows a reference, from rest above its start.
+    """Move the cart so that its zero-moment point follows a reference in m, shape (ticks, axes).
 
-    Beyond its end the reference stays where it ended.
-
-    Args:
-        reference: Zero-moment point, shape (ticks, axes), m.
-        model: The cart-table.
-
-    Raises:
-        ValueError: If the reference is not finite or not of that shape.
+    It starts at rest above the reference's start; beyond its end the reference stays where it ended. One that
+    is not finite or not of that shape is refused with a ValueError.
     """
     reference = np.asarray(reference, dtype=np.float64)
     if reference.ndim != 2 or not len(reference):

@@ -42,10 +42,7 @@ class Leg(NamedTuple):
 
 
 def parse_route(route: Any) -> tuple[Leg, ...]:
-    """Make legs of an option's value.
-
-    Args:
-        route: Legs (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.
+    """Make legs of an option's value: (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.
 
     Raises:
         ValueError: If it is not a sequence of such legs, naming the first that is none.
@@ -79,10 +76,6 @@ def parse_route(route: Any) -> tuple[Leg, ...]:
 
 def plan_legs(legs: Sequence[Leg], timing: GaitTiming) -> tuple[tuple[Walk, ...], int]:
     """Place the footsteps of a route that begins after the first stand of a pattern.
-
-    Args:
-        legs: The legs.
-        timing: Duration of a step and of its parts.
 
     Returns:
         The walks, legs without a stand between them being one, and the control step at which the route ends.

@@ -55,10 +55,8 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
 def lift(phase: ArrayLike) -> NDArray[np.float64]:
     """Rise from the ground to :data:`LIFT_HEIGHT` at half the swing and come down again, never below it.
 
-    Zero velocity and acceleration at both ends: ``64 s³ (1 - s)³`` of the height.
-
-    Args:
-        phase: Phase of the swing, any shape; held at the ends outside [0, 1].
+    Zero velocity and acceleration at both ends: ``64 s³ (1 - s)³`` of the height at the phase s of the swing,
+    which is held at the ends outside [0, 1].
 
     >>> lift([0.0, 0.5, 1.0])
     array([0.   , 0.015, 0.   ])
@@ -83,11 +81,9 @@ def check_roll(angle: float) -> float:
 def roll_of_step(angle: float, double: int, single: int) -> FootRoll:
     """Pitch a foot through one step, with zero rate and acceleration where a phase begins or ends.
 
-    Args:
-        angle: Pitch at lift-off, toe down, and at touch-down, heel down, in rad; negative for a step
-            backwards, which leaves with the heel and lands on the toe.
-        double: Control steps of a double support.
-        single: Control steps of a swing.
+    ``angle`` is the pitch at lift-off, toe down, and at touch-down, heel down, in rad; negative for a step
+    backwards, which leaves with the heel and lands on the toe. A double support and a swing have so many
+    control steps.
     """
     ticks = max(round(ROLL_SHARE * double), 1)
     rolling = np.arange(ticks)
@@ -100,13 +96,9 @@ def roll_of_step(angle: float, double: int, single: int) -> FootRoll:
 
 
 def pivot_of(pitch: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Find how a sole's origin moves when the sole pitches about the edge that stays down.
+    """Find how far forward and up in m a sole's origin moves when it pitches about the edge that stays down.
 
-    Args:
-        pitch: Pitch in rad, positive toe down, any shape.
-
-    Returns:
-        How far it moves forward along its heading and how far up, in m, of the shape of the pitch.
+    The pitch is in rad, positive toe down, of any shape.
 
     >>> [round(float(part), 4) for part in pivot_of(0.1)]
     [0.0005, 0.0109]

@@ -121,14 +121,10 @@ def draw_nao() -> RobotDrawing:
 def draw_robot(
     model: mujoco.MjModel, data: mujoco.MjData, layout: MeasuredRobot, *, imu: str, prefix: str
 ) -> RobotDrawing:
-    """Draw a robot whose feet were measured.
+    """Draw a robot whose feet were measured in the pose of ``data``, of which the kinematics were evaluated.
 
-    Args:
-        model: The robot.
-        data: The pose in which it stands, of which the kinematics were evaluated.
-        layout: Its feet.
-        imu: Name of its own IMU's site; empty for one at the torso's origin, in the torso's axes.
-        prefix: The beginning of other sites' names.
+    ``imu`` is its own IMU's site; empty for one at the torso's origin, in the torso's axes. Names of other
+    sites begin with ``prefix``.
     """
     upright, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = model.site(imu).pos.copy() if imu else none
@@ -180,15 +176,9 @@ def _touching(layout: MeasuredRobot) -> NDArray[np.float64]:
 
 
 def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> str:
-    """Write the bodies that hang on a torso, with inertials, joints and some sites, as MJCF.
+    """Write the bodies that hang on a torso as MJCF: inertials, joints and some sites, with all digits.
 
-    Args:
-        model: The robot.
-        torso: Its body; the joints that carry it are replaced by a free one.
-        sites: Where each site goes, by its name.
-
-    Returns:
-        The text, with all digits of every number.
+    The joints that carry the torso are replaced by a free one.
     """
     root = model.body(torso).id
     inside = below(model, root)

@@ -39,11 +39,7 @@ UPRIGHT: Final = 0.5
 
 
 def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:
-    """Put a robot into its keyframe "home", "stand" or "standing", or else into its zero pose.
-
-    Returns:
-        Fresh data, of which the kinematics were evaluated.
-    """
+    """Put a robot into its keyframe "home", "stand" or "standing", or else its zero pose, evaluated."""
     data = mujoco.MjData(model)
     keys = {model.key(i).name: i for i in range(model.nkey)}
     for name in STANDING:
@@ -58,21 +54,13 @@ def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:
 def find_feet(
     model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str] | None = None
 ) -> tuple[int, ...]:
-    """Find the bodies of the feet: those that are named, or the two lowest leaves that can touch the ground.
+    """Find the numbers of the feet's bodies: those that are named, or the two lowest leaves that can touch.
 
     A foot is a body and all that hangs on it. From a leaf that can touch it reaches up to the highest body
     that stands on the ground as well: a heel above its toes, or the first of several bodies that are welded
     together. A body without a joint belongs to the body that it is welded to if nothing of that can touch: a
     sole plate is part of its foot. The left one of two comes first, by its name (left, l_, L...) or else by
-    its place.
-
-    Args:
-        model: The robot.
-        data: The pose in which it stands, of which the kinematics were evaluated.
-        names: The feet's bodies in the order in which they are to be read; None to guess.
-
-    Returns:
-        Their numbers.
+    its place. ``data`` has the pose in which the robot stands, with its kinematics evaluated.
 
     Raises:
         TypeError: If ``names`` is a single name, or holds something else.
@@ -147,10 +135,7 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
 def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: NDArray[np.float64]) -> list[int]:
     """List the bodies that may be feet, each with all that hangs on it.
 
-    Args:
-        model: The robot.
-        data: The pose in which it stands.
-        height: Lowest point of each body that can touch in m, inf of others, shape (nbody,).
+    ``height`` is the lowest point of each body that can touch in m, inf of others, shape (nbody,).
     """
     touching = np.isfinite(height)
     feet = set()

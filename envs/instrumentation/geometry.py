@@ -70,14 +70,8 @@ class FootGeometry:
     def layout(self, margin: float) -> NDArray[np.float64]:
         """Place four cells in the corners of the largest rectangle inside the polygon, drawn in by a margin.
 
-        Args:
-            margin: Distance from the rectangle's edges in m.
-
-        Returns:
-            Places in the sole's frame in m, front-left, front-right, rear-left, rear-right, shape (4, 2).
-
-        Raises:
-            ValueError: If the foot has a flaw, or the margin is negative or leaves nothing.
+        Places are front-left, front-right, rear-left, rear-right in the sole's frame in m, (4, 2). A foot
+        with a flaw, and a margin that is negative or leaves nothing, are refused with a ValueError.
         """
         if self.flaw:
             raise ValueError(self.flaw)
@@ -95,13 +89,7 @@ class FootGeometry:
 def measure_foot(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> FootGeometry:
     """Measure a foot in the pose of ``data``, in which its sole looks down and the robot's x axis forward.
 
-    Args:
-        model: The robot.
-        data: Its state, of which the kinematics were evaluated.
-        body: Number of the foot's body.
-
-    Raises:
-        ValueError: If nothing of the foot can touch.
+    The kinematics were evaluated. ValueError says that nothing of the foot can touch.
     """
     name = model.body(body).name
     geoms = np.flatnonzero(colliding(model) & below(model, body)[model.geom_bodyid])

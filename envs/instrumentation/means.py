@@ -61,14 +61,11 @@ class FootPlaces(NamedTuple):
 
 
 def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, float]:
-    """Add up one foot's loads in all substeps, of 21 numbers each.
+    """Add up one foot's loads in all substeps, of 21 numbers each, with the sign of the contact sensor.
 
     It is :func:`~surefoot.envs.instrumentation.truth.wrench_at_sole`, which explains them, and
-    :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop.
-
-    Returns:
-        The wrench at and in the sole's frame, and the moments about the world's x and y at the height of the
-        contacts, each as the contact sensor has its sign.
+    :func:`~surefoot.envs.instrumentation.truth.ground_at_feet` in one loop: the wrench at and in the sole's
+    frame, and the moments about the world's x and y at the height of the contacts.
     """
     a = b = c = d = e = f = x = y = 0.0
     for fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz in substeps:
@@ -89,11 +86,7 @@ def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, fl
 
 
 def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
-    """Compute the truth of a control step for ``info``: means over its substeps, as ideal cells give them.
-
-    Args:
-        rows: Sensor data of S substeps, shape (S, columns).
-        places: The meaning of the columns.
+    """Compute the truth of a control step, (S, columns), for ``info``: means of its substeps, by ideal cells.
 
     Returns:
         Arrays of their own: ``force_cell`` (4 F) N where all feet have an area; ``vgrf`` (F) N; ``cop_world``
@@ -147,12 +140,7 @@ class MeanTruth:
         return MeanTruth, (self._places,)
 
     def __call__(self, rows: Array, threads: int = 1) -> dict[str, NDArray[Any]]:
-        """Compute the truth of a control step.
-
-        Args:
-            rows: Sensor data of S substeps, of one robot or with many in front, shape (..., S, columns).
-            threads: Threads that many robots are shared among.
-        """
+        """Compute the truth of a control step, (S, columns), or of many robots by threads, (N, S, ...)."""
         if rows.shape not in self._calls:
             library = ENVS.installed()
             self._calls[rows.shape] = None if library is None else self._call(library, *rows.shape)

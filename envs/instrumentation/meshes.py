@@ -15,11 +15,8 @@ def box_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Replace meshes that are only seen by boxes around them, and leave their mass to their bodies.
 
     Geoms, bodies and meshes keep their numbers and names. A mesh that something may collide with stays, and
-    so does one whose shape, or whose flex or skin, is needed for anything else.
-
-    Args:
-        spec: The robot, which is changed.
-        model: The same, compiled with its meshes.
+    so does one whose shape, or whose flex or skin, is needed for anything else. The specification is changed;
+    the model is the same, compiled with its meshes.
     """
     mesh_geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     can_touch = colliding(model)

@@ -213,14 +213,10 @@ def measure_robot(
     cells: Mapping[str, ArrayLike] | None,
     margin: float,
 ) -> MeasuredRobot:
-    """Measure a robot in the pose of ``data``.
+    """Measure a robot in the pose of ``data`` in which it stands, of which the kinematics were evaluated.
 
-    Args:
-        model: The robot.
-        data: The pose in which it stands, of which the kinematics were evaluated.
-        feet: Names of the feet's bodies in order; None to guess.
-        cells: Places of the load cells by the foot's body, shape (4, 2); others lie in the corners.
-        margin: How far these are drawn in from the sole's edges in m.
+    ``feet`` are names of bodies, or guessed; ``cells`` are places by the foot's body, shape (4, 2), others
+    lie in the corners, drawn in from the sole's edges by ``margin`` m.
 
     Raises:
         TypeError: If ``feet`` is a single name.

@@ -31,15 +31,9 @@ def put_soles(
 ) -> None:
     """Put boxes without mass under feet that have no area, or under those that are named.
 
-    The box hangs right below the lowest point of the foot, touches as the foot's first geom does in the
-    same way, and makes the robot taller by its thickness.
-
-    Args:
-        spec: The robot, which is changed.
-        model: The same, compiled.
-        soles: ``True``, or (length, width, thickness) in m by the foot's body.
-        feet: Names of the feet's bodies; None to guess.
-        prefix: The beginning of the boxes' names.
+    The box hangs right below the lowest point of the foot, touches as the foot's first geom does in the same
+    way, and makes the robot taller by its thickness. The specification is changed; the model is the same,
+    compiled. Sizes are (length, width, thickness) in m by the foot's body.
 
     Raises:
         ValueError: If a body is no foot, a size is not positive, or the foot touches in pairs of geoms only.

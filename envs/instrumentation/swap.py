@@ -68,12 +68,7 @@ _VIEWS: Final = ("MjOption", "MjVisual", "MjStatistic", "_MjContactList", "MjCon
 
 
 def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path | mujoco.MjSpec | None:
-    """Return the description of an environment's robot: the user's, or its file; None without.
-
-    Args:
-        spec: The user's argument: a file, a specification, or None.
-        env: The innermost environment.
-    """
+    """Return the description of an innermost environment's robot: the user's, or its file; None without."""
     if isinstance(spec, mujoco.MjSpec):
         return spec
     path = spec if spec is not None else getattr(env, "fullpath", None)
@@ -102,12 +97,10 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
 
 
 def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
-    """Copy all numbers of a model to another: options, masses, frictions and an environment's changes.
+    """Copy all numbers of an environment's model to another: options, masses, frictions and its changes.
 
-    Args:
-        old: The environment's model.
-        new: The same robot, in which sites, sensors and geoms may have been added.
-        prefix: The beginning of their names.
+    The other is the same robot, to which sites, sensors and geoms with names of ``prefix`` may have been
+    added.
     """
     kept = _original_ids(new, prefix)
     for name, value in _public(old):
@@ -134,11 +127,9 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
 
 
 def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
-    """Return the name of an array in which a robot differs from the same with other meshes; empty if none.
+    """Return the name of an array in which a robot differs from itself with boxes for meshes, or nothing.
 
-    Args:
-        old: A robot.
-        new: The same with boxes for meshes that are only seen, and all numbers carried over.
+    All numbers were carried over before.
     """
     for name, value in _public(old):
         if isinstance(value, np.ndarray) and not name.startswith(_DRAWN):
@@ -176,12 +167,7 @@ def find_holder(env: gym.Env[Any, Any]) -> str:
 
 
 def swap_in(env: Any, new: mujoco.MjModel) -> None:
-    """Replace the model of an environment's robot, which goes on in the state in which it is.
-
-    Args:
-        env: The innermost environment.
-        new: The instrumented robot with the environment's own numbers.
-    """
+    """Replace the model of an innermost environment's robot, which goes on in the state in which it is."""
     old, before = env.model, env.data
     data = mujoco.MjData(new)
     # Added sensors have a history behind that of the environment's own sensors and motors.

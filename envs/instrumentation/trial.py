@@ -28,13 +28,10 @@ Shown = list[tuple[Any, ...]]
 def find_notice(env: gym.Env[Any, Any], model: mujoco.MjModel) -> str:
     """Return how an environment would notice another model in the place of its own; empty if it would not.
 
-    Two copies take the same steps, one of them with the new model. Observations, rewards, ends and numbers in
-    ``info`` must be equal to the last bit. Nothing of the environment changes, nor do the global random
-    numbers of Python and NumPy. Attributes that cannot be copied, such as a network's session, are shared.
-
-    Args:
-        env: The environment with its wrappers.
-        model: The new model.
+    Two copies with all wrappers take the same steps, one of them with the new model. Observations, rewards,
+    ends and numbers in ``info`` must be equal to the last bit. Nothing of the environment changes, nor do the
+    global random numbers of Python and NumPy. Attributes that cannot be copied, such as a network's session,
+    are shared.
     """
     state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
     try:

@@ -181,10 +181,8 @@ class FeetTruth:
 def wrench_at_sole(foot: Sequence[float], up: float) -> list[float]:
     """Return the ground's wrench on one foot at and in its sole frame in N and N m, 6 numbers.
 
-    Args:
-        foot: Force, torque and the place at which they act, origin and axes of the sole in the world: 21
-            numbers.
-        up: 1 if force and torque are the ground's on the robot, -1 if the robot's on the ground.
+    ``foot`` has force, torque and the place at which they act, origin and axes of the sole in the world, 21
+    numbers; ``up`` is 1 if force and torque are the ground's on the robot, -1 if the robot's on the ground.
     """
     fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = foot
     fx, fy, fz = up * fx, up * fy, up * fz
@@ -219,12 +217,7 @@ def ground_at_feet(feet: Sequence[Sequence[float]], up: float) -> tuple[list[lis
 def centres(
     wrench: Sequence[Sequence[float]], common: Sequence[float], flat: Sequence[bool]
 ) -> tuple[list[list[float]], list[bool]]:
-    """Find the centres of pressure of :func:`ground_at_feet` feet.
-
-    Args:
-        wrench: Wrenches at the soles, (F, 6).
-        common: Load and moments of all feet together, (3).
-        flat: Which feet have an area, (F).
+    """Find centres of pressure of :func:`ground_at_feet` feet, of which ``flat`` ones, (F), have an area.
 
     Returns:
         The centre of all feet in the world and those of each foot in its sole's frame in m, 0 where there is

@@ -41,14 +41,7 @@ class HipDrive:
         self.target, self.speed = target.copy(), np.zeros(len(target))
 
     def follow(self, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Approach the wanted speeds for a step.
-
-        Args:
-            wanted: In rad/s, shape (J,).
-
-        Returns:
-            The targets of the step's substeps in rad, shape (substeps, J).
-        """
+        """Approach wanted speeds in rad/s, (J,), for a step by targets in rad, (substeps, J)."""
         last = self.speed
         self.speed = self._next_speed(wanted)
         f = self._fraction

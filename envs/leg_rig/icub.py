@@ -21,7 +21,7 @@ _JOINTS = {"hip_pitch": "hip_front_back", "hip_roll": "hip_lateral"}
 def load_icub_leg_spec(
     configuration: int = 1, *, side: Literal["left", "right"] = "right", model: str = "iCubGazeboV2_5"
 ) -> mujoco.MjSpec:
-    """Build the in-situ rig with a leg of the iCub, all joints below the hip held.
+    """Build the in-situ rig with a leg of the iCub, all joints below the hip held: an own specification.
 
     The sensors lie where the fixed joints ``leg_ft_sensor`` and ``foot_ft_sensor`` are, with their frames: x
     forward, y right, z down. In this model the feet's sensors lie 0.4212 m below the legs', not 0.3636 m as
@@ -31,9 +31,6 @@ def load_icub_leg_spec(
         configuration: Which masses to add, 1 to 8 (:data:`~surefoot.envs.leg_rig.spec.ADDED_MASSES`).
         side: Which leg.
         model: A model of ``icub-models`` of the version 2.5 family.
-
-    Returns:
-        A specification of its own, to ``compile()``.
 
     Raises:
         ImportError: If ``icub-models`` is not installed.

@@ -94,16 +94,7 @@ def raster(
     """Sweep the first joint forth and back while the second goes from one end of its range to the other once.
 
     This is how one would scan the range, and how the paper's figures look. A slow drift of a sensor looks
-    like the second joint's turn then.
-
-    Args:
-        duration: In s.
-        rate: Samples per s.
-        speed_deg: Highest speed of the first joint in deg/s.
-        range_deg: Ranges (front-back, lateral) in deg; those of the rig by default.
-
-    Raises:
-        ValueError: If numbers are not positive.
+    like the second joint's turn then. Arguments and errors are those of :func:`sweep`.
     """
     for name, value in {"duration": duration, "rate": rate, "speed_deg": speed_deg}.items():
         positive(name, value)

@@ -92,11 +92,7 @@ ADDED_MASSES: Final[Mapping[int, AddedMass]] = MappingProxyType(
 
 
 def added_mass(configuration: int) -> AddedMass:
-    """Look up a data set of the paper.
-
-    Raises:
-        ValueError: If there is no such data set.
-    """
+    """Look up a data set of the paper; ValueError if there is none."""
     if configuration not in ADDED_MASSES:
         raise ValueError(
             f"There is no configuration {configuration!r}; the paper's data sets are {list(ADDED_MASSES)}."
@@ -107,16 +103,13 @@ def added_mass(configuration: int) -> AddedMass:
 def load_leg_rig_spec(
     configuration: int = 1, *, knee_slack: float = 0.0, floor: bool = False
 ) -> mujoco.MjSpec:
-    """Build the rig of one data set in memory.
+    """Build the rig of one data set in memory: a specification of its own, to ``compile()``.
 
     Args:
         configuration: Which masses to add, 1 to 8 (:data:`ADDED_MASSES`).
         knee_slack: By how many rad the knee bends per N m; 0 holds it, 0.02 bends it by some degrees.
         floor: Whether a block of foam stands where the tip of the beam meets it at the rear end of the
             front-back range.
-
-    Returns:
-        A specification of its own, to ``compile()``.
 
     Raises:
         ValueError: If there is no such configuration or the slack is not finite, or negative.
@@ -145,16 +138,7 @@ def load_leg_rig_spec(
 
 
 def place_added_mass(model: mujoco.MjModel, data: mujoco.MjData, configuration: int) -> None:
-    """Hang the masses of another data set onto a compiled rig.
-
-    Args:
-        model: A compiled rig, which is changed.
-        data: Data of that model, which is overwritten.
-        configuration: Which masses to add, 1 to 8.
-
-    Raises:
-        ValueError: If there is no such configuration.
-    """
+    """Hang the masses of another data set onto a compiled rig; ValueError if there is none."""
     load = added_mass(configuration)
     body, geom = model.body("added_mass").id, model.geom("added_mass").id
     model.body_pos[body] = _in_body(load.com_foot)
@@ -166,14 +150,9 @@ def place_added_mass(model: mujoco.MjModel, data: mujoco.MjData, configuration: 
 
 
 def read_wrenches(sensordata: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Read the limb's load on the robot through both sensors.
+    """Read the limb's load on the robot through both sensors off sensor data of a rig, shape (..., S).
 
-    Args:
-        sensordata: Of a rig, shape (..., S).
-
-    Returns:
-        Wrenches (fx, fy, fz, tx, ty, tz) at and in the sensors' frames, (foot, leg), in N and N m, shape
-        (..., 2, 6).
+    Wrenches (fx, fy, fz, tx, ty, tz) at and in the sensors' frames, (foot, leg), in N and N m, (..., 2, 6).
     """
     # rig.xml lists the leg's force and torque first, then the foot's.
     leg, foot = sensordata[..., 0:6], sensordata[..., 6:12]
@@ -195,13 +174,7 @@ class LimbBody(NamedTuple):
 
 
 def limb_beyond(model: mujoco.MjModel, data: mujoco.MjData, sensor: str) -> LimbBody:
-    """Add up the bodies that hang on a sensor, in the posture of ``data``.
-
-    Args:
-        model: A compiled rig.
-        data: Its state, of which the kinematics were evaluated.
-        sensor: "foot" or "leg".
-    """
+    """Add up the bodies that hang on the sensor "foot" or "leg", in a posture with evaluated kinematics."""
     site = data.site(f"{sensor}_ft")
     R_world_sensor = site.xmat.reshape(3, 3)
     first, added = int(model.site(f"{sensor}_ft").bodyid[0]), model.body("added_mass").id

@@ -179,13 +179,10 @@ class RandomSway(NamedTuple):
         stand_time: float,
         rng: np.random.Generator,
     ) -> "RandomSway":
-        """Draw a sway.
+        """Draw a sway that is still for ``stand_time`` s first.
 
-        Args:
-            amplitude: Bounds (forward, left) in m.
-            share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
-            stand_time: How long it is still first, in s.
-            rng: Draws everything.
+        ``amplitude`` are bounds (forward, left) in m, ``share`` the lowest and highest share of a bound that
+        the amplitudes of an axis add up to.
         """
         shares = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(*share, (2, 1))
         rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))

@@ -96,15 +96,10 @@ class Payload:
         return self._carried
 
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
-        """Plan the payload to pick up; the robot must carry nothing, as after :meth:`reset`.
-
-        Args:
-            mass: Its mass in kg, 0 for none.
-            time: When in the episode in s.
-            position: Where its centre of mass lies in the torso's frame in m.
+        """Plan a mass in kg, 0 for none, at a time of the episode in s and a place in the torso's frame in m.
 
         Raises:
-            RuntimeError: If the robot carries one now.
+            RuntimeError: If the robot carries one now; after :meth:`reset` it carries none.
         """
         if self._carried:
             raise RuntimeError(

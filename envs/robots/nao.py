@@ -73,11 +73,7 @@ def motor_of_joint(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 
 def cell_positions(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Read where the load cells lie in the sole frames.
-
-    Returns:
-        Positions in m, ordered (left, right) and as :data:`CELLS`, shape (2, 4, 3).
-    """
+    """Read where cells lie in the sole frames in m, (left, right) and as :data:`CELLS`, shape (2, 4, 3)."""
     return np.array(
         [
             [model.site(f"{foot}_cell_{cell}").pos - model.site(f"{foot}_sole").pos for cell in CELLS]
@@ -92,16 +88,11 @@ def place_on_ground(
     position_sole: NDArray[np.float64],
     yaw_sole: NDArray[np.float64],
 ) -> None:
-    """Put the upright robot, with the joints of ``data.qpos``, onto its footprints.
+    """Put the upright robot, with the joints of ``data.qpos``, onto its footprints; evaluate the kinematics.
 
     The torso stays upright; heading and place follow from the middle of the two soles, the height from the
-    lowest corner of the soles, which just touches the ground.
-
-    Args:
-        model: The robot.
-        data: Its state; the pose of the free joint is overwritten and the kinematics are evaluated.
-        position_sole: Origins of the footprints in m, shape (2, 3).
-        yaw_sole: Their headings in rad, shape (2,).
+    lowest corner of the soles, which just touches the ground. Footprints have origins in m, shape (2, 3), and
+    headings in rad, shape (2,).
     """
     data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     mujoco.mj_kinematics(model, data)
