@@ -75,12 +75,7 @@ class TareState(NamedTuple):
 
 
 def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
-    """Return the swing tare as a pair of pure functions.
-
-    Args:
-        setup: The robot.
-        config: Options.
-    """
+    """Return the swing tare as pure functions."""
     options = config or SwingTare()
     channels, foot_of, feet = setup.layout.channels, setup.layout.foot_of_channel, setup.layout.slices
     front_end = FrontEnd(setup, imu=False)
@@ -126,11 +121,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
 
 
 def leave_start(setup: OnlineSetup) -> OnlineMethod:
-    """Return the method that leaves the starting map as it is, and readings as they were read.
-
-    Args:
-        setup: The robot.
-    """
+    """Return the method that leaves the starting map as it is, and readings as they were read."""
     front_end = FrontEnd(as_read(setup), imu=False)
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:

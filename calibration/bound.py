@@ -174,9 +174,8 @@ class LogPassages:
     def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
         """Return the derivatives of forces, vertical force and CoP of some samples by (a, b).
 
-        Returns:
-            Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N,
-            shape (n, 1, 2K), and to the centre of pressure in m, shape (n, 2, 2K); NaN without load.
+        Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N, (n, 1,
+        2K), and to the centre of pressure in m, (n, 2, 2K); NaN without load.
         """
         weight, columns = self._setup.weight, self._columns
         found = []
@@ -191,12 +190,7 @@ class LogPassages:
         return to_force, to_vgrf, to_pressure
 
     def deviations(self, covariance: Floats, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return standard deviations of forces, the vertical force and the CoP of some samples.
-
-        Args:
-            covariance: Of the unknowns, shape (N, N).
-            part: The samples.
-        """
+        """Return deviations of forces, vertical force and CoP of samples, by the unknowns' covariance."""
         learnt = np.array([self.of_parameters(covariance, k) for k in range(*part.indices(len(self.raw)))])
         force, vgrf, cop = (
             np.sqrt(np.einsum("nij,njk,nik->ni", rows, learnt, rows)) for rows in self.error_rows(part)

@@ -42,14 +42,7 @@ class GroundReference(NamedTuple):
 
 
 def ground_height(reference: Reference) -> Array:
-    """Read the height of level ground off the lower sole, which stands whatever is believed of contacts.
-
-    Args:
-        reference: The robot's beliefs; used is ``position_sole``.
-
-    Returns:
-        Height p_z in the level frame in m, shape (...).
-    """
+    """Read the height of level ground, (...), in m off the lower sole, which stands whatever is believed."""
     check_tail(reference.position_sole, (2, 3), "position_sole")
     return reference.position_sole[..., 2].min(axis=-1)
 

@@ -58,14 +58,7 @@ class Certainty:
         self.std, self.certain = math.inf, False
 
     def update(self, cop_std: ArrayLike) -> bool:
-        """Take in one sample.
-
-        Args:
-            cop_std: Standard deviations along x and y in m, shape (2,); ignored where not finite.
-
-        Returns:
-            Whether the robot is certain.
-        """
+        """Take in finite deviations along x and y in m, (2,); whether the robot is certain."""
         variance = float(np.sum(np.square(np.asarray(cop_std, dtype=np.float64))))
         if math.isfinite(variance):
             before = variance if math.isinf(self.std) else self.std**2

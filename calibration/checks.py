@@ -14,11 +14,7 @@ ONE_ROBOT = (
 
 
 def check_floating(array: Array, what: str) -> None:
-    """Raise ValueError for integers and booleans, in which neither forces nor NaN can be written.
-
-    Raises:
-        ValueError: If the array is not of a real floating-point dtype.
-    """
+    """Raise ValueError for integers and booleans, in which neither forces nor NaN can be written."""
     if not hasattr(array, "dtype"):
         raise ValueError(f"'{what}' must be an array, got {type(array).__name__}.")
     if not np.isdtype(array.dtype, "real floating"):
@@ -26,15 +22,9 @@ def check_floating(array: Array, what: str) -> None:
 
 
 def check_tail(array: Array, tail: tuple[int | str, ...], what: str) -> None:
-    """Raise ValueError if an array is not of floats or its last axes are not as they must be.
+    """Raise ValueError if an array is not of floats or its last axes have not these lengths.
 
-    Args:
-        array: The array.
-        tail: Lengths of its last axes; a word, such as ``"feet"``, stands for any length.
-        what: Name of the value in the message.
-
-    Raises:
-        ValueError: If the dtype is not floating or the last axes do not match.
+    A word, such as ``"feet"``, stands for any length; ``what`` names the value in the message.
     """
     check_floating(array, what)
     shape = array.shape

@@ -67,15 +67,9 @@ def cop_of_cells(force: Array, position: Array, threshold: float = FORCE_THRESHO
 
 
 def cop_of_moments(fz: Array, moment: Array, threshold: float = FORCE_THRESHOLD) -> Array:
-    """Divide first moments by the vertical force, where there is enough of it.
+    """Divide first moments (Fz px, Fz py) in N m, shape (..., 2), by the vertical force in N, shape (...).
 
-    Args:
-        fz: Vertical force in N, shape (...).
-        moment: (Fz px, Fz py) in N m, shape (..., 2).
-        threshold: Force in N at or below which the result is NaN.
-
-    Returns:
-        Centre of pressure in m, shape (..., 2).
+    The centre of pressure in m, shape (..., 2), is NaN where the force does not exceed the threshold in N.
     """
     valid = cop_is_valid(fz, threshold)[..., None]
     safe_fz = np.where(valid, fz[..., None], 1.0)
@@ -83,17 +77,9 @@ def cop_of_moments(fz: Array, moment: Array, threshold: float = FORCE_THRESHOLD)
 
 
 def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
-    """Return where a vertical force is large enough, and finite, for a centre of pressure.
+    """Return where a vertical force in N is large enough, and finite, for a centre of pressure, shape (...).
 
-    Args:
-        fz: Vertical force in N, shape (...).
-        threshold: Force in N that must be exceeded.
-
-    Returns:
-        Booleans, shape (...).
-
-    Raises:
-        ValueError: If the threshold is negative: forces that pull have no centre of pressure.
+    A negative threshold is refused with a ValueError: forces that pull have no centre of pressure.
     """
     if not threshold >= 0:
         raise ValueError(f"'threshold' must not be negative, got {threshold} N.")
@@ -106,18 +92,10 @@ def _finite_or_nan(array: Array) -> Array:
 
 
 def sole_wrenches(force: Array, layout: FeetLayout) -> Array:
-    """Add the channels of each foot up to the wrench on its sole.
+    """Add the calibrated channels of each foot, shape (..., K), up to the wrench on its sole.
 
-    Args:
-        force: Calibrated channels of both feet, shape (..., K).
-        layout: How the channels make up wrenches.
-
-    Returns:
-        Wrenches (fx, fy, fz, tx, ty, tz) at and in the sole frames in N and N m, shape (..., 2, 6). What is
-        not finite in one foot leaves the other alone.
-
-    Raises:
-        ValueError: If the last axis does not hold one force a channel.
+    Wrenches (fx, fy, fz, tx, ty, tz) at and in the sole frames in N and N m, shape (..., 2, 6). What is not
+    finite in one foot leaves the other alone. ValueError says that there is not one force a channel.
     """
     check_floating(force, "force")
     layout.check_raw(force, "force")
@@ -130,17 +108,9 @@ def sole_wrenches(force: Array, layout: FeetLayout) -> Array:
 
 
 def cop_of_wrench(wrench: Array, threshold: float = FORCE_THRESHOLD) -> Array:
-    """Find the centre of pressure on the plane z = 0 of a wrench's own frame.
+    """Find the centre of pressure on the plane z = 0 of a wrench's own frame, (-ty, tx) / fz in m, (..., 2).
 
-    Args:
-        wrench: (fx, fy, fz, tx, ty, tz) at and in a sole frame, shape (..., 6).
-        threshold: Normal force in N at or below which the result is NaN.
-
-    Returns:
-        (-ty, tx) / fz in m, shape (..., 2).
-
-    Raises:
-        ValueError: If the last axis is not a wrench.
+    Wrenches have the shape (..., 6), or are refused with a ValueError; NaN up to a threshold of fz in N.
     """
     check_tail(wrench, (6,), "wrench")
     finite = _finite_or_nan(wrench)
@@ -181,19 +151,10 @@ def level_moments(wrench_sole: Array, position_sole: Array, R_level_sole: Array)
 def cop_of_feet(
     wrench_sole: Array, position_sole: Array, R_level_sole: Array, threshold: float = FORCE_THRESHOLD
 ) -> Array:
-    """Find the centre of pressure of both feet together in a level frame or in the world.
+    """Find the centre of pressure of both feet together in a level frame or in the world in m, (..., 2).
 
-    Args:
-        wrench_sole: Wrenches at and in the sole frames, shape (..., 2, 6).
-        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
-        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
-        threshold: Total vertical force in N at or below which the result is NaN.
-
-    Returns:
-        Centre of pressure in m, shape (..., 2).
-
-    Raises:
-        ValueError: If a shape is not as above.
+    It is NaN up to a threshold of the total vertical force in N; arguments are those of
+    :func:`level_moments`.
     """
     fz, moment = level_moments(wrench_sole, position_sole, R_level_sole)
     return cop_of_moments(fz.sum(axis=-1), moment.sum(axis=-2), threshold)
@@ -202,20 +163,9 @@ def cop_of_feet(
 def moment_rows(layout: FeetLayout, position_sole: Array, R_level_sole: Array) -> Array:
     """Write the feet's vertical forces and first moments as linear maps of all channels.
 
-    ``sum(moment_rows(...) @ force, feet)`` is (Fz, Fz px, Fz py) of :func:`level_moments`: the rows of every
-    estimator that fits channels to a reference.
-
-    Args:
-        layout: How the channels make up wrenches.
-        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
-        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
-
-    Returns:
-        Rows (Fz, Fz px, Fz py) of each foot by channel, shape (..., 2, 3, K); zero for the channels of the
-        other foot.
-
-    Raises:
-        ValueError: If a shape is not as above.
+    ``sum(moment_rows(...) @ force, feet)`` is (Fz, Fz px, Fz py) of :func:`level_moments`, whose arguments
+    they take: the rows of every estimator that fits channels to a reference, shape (..., 2, 3, K), zero for
+    the channels of the other foot.
     """
     feet = len(layout.feet)
     check_tail(position_sole, (feet, 3), "position_sole")

@@ -52,11 +52,7 @@ of a user's own method names them itself, in an attribute ``LEARNT``."""
 
 
 def begin_episode(fresh: Tree, state: Tree) -> Tree:
-    """Return a state that begins an episode with the calibration so far.
-
-    Args:
-        fresh: ``init(raw)`` of the same method.
-        state: The state; it is not changed.
+    """Return a state that begins an episode, a ``fresh`` one with the calibration so far.
 
     Raises:
         TypeError: If the state is not one of :data:`LEARNT`.

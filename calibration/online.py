@@ -143,11 +143,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def method_entry(name: str) -> MethodEntry:
-    """Return a method's line of the table; ``"module:name"`` imports a module that registers it.
-
-    Raises:
-        ValueError: If no such method exists, or its module cannot be imported.
-    """
+    """Return a method's line of the table; ``"module:name"`` imports a module first. ValueError without."""
     plain = plain_name(name)
     if plain not in METHODS:
         available = ", ".join(repr(key) for key in METHODS)

@@ -24,14 +24,8 @@ OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 def method_name(name: str, stacklevel: int = 3) -> str:
     """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
 
-    That of a user's method keeps its module, ``"module:name"``, which other processes need.
-
-    Args:
-        name: The name.
-        stacklevel: How far up the line is that the warning is about.
-
-    Raises:
-        TypeError: If it is no name.
+    That of a user's method keeps its module, ``"module:name"``, which other processes need. The warning is
+    about a line so far up; what is no name is a TypeError.
     """
     if not isinstance(name, str):
         raise TypeError(

@@ -130,12 +130,9 @@ def _robots(leaves: Mapping[str, Any]) -> int:
 
 
 def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
-    """Raise ValueError at a leaf that no state of a robot can hold.
+    """Raise ValueError at a leaf that no state of a robot can hold; the message begins with ``refusal``.
 
-    Args:
-        leaves: Arrays by their names; those of many robots have these first.
-        limits: As of :func:`save_state`.
-        refusal: The beginning of the message.
+    Arrays by their names; those of many robots have these first. Limits are those of :func:`save_state`.
     """
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:

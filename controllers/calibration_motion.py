@@ -113,14 +113,7 @@ class CalibrationMotion:
         self.stance, self.swing = self._stance[0], self._swing[0]
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the next targets, the last ones again once it is done.
-
-        Args:
-            observation: The robot's observation; it is not changed.
-
-        Returns:
-            Targets of the motors in rad, shape (M,).
-        """
+        """Return the next targets in rad, (M,), the last ones again once it is done, for an observation."""
         if "cop_std" in observation:
             self._certainty.update(observation["cop_std"])
         if not self.done:

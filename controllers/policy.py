@@ -127,13 +127,7 @@ class PolicyNetwork:
         return speeds
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the action for one observation.
-
-        Args:
-            observation: An observation of the environment; it is not changed.
-
-        Returns:
-            Residuals on the leg motors' targets within [-1, 1], shape (M,).
+        """Return the action for one observation: residuals on leg motors' targets within [-1, 1], shape (M,).
 
         Raises:
             ValueError: If the observation lacks a part, or one has another size.

@@ -75,14 +75,7 @@ class PostureDrive:
         self.posture = np.zeros(self.size)
 
     def __call__(self, command: ArrayLike) -> NDArray[np.float32]:
-        """Return the action of one step, and move the postures on.
-
-        Args:
-            command: Speeds as shares of the full one, cut off at 1, shape (A,).
-
-        Returns:
-            Residuals of the motors within [-1, 1], shape (M,).
-        """
+        """Move postures on by shares of the full speed, (A,), cut off at 1: residuals in [-1, 1], (M,)."""
         share = np.clip(np.asarray(command, dtype=np.float64), -1.0, 1.0)
         moved = self.posture + self.dt * (self.speed * share - self.posture / self.memory)
         self.posture = np.clip(moved, -1.0, 1.0)

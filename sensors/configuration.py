@@ -104,11 +104,7 @@ def check_fields(config: Any) -> None:
 
 
 def current_names(mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with the fields' names of today; names of version 0.1 give a DeprecationWarning.
-
-    Raises:
-        ValueError: If a field is there under both of its names.
-    """
+    """Return a mapping with today's names of fields; those of version 0.1 warn, and both are a ValueError."""
     old = {name: OLD_NAMES[name] for name in mapping if name in OLD_NAMES}
     if twice := [name for name, new in old.items() if new in mapping]:
         raise ValueError(f"{twice} are old names of fields that are there as well: leave them out.")

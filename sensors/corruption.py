@@ -84,9 +84,7 @@ def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tupl
 def parts(kind: type[State], on: Mapping[str, Corruption[Any]]) -> Corruption[State]:
     """Pass readings through named corruptions, in their order.
 
-    Args:
-        kind: The state, a ``NamedTuple``; its fields are ``()`` for parts that are not on.
-        on: The parts that are, by the names of these fields.
+    The state is a ``NamedTuple`` of the ``kind``; its fields are ``()`` for parts that are not on.
     """
     off: Any = kind(*((),) * len(kind._fields))  # type: ignore[attr-defined]
 

@@ -299,12 +299,7 @@ def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore
 
 
 def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config], name: str = "config") -> Config:
-    """Make a configuration of a preset's name, a mapping or a configuration.
-
-    Args:
-        config: One of the three.
-        kind: The class of the configuration.
-        name: Name of the argument, for messages.
+    """Make a configuration of a preset's name, a mapping or a configuration; messages name the argument.
 
     Raises:
         ValueError: If the name or a key of the mapping is unknown, or a value is refused.

@@ -25,12 +25,7 @@ AHEAD = 256
 
 
 def philox(counter: NDArray[np.uint32], key: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return blocks of four words by Philox4x32-10.
-
-    Args:
-        counter: Numbers of the blocks, shape (N, 4).
-        key: Their key, shape (2,).
-    """
+    """Return blocks of four words by Philox4x32-10: of the blocks' numbers, (N, 4), and their key, (2,)."""
     a, b, c, d = counter.T.astype(np.uint64)
     k, m = key.astype(np.uint64)
     half, low = np.uint64(32), np.uint64(0xFFFFFFFF)
@@ -87,11 +82,7 @@ class Stream:
 
     @classmethod
     def of(cls, *numbers: int) -> Self:
-        """Return the stream of a key's parts.
-
-        Args:
-            *numbers: Such as a seed and the device's number; without, nobody knows.
-        """
+        """Return the stream of a key's parts, such as a seed and a device's number; by chance without."""
         sequence = np.random.SeedSequence(numbers or None)
         return cls(sequence.generate_state(1, np.uint64)[0])
 
@@ -142,15 +133,7 @@ class Stream:
 
 
 def normal(rng: np.random.Generator | Stream, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Draw standard normal numbers.
-
-    Args:
-        rng: A stream or a NumPy generator.
-        shape: The shape of the result.
-
-    Raises:
-        TypeError: If ``rng`` is neither.
-    """
+    """Draw standard normal numbers of a shape from a stream or a NumPy generator; TypeError for another."""
     _check(rng)
     return rng.standard_normal(shape)
 

@@ -42,13 +42,10 @@ def as_read(setup: OnlineSetup) -> OnlineSetup:
 def change_since_reading(history: Array, clean: int, time: Array, interval: float) -> Array:
     """Return by how much forces are expected to have changed since they were read, in N, shape (K,).
 
-    That is nothing where a reading at an end of the slope did not come, or a sample between was not good.
-
-    Args:
-        history: The last n samples, the newest at the end: F0 and whether it was read, shape (n, 2K).
-        clean: Good samples since the last bad one.
-        time: By how long each channel is carried on in s, shape (K,).
-        interval: Time between samples in s.
+    That is nothing where a reading at an end of the slope did not come, or a sample between was not good:
+    fewer than enough ``clean`` ones came since the last bad one. ``history`` has the last n samples, the
+    newest at the end: F0 and whether it was read, shape (n, 2K), an interval in s apart; each channel is
+    carried on by a time in s, shape (K,).
     """
     K = len(time)
     if clean < SLOPE_SAMPLES:
@@ -60,12 +57,7 @@ def change_since_reading(history: Array, clean: int, time: Array, interval: floa
 
 
 def with_total_kept(change: Array, up: Array) -> Array:
-    """Return changes of forces that leave the vertical force as it is.
-
-    Args:
-        change: Changes in N, shape (K,).
-        up: The vertical force of a newton on each channel, shape (K,).
-    """
+    """Return changes of forces in N, (K,), that leave the vertical force, ``up`` by a newton, as it is."""
     by = up * change * change
     room = (by * up).sum()
     if not room > 0.0:

@@ -10,17 +10,11 @@ from surefoot.calibration.arrays import Array
 
 
 def centres(wrench: Array, moments: Array, known: bool, threshold: float) -> tuple[Array, Array]:
-    """Return centres of pressure: moments divided by loads.
+    """Return centres of pressure in m, shape (F + 1, 2), and whether they exist (bool), shape (F + 1,).
 
-    Args:
-        wrench: Wrenches at and in the sole frames in N and N m, shape (F, 6).
-        moments: (Fz, Fz px, Fz py) of each foot in the level frame in N and N m, shape (F, 3).
-        known: Whether the level frame is known.
-        threshold: Load in N at or below which there is no centre.
-
-    Returns:
-        Centres in m, shape (F + 1, 2): those of the feet in their sole frames, and the one of all together
-        in the level frame last; and whether they exist (bool), shape (F + 1,). Elsewhere they are NaN.
+    Those of the feet are in their sole frames, of wrenches in N and N m, shape (F, 6); the one of all
+    together comes last, in the level frame if that is known, of (Fz, Fz px, Fz py) of each foot there, shape
+    (F, 3). Without more load than the threshold in N they are NaN.
     """
     parts = [[fz, -ty, tx] for _, _, fz, tx, ty, _ in wrench.tolist()]
     parts.append(moments.sum(axis=0).tolist())

@@ -33,14 +33,10 @@ class LowPass(NamedTuple):
 
 
 def low_pass(cutoff: float, dt: float) -> LowPass:
-    """Build the causal second-order Butterworth low-pass filter.
-
-    Args:
-        cutoff: Frequency at which half of the power passes, in Hz.
-        dt: Time between samples in s.
+    """Build the causal second-order Butterworth low-pass filter; at the cutoff half of the power passes.
 
     Raises:
-        ValueError: If the cutoff does not lie between zero and half of the sample rate.
+        ValueError: If the cutoff in Hz does not lie between zero and half of the sample rate.
 
     >>> import numpy as np
     >>> init, apply = low_pass(10.0, 1 / 80)

@@ -94,12 +94,7 @@ class Motions:
         self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
 
     def check(self, reference: Reference | MomentumReference) -> None:
-        """Raise an error if a reference does not fit.
-
-        Raises:
-            ValueError: If a field has another shape, or contacts are no booleans.
-            TypeError: If it is no reference.
-        """
+        """Raise ValueError if a field has another shape or contacts are no booleans, or TypeError."""
         if not isinstance(reference, self.taken):
             names = " or a ".join(kind.__name__ for kind in self.taken)
             raise TypeError(f"'reference' must be a {names}, got {type(reference).__name__}.")
@@ -139,14 +134,9 @@ class Motions:
         )
 
     def ground(self, motion: Array) -> tuple[float, Array, bool]:
-        """Compute the ground reaction that a motion needs.
+        """Compute the ground reaction that a flat reference, (R,), needs, and whether a robot can do that.
 
-        Args:
-            motion: A flat reference, shape (R,).
-
-        Returns:
-            Vertical force in N (Eq. 9, or M g); centre of pressure in m (Eqs. 10, 11, or (x, y)), shape (2,);
-            and whether a robot can do that at all.
+        Vertical force in N (Eq. 9, or M g), and centre of pressure in m (Eqs. 10, 11, or (x, y)), shape (2,).
         """
         columns, mass = self.columns, self._mass
         com, soles = motion[columns.com], motion[columns.position_sole].reshape(-1, 3)
@@ -164,12 +154,5 @@ class Motions:
         return vgrf, cop, bool(near and self._threshold < vgrf < LARGEST_WEIGHTS * self._weight)
 
     def rows(self, motion: Array) -> Array:
-        """Return rows by channel that give (Fz, Fz px, Fz py) of each foot in the level frame.
-
-        Args:
-            motion: A flat reference, shape (R,).
-
-        Returns:
-            Shape (F, 3, K).
-        """
+        """Return rows, (F, 3, K), by which a flat reference, (R,), has (Fz, Fz px, Fz py) of each foot."""
         return level_rows(self._wrench_map, *self.columns.soles(motion))

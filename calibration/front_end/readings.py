@@ -133,14 +133,7 @@ class FrontEnd:
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
 
     def init(self, raw: Array) -> FrontState:
-        """Return the state before any sample.
-
-        Args:
-            raw: A reading, shape (K,); its values do not matter.
-
-        Raises:
-            ValueError: If it is not one a channel.
-        """
+        """Return the state before any sample, of a reading, (K,), whose values do not matter."""
         self.setup.layout.check_reading(raw)
         return FrontState(
             raw=-self._offset / self._scale,
@@ -151,11 +144,7 @@ class FrontEnd:
         )
 
     def check(self, raw: Array, reference: Reference | MomentumReference) -> None:
-        """Raise ValueError if arrays are not those of one sample of one robot.
-
-        Raises:
-            ValueError: If a shape is another, or readings are not in float64.
-        """
+        """Raise ValueError if a shape is not that of one sample of one robot, or readings are no float64."""
         if getattr(raw, "shape", None) != (self._channels,):
             self.setup.layout.check_reading(raw)
         if getattr(raw, "dtype", None) != np.float64:
@@ -242,14 +231,10 @@ class FrontEnd:
         status: int = 0,
         covariance: Array | None = None,
     ) -> Estimate:
-        """Apply a correction (a, b) to the newest forces, carried on to now.
+        """Apply a correction, a and b in N, shape (K,) each, to the newest forces, carried on to now.
 
-        Args:
-            sample: The sample.
-            correction_scale: a, shape (K,).
-            correction_offset: b in N, shape (K,).
-            status: Flags that all channels share.
-            covariance: Of (a, b), shape (2K, 2K), if the method claims one.
+        All channels share the flags ``status``; the covariance is of (a, b), shape (2K, 2K), if one is
+        claimed.
         """
         force, ahead = (
             None if part is None else correction_scale * part + correction_offset

@@ -276,11 +276,7 @@ def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.fl
 def _determine(
     jacobian: NDArray[np.float64], model: str, tolerance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the map from unit residuals to the unknowns, and the singular values.
-
-    Raises:
-        CalibrationRefused: If an unknown is not determined.
-    """
+    """Return the map from unit residuals to the unknowns, and singular values; refuse too low a rank."""
     unit, length = of_unit_length(jacobian)
     _, singular, right = np.linalg.svd(unit, full_matrices=False)
     rank, unknowns = int(np.sum(singular > tolerance * singular[0])), _UNKNOWNS[model]
@@ -297,9 +293,7 @@ def _read_samples(
 ) -> tuple[NDArray[np.float64], int]:
     """Return finite samples in units of gravity, shape (n, 3), and the number of others.
 
-    Raises:
-        ValueError: If the shape is wrong.
-        CalibrationRefused: If they are too few, in another unit, or of too few orientations.
+    Another shape is a ValueError. Too few, another unit and too few orientations are refused.
     """
     every = np.asarray(specific_force, dtype=np.float64)
     if every.ndim != 2 or every.shape[1] != 3:

@@ -39,15 +39,9 @@ def check_gravity_spread(
 ) -> None:
     """Raise CalibrationRefused if vectors of gravity do not spread in three dimensions.
 
-    Args:
-        centred: As for :func:`gravity_spread`.
-        size: As for :func:`gravity_spread`.
-        minimum: Share of gravity's size by which it must have spread along its least seen direction.
-        sought: The unknown, for the message.
-        cure: The cure, for the message.
-
-    Raises:
-        CalibrationRefused: If it did not spread that far.
+    Vectors and size are those of :func:`gravity_spread`. They must spread by a minimum, as a share of
+    gravity's size, along their least seen direction; the message names the unknown that is sought and the
+    cure.
     """
     spread = gravity_spread(centred, size)
     rank = int(np.sum(spread >= minimum))

@@ -50,15 +50,10 @@ class CopCorrectionFit:
     threshold: float
 
     def cop(self, force: Array) -> Array:
-        """Find the corrected centre of pressure (CoP paper, Eqs. 3, 4).
+        """Find the corrected centre of pressure on the sole in m, (..., 2), of forces in N, shape (..., k).
 
-        The polynomial holds where weights stood; beyond the outermost holes it is a guess.
-
-        Args:
-            force: Forces of the cells in N, shape (..., k).
-
-        Returns:
-            Centre of pressure on the sole in m, shape (..., 2); NaN below the threshold.
+        NaN below the threshold (CoP paper, Eqs. 3, 4). The polynomial holds where weights stood; beyond the
+        outermost holes it is a guess.
         """
         raw_cop = cop_of_cells(force, self.position_cell_sole, self.threshold)
         known_force = np.where(np.isfinite(raw_cop[..., :1]), force, np.zeros_like(force))
@@ -136,11 +131,7 @@ def fit_cop_correction(
 def _solve(
     basis: NDArray[np.float64], target: NDArray[np.float64], tolerance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int, float]:
-    """Solve for the coefficients; return them, the map from unit errors to them, the rank and the condition.
-
-    Raises:
-        CalibrationRefused: If more than one of them is not determined.
-    """
+    """Return coefficients, the map from unit errors to them, rank and condition; refuse too low a rank."""
     # To one length, or the cut-off would be a matter of units; cells alike, so that none is preferred.
     length, unknowns = np.linalg.norm(basis, axis=0), basis.shape[1]
     length[6:] = np.sqrt(np.mean(length[6:] ** 2))

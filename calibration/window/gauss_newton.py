@@ -101,9 +101,8 @@ def gauss_newton(
 ) -> WindowSolution:
     """Minimise Eq. 14 by Gauss-Newton steps of bounded length.
 
-    In units of the spread, phi = (theta - theta_last) / s, the normal equations are (H + I) dphi = -g:
-    their smallest eigenvalue is one at least, so that one plus the trace of H bounds their condition
-    number.
+    In units of the spread, phi = (theta - theta_last) / s, the normal equations are (H + I) dphi = -g: their
+    smallest eigenvalue is one at least, so that one plus the trace of H bounds their condition number.
 
     Args:
         last: Parameters of the last update, shape (2K,).
@@ -137,12 +136,7 @@ def shorten(change: Array, bound: Array) -> Array:
 def typical_square(square: Array, use: Array) -> float:
     """Estimate the variance of residuals from the median of their squares, which outliers hardly move.
 
-    Args:
-        square: Mean squares of each sample's three residuals, shape (N,).
-        use: Weight of each sample, 0 or 1, shape (N,).
-
-    Returns:
-        Variance, zero where nothing is used.
+    Mean squares of each sample's three residuals, and their weights, 0 or 1, have shape (N,).
     """
     used = np.sort(square[use > 0.5])
     return float(used[(len(used) - 1) // 2]) / _MEDIAN_OF_SQUARE if len(used) else 0.0

@@ -291,24 +291,15 @@ def _without_samples(state: WindowState) -> WindowState:
 
 
 def window(setup: OnlineSetup, config: Window | None = None) -> OnlineMethod:
-    """Return the CoP paper's sliding window (Eq. 14) as a pair of pure functions.
-
-    Args:
-        setup: The robot.
-        config: Options; the paper's conditions by default.
-    """
+    """Return the CoP paper's sliding window (Eq. 14) as pure functions; the paper's conditions by default."""
     return SlidingWindow(setup, config or Window(), quasi_static=False).method
 
 
 def quasi_static(setup: OnlineSetup, config: Window | None = None) -> OnlineMethod:
-    """Return the quasi-static method (Han, Jiang and Chirikjian, IROS 2022) as a pair of pure functions.
+    """Return the quasi-static method (Han, Jiang and Chirikjian, IROS 2022) as pure functions.
 
     It is the sliding window against a robot that is thought to stand still: Fz_ref = M g, p_ref = (x, y) in
     place of Eqs. 9-11, as the CoP paper compares itself with it. The faster a robot walks, the more of its
     own acceleration flows into the cells.
-
-    Args:
-        setup: The robot.
-        config: Options, the same as the sliding window's.
     """
     return SlidingWindow(setup, config or Window(), quasi_static=True).method

@@ -255,11 +255,9 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
 
 
 def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Array]:
-    """Return the map that would undo the sensors' errors at this moment.
+    """Return the map that would undo the sensors' errors at this moment: the true wrench is C (s - o).
 
-    Returns:
-        The matrix C in N and N m per count, shape (sensors, 6, 6), and the offset o in counts, shape
-        (sensors, 6): the true wrench is C (s - o).
+    C is in N and N m per count, shape (sensors, 6, 6), and o in counts, shape (sensors, 6).
     """
     slope = config.slope[:AXES]
     return np.linalg.inv(np.eye(AXES) + state.error * full_scale_ratio(config)) / slope, state.offset * slope

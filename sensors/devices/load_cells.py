@@ -96,12 +96,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     drawn_per_step = len(errors.walking) + (config.noise_counts > 0.0)
     average, convert = moving_average(settling), _converter(config)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else _NOTHING
-    rated = config.counts_per_newton * config.capacity
-    way = (
-        wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)
-        if config.wire.acts
-        else _NOTHING
-    )
+    way = _way(config)
     sideways = shear(config.shear_std) if config.shear_std else _NOTHING
     remembers = config.mechanics.acts or settling > 1
 
@@ -146,6 +141,12 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
 
 
 _NOTHING: Corruption[Any] = stateless(lambda reading, rng, dt: reading)
+
+
+def _way(config: LoadCells) -> Corruption[Any]:
+    """Make the wire that brings codes to the host."""
+    rated, bits = config.counts_per_newton * config.capacity, config.adc_bits
+    return wire(config.wire, rated, config.code_range, bits, config.coding) if config.wire.acts else _NOTHING
 
 
 def _converter(config: LoadCells) -> Callable[[Array, Array], Array]:
@@ -204,14 +205,8 @@ def static_counts(
 ) -> NDArray[np.float64]:
     """Return readings of loads at rest, such as known weights: one conversion each, without drift between.
 
-    Args:
-        config: The instrument.
-        state: Its state from ``load_cells(config).init((K,), rng)``; it is not changed.
-        load: True loads in N, one weighing, shape (K,), or several, (N, K).
-        rng: Where the noise comes from.
-
-    Returns:
-        Counts, of the same shape.
+    True loads in N, of one weighing, shape (K,), or several, (N, K), give counts of the same shape. The state
+    is one of ``load_cells(config).init((K,), rng)``, and is not changed.
 
     >>> config = LoadCells(adc_bits=0, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0,
     ...                    polarity=(1,), channels=4)
@@ -240,11 +235,9 @@ def static_counts(
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
-    The effect of impacts and overloads is part of the offsets. Nonlinearity, hysteresis, creep and shear,
-    which no map of counts can undo, are left out.
-
-    Returns:
-        Scale in N per count and offset in N, both (K,): the true load is scale * counts + offset.
+    The true load is scale * counts + offset, in N per count and N, (K,) each. The effect of impacts and
+    overloads is part of the offsets. Nonlinearity, hysteresis, creep and shear, which no map of counts can
+    undo, are left out.
     """
     scale_true = 1.0 + state.error[SCALE]
     scale = 1.0 / (config.slope * scale_true)
@@ -257,10 +250,8 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
 def with_true_map(config: LoadCells, state: LoadCellState, scale: Array, offset: Array) -> LoadCellState:
     """Return cells whose errors are such that this map, shape (K,) each, undoes them now.
 
-    The inverse of :func:`true_map`, for the cells of a robot that known weights have shown.
-
-    Raises:
-        ValueError: If an unloaded cell would read what the converter cannot.
+    The inverse of :func:`true_map`, for the cells of a robot that known weights have shown; ValueError if an
+    unloaded cell would read what the converter cannot.
     """
     low, high = config.code_range
     unloaded = -offset / scale

@@ -90,17 +90,10 @@ class NativeDevice:
         return native
 
     def step(self, state: StateRecord, load: Floats, stream: Stream, dt: float) -> Floats:
-        """Read loads; the state and the stream go on in place.
+        """Read loads of an instant, (L,), or of a block of S substeps, (S, L), ``dt`` s after those before.
 
-        Args:
-            state: Of this device.
-            load: Of an instant, shape (L,), or of a block of S substeps, shape (S, L), as the Python has it.
-            stream: Where chance comes from, that of one robot.
-            dt: Time since the reading before in s.
-
-        Raises:
-            ValueError: If the wire cannot hold the readings under way, see
-                :func:`~surefoot.sensors.transport.wire.check_wire`.
+        The state and the stream of one robot go on in place. ValueError says that the wire cannot hold the
+        readings under way, see :func:`~surefoot.sensors.transport.wire.check_wire`.
         """
         if dt != self._checked:
             if self._wire is not None:
@@ -117,11 +110,7 @@ class NativeDevice:
 
 
 def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDevice | None:
-    """Return the device of one robot by a library; ``None`` for one that it is not made for.
-
-    Raises:
-        ValueError: If there can be no such device at all.
-    """
+    """Return the device of one robot by a library; None for one that it is not made for, or ValueError."""
     if library is None:
         return None
     python = kind.build(config)

@@ -175,14 +175,10 @@ def _warm(
 def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
     """Return the map from wrenches to counts at this moment, of a linear element, noise and converter apart.
 
-    Creep and hysteresis are left out as well.
-
-    With hysteresis it holds at the ends of cycles of the amplitudes ``config.hysteresis_true_force`` and
+    The reading of w is A w + o, and the map that undoes it w = A^+ (r - o), with A in counts per N and N m,
+    shape (k, 6), and o in counts, shape (k,). Creep and hysteresis are left out as well; with hysteresis it
+    holds at the ends of cycles of the amplitudes ``config.hysteresis_true_force`` and
     ``config.hysteresis_true_torque``.
-
-    Returns:
-        A in counts per N and N m, shape (k, 6), and o in counts, shape (k,): the reading of w is
-        A w + o, and the map that undoes it w = A^+ (r - o).
     """
     heated = 1.0 + state.tempco[SCALE] * state.temperature
     return state.response * heated[:, None], state.offset + 0.0
@@ -193,15 +189,7 @@ def shift_offset(
 ) -> StrainGaugeState:
     """Return the sensor after its offsets have jumped, as they do from one recording to the next.
 
-    Args:
-        config: The instrument.
-        state: The sensor before.
-        rng: Where the jump comes from.
-        force_std: Standard deviation of the jump, as the maker's matrix shows it, in N on each axis.
-        torque_std: The same for torques in N m.
-
-    Returns:
-        The sensor after.
+    The standard deviations of the jump are in N and N m on each axis, as the maker's matrix shows it.
     """
     check_not_negative(force_std=force_std, torque_std=torque_std)
     drawn = normal(rng, state.offset.shape)
@@ -212,8 +200,7 @@ def shift_offset(
 def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where each axis or gauge that lags is at its full scale, and where it reads true.
 
-    Returns:
-        The largest amplitudes in N and N m or in counts, and those that read true in shares of them.
+    The largest amplitudes are in N and N m or in counts, and those that read true are shares of them.
     """
     true = per_axis(config.hysteresis_true_force, config.hysteresis_true_torque)
     felt = np.eye(AXES) if config.hysteresis_of == "load" else np.abs(config.nominal_response)

@@ -57,13 +57,7 @@ def parse_chances(chances: Mapping[str, float]) -> tuple[FaultChance, ...]:
 
 
 def draw_faults(chances: tuple[FaultChance, ...], channels: int, rng: Rng) -> tuple[Fault, ...]:
-    """Draw the faults of a robot's channels in one episode; at most one fault a channel.
-
-    Args:
-        chances: The possible faults; the first one comes first.
-        channels: Number of the channels, K.
-        rng: Where chance comes from: 3 numbers a chance and a channel, whatever happens.
-    """
+    """Draw the faults of K channels in one episode, at most one each: 3 numbers a chance and a channel."""
     drawn = uniform(rng, 0.0, 1.0, (len(chances), channels, 3))
     found: dict[int, Fault] = {}
     for (fault, within, probability), rows in zip(chances, drawn.tolist(), strict=True):

@@ -31,11 +31,7 @@ class CreepState(NamedTuple):
 
 
 def check_creep(config: Any) -> None:
-    """Check a configuration's ``creep_shares`` and ``creep_time_constants`` (s), and make tuples of them.
-
-    Raises:
-        ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
-    """
+    """Make tuples of ``creep_shares`` and as many positive ``creep_time_constants`` in s, or ValueError."""
     for name in ("creep_shares", "creep_time_constants"):
         try:
             object.__setattr__(config, name, tuple(float(value) for value in getattr(config, name)))

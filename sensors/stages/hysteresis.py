@@ -43,10 +43,7 @@ class HysteresisState(NamedTuple):
 def halving_slacks(share: float, smallest: float, true_at: ArrayLike = 1.0) -> tuple[Array, Array]:
     """Return the half-widths of the slacks in shares of the full scale, and the slope in excess of one.
 
-    Args:
-        share: As of :func:`hysteresis`, like all that follow.
-        smallest: Smallest amplitude at which the share holds.
-        true_at: Amplitude of the cycle whose ends read true.
+    Arguments are those of :func:`hysteresis`.
     """
     count = 1 + ceil(log2(1.0 / smallest)) if share else 0
     thresholds = 0.5 ** np.arange(1.0, count + 1.0)

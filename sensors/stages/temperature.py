@@ -31,13 +31,9 @@ class ThermalState(NamedTuple):
 
 
 def temperature_rise(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
-    """Return the rise of a device's temperature since power-up in K, after it has warmed for a while more.
+    """Return the rise of a device's temperature since power-up in K, ``dt`` s after it was ``temperature``.
 
-    Args:
-        temperature: The rise before in K.
-        ramp: Rate at power-up in K/s.
-        rise: Where the rise levels off in K; 0 for a ramp that goes on.
-        dt: How long in s.
+    It rises by ``ramp`` in K/s at power-up and levels off at ``rise`` in K, or at 0 never.
     """
     if rise == 0.0:
         return temperature + ramp * dt

@@ -58,13 +58,9 @@ UPRIGHT = Attitude((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 def update(attitude: Attitude, gyroscope: Vector, accelerometer: Vector, dt: float) -> Attitude:
-    """Turn on by one sample.
+    """Turn on by one sample, ``dt`` s after the one before.
 
-    Args:
-        attitude: The belief before.
-        gyroscope: Mean angular velocity over dt in rad/s, three numbers.
-        accelerometer: Specific force in m/s^2, three numbers.
-        dt: Time since the sample before in s.
+    Of the mean angular velocity over dt in rad/s and the specific force in m/s^2, three numbers each.
     """
     (x, y, z), (bx, by, bz) = attitude
     wx, wy, wz = gyroscope

@@ -33,11 +33,7 @@ MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
 
 
 def timely_link(link: str | Mapping[str, Any] | Link) -> Link:
-    """Make a link of a preset's name, a mapping or a link.
-
-    Raises:
-        ValueError: If the name is unknown, a value is refused, or telemetry would come too late over it.
-    """
+    """Make a link of a preset's name, a mapping or a link; ValueError if telemetry comes too late by it."""
     chosen = resolve(link, Link, "link")
     require(
         chosen.delay <= LONGEST_DELAY,

@@ -110,15 +110,9 @@ Packets = tuple[Packet, ...]
 def send(
     values: NDArray[np.float64], number: int, time: float, under_way: Packets, config: Link, rng: Rng
 ) -> Packets:
-    """Return the packets under way after one more was sent.
+    """Return the packets under way after one more was sent, with a content, (C,), a number and a time.
 
-    Args:
-        values: Content of the packet, shape (C,).
-        number: Its number.
-        time: When it leaves, in s of the host's clock.
-        under_way: The packets before it that have not arrived.
-        config: The link.
-        rng: Where the jitter comes from.
+    It leaves at the time in s of the host's clock; jitter comes from ``rng``.
     """
     delay = config.delay
     if config.jitter:
@@ -130,10 +124,6 @@ def send(
 
 
 def receive(under_way: Packets, time: float) -> tuple[Packets, Packets]:
-    """Separate the packets that have arrived by a time from those still under way.
-
-    Returns:
-        The arrived ones and the others, both in order.
-    """
+    """Separate packets that have arrived by a time from those still under way: both in order."""
     count = sum(packet.arrival <= time + ROUNDING for packet in under_way)
     return under_way[:count], under_way[count:]
