@@ -33,20 +33,11 @@ _COLUMNS = (
 
 
 class Prelude(NamedTuple):
-    """N rows of commands for M motors; fields as in :class:`~surefoot.envs.Command`, a row each.
+    """N rows of commands for M motors; other fields are those of :class:`~surefoot.envs.Command`, N in front.
 
     Attributes:
         dt: Time between two rows in s; the first row is ``dt`` after the beginning.
         motors: Names of the motors.
-        joint_target: Shape (N, M), in rad.
-        com: Shape (N, 3), in m.
-        com_velocity: Shape (N, 3), in m/s.
-        com_acceleration: Shape (N, 3), in m/s^2.
-        cop: Shape (N, 2), in m.
-        position_sole: Shape (N, 2, 3), in m.
-        yaw_sole: Shape (N, 2), in rad.
-        stance: Shape (N, 2), bool.
-        swing: Shape (N, 2), bool.
         rest: Rows at which the robot is in its first posture again and may stop, shape (N,), bool.
     """
 

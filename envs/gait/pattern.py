@@ -49,18 +49,11 @@ early, and take over weight that the other is still to carry.
 class Pattern:
     """A planned walk at the control rate; arrays are read-only and have one row a control step.
 
+    Fields of :class:`~surefoot.envs.Command` are in the pattern's world.
+
     Attributes:
-        joint_target: Targets of the motors in the order of the model's actuators, shape (ticks, M), rad.
         qpos: The planned posture, floating torso first, shape (ticks, nq).
-        com: Centre of mass in the pattern's world, shape (ticks, 3), m.
-        com_velocity: Its velocity, shape (ticks, 3), m/s.
-        com_acceleration: Its acceleration, shape (ticks, 3), m/s².
-        cop: Where the centre of pressure is to be, shape (ticks, 2), m.
-        position_sole: Soles' origins, shape (ticks, 2, 3), m.
-        yaw_sole: Soles' headings, shape (ticks, 2), rad.
         pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
-        stance: Whether a foot is planned to carry, shape (ticks, 2).
-        phase: Phase of the stride (two steps) in [0, 1), shape (ticks,); 0 while standing.
         footsteps: The footsteps after the initial stand.
         kinematic_error: Largest error of a planned sole or centre of mass in m.
     """
@@ -90,18 +83,8 @@ class Pattern:
         Control steps of many robots, shape (N,), give a command with the robots in front of each field.
         """
         k = np.minimum(np.maximum(tick, 0), self.ticks - 1)
-        return Command(
-            joint_target=self.joint_target[k],
-            com=self.com[k],
-            com_velocity=self.com_velocity[k],
-            com_acceleration=self.com_acceleration[k],
-            cop=self.cop[k],
-            position_sole=self.position_sole[k],
-            yaw_sole=self.yaw_sole[k],
-            stance=self.stance[k],
-            swing=~self.stance[k],
-            phase=self.phase[k],
-        )
+        planned = {name: getattr(self, name)[k] for name in Command._fields if name != "swing"}
+        return Command(**planned, swing=~self.stance[k])
 
 
 class Patterns:

@@ -19,7 +19,6 @@ reference :math:`N` samples ahead, is
 .. math:: u_k = -G_i \sum_{i \le k} e_i - G_x x_k - \sum_{j=1}^{N} G_p(j)\, p^{ref}_{k+j}.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -39,58 +38,32 @@ INPUT_WEIGHT = 1e-6
 """:math:`R`, per (m/s³)² of jerk increment."""
 
 
-@dataclass(frozen=True)
 class CartTable:
     """The cart-table model.
 
-    Attributes:
+    Args:
         height: Height of the centre of mass above the ground, :math:`z_c`, in m.
         dt: Sample period in s.
-    """
-
-    height: float
-    dt: float
-
-    @property
-    def A(self) -> NDArray[np.float64]:  # noqa: N802
-        """State transition, shape (3, 3)."""
-        T = self.dt
-        return np.array([[1.0, T, T * T / 2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
-
-    @property
-    def B(self) -> NDArray[np.float64]:  # noqa: N802
-        """Input, shape (3,)."""
-        T = self.dt
-        return np.array([T**3 / 6, T * T / 2, T])
-
-    @property
-    def C(self) -> NDArray[np.float64]:  # noqa: N802
-        """Output, shape (3,): the zero-moment point of a state."""
-        return np.array([1.0, 0.0, -self.height / GRAVITY])
-
-
-class PreviewGains(NamedTuple):
-    """Gains of the preview controller.
 
     Attributes:
-        integral: :math:`G_i`, on the summed error.
-        state: :math:`G_x`, shape (3,).
-        preview: :math:`G_p`, shape (N,), on the reference one to N samples ahead.
+        A, B, C: State transition, shape (3, 3), input, (3,), and output, (3,): the zero-moment point.
     """
 
-    integral: float
-    state: NDArray[np.float64]
-    preview: NDArray[np.float64]
+    def __init__(self, height: float, dt: float) -> None:
+        self.height, self.dt = height, dt
+        self.A = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        self.B = np.array([dt**3 / 6, dt * dt / 2, dt])
+        self.C = np.array([1.0, 0.0, -height / GRAVITY])
 
 
 class PreviewTrack(NamedTuple):
-    """A motion of the centre of mass along some axes.
+    """A motion of the centre of mass along some axes, each of shape (ticks, axes).
 
     Attributes:
-        position: shape (ticks, axes), m.
-        velocity: shape (ticks, axes), m/s.
-        acceleration: shape (ticks, axes), m/s².
-        zmp: Zero-moment point of the cart-table, shape (ticks, axes), m.
+        position: In m.
+        velocity: In m/s.
+        acceleration: In m/s².
+        zmp: Zero-moment point of the cart-table in m.
     """
 
     position: NDArray[np.float64]
@@ -99,8 +72,11 @@ class PreviewTrack(NamedTuple):
     zmp: NDArray[np.float64]
 
 
-def preview_gains(model: CartTable) -> PreviewGains:
-    """Solve the Riccati equation of the cart-table augmented by the summed error."""
+def preview_gains(model: CartTable) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Solve the Riccati equation of the cart-table augmented by the summed error.
+
+    Gains on the summed error, on the state, shape (3,), and on the reference one to N samples ahead, (N,).
+    """
     A, B, C = model.A, model.B, model.C
     # The augmented state is (e, dx): the error and the change of the cart's state.
     A_augmented = np.block([[np.ones((1, 1)), (C @ A)[None]], [np.zeros((3, 1)), A]])
@@ -119,7 +95,7 @@ def preview_gains(model: CartTable) -> PreviewGains:
     for j in range(1, samples):
         preview[j] = inverse * float(B_augmented[:, 0] @ X)
         X = closed.T @ X
-    return PreviewGains(float(gain[0]), gain[1:], preview)
+    return float(gain[0]), gain[1:], preview
 
 
 def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
@@ -133,15 +109,15 @@ def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
         raise ValueError(f"'reference' must have shape (ticks, axes), got {reference.shape}.")
     if not np.isfinite(reference).all():
         raise ValueError("'reference' holds values that are not finite.")
-    gains = preview_gains(model)
+    integral, of_state, preview = preview_gains(model)
     ticks, axes = reference.shape
-    ahead = len(gains.preview)
+    ahead = len(preview)
     # Measured from where it starts, the reference is zero before the walk, and so is every sum.
     origin = reference[0]
     shifted = reference - origin
     padded = np.concatenate([shifted, np.repeat(shifted[-1:], ahead, axis=0)])
     previewed = np.stack(
-        [np.convolve(padded[1:, axis], gains.preview[::-1], mode="valid") for axis in range(axes)], axis=1
+        [np.convolve(padded[1:, axis], preview[::-1], mode="valid") for axis in range(axes)], axis=1
     )
     A, B, C = model.A, model.B[:, None], model.C
     state, total = np.zeros((3, axes)), np.zeros(axes)
@@ -149,7 +125,7 @@ def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
     for k in range(ticks):
         states[k] = state
         total = total + (C @ state - shifted[k])
-        jerk = -gains.integral * total - gains.state @ state - previewed[k]
+        jerk = -integral * total - of_state @ state - previewed[k]
         state = A @ state + B * jerk
     zmp = np.einsum("s,ksa->ka", C, states) + origin
     return PreviewTrack(states[:, 0] + origin, states[:, 1], states[:, 2], zmp)

@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.envs.options import check_range, numbers_of, positive
 
@@ -67,6 +66,10 @@ HALF_EDGE = 0.03
 """Half the edge in m of the cube whose inertia a payload has."""
 
 
+LINK = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+"""Fields of a model: mass, centre of mass, principal inertia and its axes of a body."""
+
+
 class Payload:
     """A cube fixed to the torso from a given time of the episode on.
 
@@ -77,6 +80,9 @@ class Payload:
         payload: (mass in kg, time in s), or ``None`` for none.
         dt: Control step in s.
 
+    Attributes:
+        carried: Whether the robot carries it now.
+
     Raises:
         ValueError: If the payload is neither, or a number is negative.
     """
@@ -86,14 +92,9 @@ class Payload:
         self._body = int(model.body("torso").id)
         self._dt = dt
         mass, time = _check_payload(payload)
-        self._carried = False
+        self.carried = False
         self.plan(mass, time)
-        self._empty = self._link()
-
-    @property
-    def carried(self) -> bool:
-        """Whether the robot carries it now."""
-        return self._carried
+        self._empty = [getattr(model, name)[self._body].copy() for name in LINK]
 
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
         """Plan a mass in kg, 0 for none, at a time of the episode in s and a place in the torso's frame in m.
@@ -101,7 +102,7 @@ class Payload:
         Raises:
             RuntimeError: If the robot carries one now; after :meth:`reset` it carries none.
         """
-        if self._carried:
+        if self.carried:
             raise RuntimeError(
                 "The robot carries a payload; reset() puts it down before the next is planned."
             )
@@ -111,31 +112,19 @@ class Payload:
 
     def reset(self) -> None:
         """Put it down."""
-        if self._carried:
-            self._set(*self._empty)
-            self._carried = False
+        if self.carried:
+            self._set(self._empty)
+            self.carried = False
 
     def apply(self, tick: int) -> bool:
         """Pick it up, or not, before the control step that leads to ``tick``; return whether it is new."""
-        picked = bool(self.mass) and not self._carried and tick > self._tick
+        picked = bool(self.mass) and not self.carried and tick > self._tick
         if picked:
-            self._set(*self._torso_with_payload())
-            self._carried = True
+            self._set(self._torso_with_payload())
+            self.carried = True
         return picked
 
-    def _link(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return mass, centre of mass, principal inertia and its axes of the torso as it is now."""
-        model, body = self._model, self._body
-        return (
-            float(model.body_mass[body]),
-            model.body_ipos[body].copy(),
-            model.body_inertia[body].copy(),
-            model.body_iquat[body].copy(),
-        )
-
-    def _torso_with_payload(
-        self,
-    ) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _torso_with_payload(self) -> list[Any]:
         """Return the torso and the payload as one rigid body, by the parallel axis theorem."""
         mass, com, inertia, quaternion = self._empty
         where = self.position
@@ -153,20 +142,13 @@ class Payload:
         if np.linalg.det(vectors) < 0.0:
             vectors[:, 0] *= -1.0
         mujoco.mju_mat2Quat(quaternion := np.empty(4), vectors.ravel())
-        return total, centre, principal, quaternion
+        return [total, centre, principal, quaternion]
 
-    def _set(
-        self,
-        mass: float,
-        com: NDArray[np.float64],
-        inertia: NDArray[np.float64],
-        quaternion: NDArray[np.float64],
-    ) -> None:
-        model, body = self._model, self._body
-        model.body_mass[body] = mass
-        model.body_ipos[body], model.body_inertia[body], model.body_iquat[body] = com, inertia, quaternion
+    def _set(self, link: list[Any]) -> None:
+        for name, part in zip(LINK, link, strict=True):
+            getattr(self._model, name)[self._body] = part
         # What MuJoCo derives from the masses; a data of its own keeps the robot's state as it is.
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
 
 def _check_payload(payload: Any) -> tuple[float, float]:
