@@ -17,7 +17,7 @@ from copy import copy
 from dataclasses import replace
 from itertools import pairwise, product
 from math import ceil, sqrt
-from pathlib import Path as File
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import mujoco
@@ -77,37 +77,19 @@ MOST_KEPT: Final = 4
 _PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 
 
-class Path(NamedTuple):
-    """A line along which the robot moves by its parameter s.
-
-    Attributes:
-        com: Centre of mass at s = 0 in m, shape (3,).
-        along: Its displacement per unit of s in m, shape (3,).
-        lift: Heights of both feet at s = 0 in m, shape (2,).
-        rise: Their change per unit of s in m, shape (2,).
-        target: Motors' targets in rad over s.
-        first: The least s that the legs reach.
-        last: The largest.
-    """
-
-    com: NDArray[np.float64]
-    along: NDArray[np.float64]
-    lift: NDArray[np.float64]
-    rise: NDArray[np.float64]
-    target: CubicSpline
-    first: float
-    last: float
-
-
 class Paths(NamedTuple):
-    """P paths, as arrays: see :class:`Path`; ``piece`` has the cubics of the targets between knots.
+    """P lines along which the robot moves, each by its parameter s.
 
     Attributes:
-        com, along: Shape (P, 3).
-        lift, rise: Shape (P, 2).
-        first: Shape (P,).
+        com: Centre of mass at s = 0 in m, shape (P, 3).
+        along: Its displacement per unit of s in m, shape (P, 3).
+        lift: Heights of both feet at s = 0 in m, shape (P, 2).
+        rise: Their change per unit of s in m, shape (P, 2).
+        first: The least s that the legs reach, shape (P,).
+        last: The largest, shape (P,).
         pieces: Number of the last cubic of each path, shape (P,).
-        piece: Coefficients, that of the third power first, shape (P, pieces, 4, 3, M).
+        piece: Cubics of the motors' targets in rad between knots: coefficients, that of the third power
+            first, shape (P, pieces, 4, 3, M); paths with fewer knots are filled up.
     """
 
     com: NDArray[np.float64]
@@ -115,22 +97,20 @@ class Paths(NamedTuple):
     lift: NDArray[np.float64]
     rise: NDArray[np.float64]
     first: NDArray[np.float64]
+    last: NDArray[np.float64]
     pieces: NDArray[np.intp]
     piece: NDArray[np.float64]
 
     @classmethod
-    def of(cls, paths: Sequence[Path]) -> "Paths":
-        """Put paths into arrays; those with fewer knots are filled up."""
-        cubics = [np.moveaxis(path.target.c, 0, 1) for path in paths]
+    def of(cls, lines: Sequence[tuple[Any, ...]]) -> "Paths":
+        """Put lines into arrays, of which the last part are the targets."""
+        *parts, targets = zip(*lines, strict=True)
+        cubics = [np.moveaxis(target.c, 0, 1) for target in targets]
         pieces = np.array([len(cubic) - 1 for cubic in cubics])
-        piece = np.zeros((len(paths), pieces.max() + 1, *cubics[0].shape[1:]))
+        piece = np.zeros((len(cubics), pieces.max() + 1, *cubics[0].shape[1:]))
         for row, cubic in zip(piece, cubics, strict=True):
             row[: len(cubic)] = cubic
-        lines = zip(
-            *((path.com, path.along, path.lift, path.rise, path.first) for path in paths), strict=True
-        )
-        com, along, lift, rise, first = map(np.array, lines)
-        return cls(com, along, lift, rise, first, pieces, piece)
+        return cls._make((*map(np.array, parts), pieces, piece))
 
 
 def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Motion":
@@ -140,9 +120,9 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
     is not kept, and ValueError says as well that the robot cannot do the exercise.
     """
     named = isinstance(robot, str) and robot in ROBOTS
-    if not named and not (isinstance(robot, str | File) and File(robot).is_file()):
+    if not named and not (isinstance(robot, str | Path) and Path(robot).is_file()):
         return Motion(prepare_robot(robot, feet, boxes=boxes))
-    version = None if named else (File(robot).resolve(), File(robot).stat().st_mtime_ns)
+    version = None if named else (Path(robot).resolve(), Path(robot).stat().st_mtime_ns)
     key = (str(robot), version, repr(feet), boxes)
     if key not in _PLANNED:
         planned = Motion(prepare_robot(robot, feet, boxes=boxes))
@@ -201,7 +181,7 @@ class Motion:
         x = FORWARD * robot.half[0] * postures.forward
         y = ASIDE * half * postures.left
         down = np.array([0.0, 0.0, -SQUAT * self.height])
-        self._paths: dict[str, Path] = {}
+        self._lines: dict[str, tuple[Any, ...]] = {}
         for name in SWAYS:
             words = name.split()
             along = sum({"forward": x, "left": y, "right": -y}[word] for word in words) / sqrt(len(words))
@@ -220,8 +200,8 @@ class Motion:
             y = ONE_LEG_ASIDE * robot.half[1] * postures.left
             for name, along in (("pitch", x), ("roll", y)):
                 self._add(f"{name} {foot}", above, along, rise, still, -1.0, start)
-        self._number = {name: i for i, name in enumerate(self._paths)}
-        self._table = Paths.of(list(self._paths.values()))
+        self._number = {name: i for i, name in enumerate(self._lines)}
+        self._table = Paths.of(list(self._lines.values()))
 
     def _add(
         self,
@@ -255,7 +235,7 @@ class Motion:
             for s, slope in zip(knots, slopes, strict=True)
         ]
         target = CubicSpline(knots, np.array(leads))
-        self._paths[name] = Path(com, along, lift, rise, target, knots[0], knots[-1])
+        self._lines[name] = com, along, lift, rise, knots[0], knots[-1], target
         return postures.get(1.0, qpos)
 
     def draw(
@@ -297,10 +277,11 @@ class Motion:
         """
         moves = [move for name in names for move in motions_of(name)]
         for move in moves:
-            path, (least, most) = self._paths[move.path], sorted((move.start, move.end))
-            if least < path.first - 1e-9 or most > path.last + 1e-9:
+            path, (least, most) = self._number[move.path], sorted((move.start, move.end))
+            first, last = self._table.first[path], self._table.last[path]
+            if least < first - 1e-9 or most > last + 1e-9:
                 raise ValueError(
-                    f"The legs reach from {path.first:g} to {path.last:g} along '{move.path}', and a motion "
+                    f"The legs reach from {first:g} to {last:g} along '{move.path}', and a motion "
                     f"goes from {least:g} to {most:g}; give it a smaller extent."
                 )
         schedule = self._plan_moves(moves, self._unit)

@@ -5,7 +5,6 @@ from math import cos, exp, hypot, pi, sin
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
@@ -112,17 +111,19 @@ class NaoBalanceEnv(NaoStandEnv):
         return sway
 
     @staticmethod
-    def join(plans: Sequence["RandomSway"]) -> "RandomSways":
-        """Put sways of many robots into one."""
-        return RandomSways(tuple(plans))
+    def join(plans: Sequence["RandomSway"]) -> list["RandomSway"]:
+        """Put sways of many robots into one plan."""
+        return list(plans)
 
-    def command_at(self, plan: "RandomSway | RandomSways", tick: Any) -> Command:
+    def command_at(self, plan: Any, tick: Any) -> Command:
         """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
         if np.ndim(tick):
-            tick = np.where(tick > self.quiet_ticks, tick, 0)
+            times = np.where(tick > self.quiet_ticks, tick, 0) * CONTROL_STEP
+            motion = np.array([sway.at(time) for sway, time in zip(plan, times.tolist(), strict=True)])
         elif tick <= self.quiet_ticks:
             return self._still
-        motion = np.array(plan.at(tick * CONTROL_STEP))
+        else:
+            motion = np.array(plan.at(tick * CONTROL_STEP))
         place = motion[..., 0, :]
         parts = np.zeros((*motion.shape[:-1], 3))
         parts[..., :2] = motion
@@ -206,20 +207,6 @@ class RandomSway(NamedTuple):
                 (fade * wave, rise * wave + fade * slope, bend * wave + 2.0 * rise * slope + fade * curve)
             )
         return list(zip(*motions, strict=True))
-
-
-class RandomSways(NamedTuple):
-    """The sways of N robots.
-
-    Attributes:
-        sways: One a robot.
-    """
-
-    sways: Sequence[RandomSway]
-
-    def at(self, times: NDArray[np.float64]) -> list[list[tuple[float, ...]]]:
-        """Return the motion of each at a time of its own, (N, 3, 2); see :meth:`RandomSway.at`."""
-        return [sway.at(time) for sway, time in zip(self.sways, times.tolist(), strict=True)]
 
 
 def _fade(since: float) -> tuple[float, float, float]:

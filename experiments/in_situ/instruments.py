@@ -15,7 +15,7 @@ from surefoot.envs.leg_rig.recording import RigRecording
 from surefoot.experiments.arrays import Floats
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 from surefoot.sensors.devices.native_device import native_here
-from surefoot.sensors.devices.native_force_torque import STRAIN_GAUGES
+from surefoot.sensors.devices.native_kinds import STRAIN_GAUGES
 from surefoot.sensors.devices.strain_gauges import StrainGaugeState, shift_offset, true_response
 from surefoot.sensors.randomness import Stream
 

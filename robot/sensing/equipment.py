@@ -18,7 +18,7 @@ from surefoot.robot.streams import check_stream, device_streams
 from surefoot.sensors import Encoders, Imu, channel_faults, scaled
 from surefoot.sensors.corruption import Corruption
 from surefoot.sensors.devices.native_device import NativeDevice, native_here
-from surefoot.sensors.devices.native_faults import FAULTS, Broken
+from surefoot.sensors.devices.native_kinds import FAULTS, Broken
 from surefoot.sensors.faults.channels import FaultState
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream

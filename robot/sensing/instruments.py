@@ -21,8 +21,7 @@ from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, s
 from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map, with_true_map
-from surefoot.sensors.devices.native_cells import CELLS
-from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
+from surefoot.sensors.devices.native_kinds import CELLS, FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.shear import mix
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.cop import cop_of_moments, cop_of_wrench
-from surefoot.calibration.front_end.centres import centres
+from surefoot.calibration.front_end.readings import centres
 
 THRESHOLD = 5.0
 

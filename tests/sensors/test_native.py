@@ -21,10 +21,8 @@ from surefoot.sensors import (
     load_cells,
     preset,
 )
-from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_device import NativeDevice, native_device
-from surefoot.sensors.devices.native_faults import FAULTS, Broken
-from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE, STRAIN_GAUGES
+from surefoot.sensors.devices.native_kinds import CELLS, FAULTS, FORCE_TORQUE, STRAIN_GAUGES, Broken
 from surefoot.sensors.faults.channels import KINDS as FAULT_KINDS
 from surefoot.sensors.presets import PRESETS
 from surefoot.sensors.randomness import Stream

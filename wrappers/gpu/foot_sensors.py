@@ -30,10 +30,8 @@ from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, eq
 from surefoot.robot.streams import check_stream, device_streams
 from surefoot.sensors import LoadCells, scaled
 from surefoot.sensors.devices.load_cells import true_map
-from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_device import Kind, NativeDevice, native_device
-from surefoot.sensors.devices.native_faults import FAULTS, Broken
-from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
+from surefoot.sensors.devices.native_kinds import CELLS, FAULTS, FORCE_TORQUE, Broken
 from surefoot.sensors.faults.words import CELLS as CELL_NAMES
 from surefoot.sensors.faults.words import FEET
 from surefoot.sensors.presets import HX711_LOAD_CELLS
