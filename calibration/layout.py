@@ -305,20 +305,12 @@ class FeetLayout:
         return np.repeat(np.arange(len(self.feet)), [foot.channels for foot in self.feet])
 
     def check_reading(self, raw: Any, what: str = "raw") -> None:
-        """Raise ValueError if readings are not those of one robot at one moment, shape (K,).
-
-        Raises:
-            ValueError: If they are not one a channel, or those of several robots.
-        """
+        """Raise ValueError if readings are not those of one robot at one moment, shape (K,)."""
         self.check_raw(raw, what)
         check_shape(np.asarray(raw), (self.channels,), what)
 
     def check_raw(self, raw: Any, what: str = "raw") -> None:
-        """Raise ValueError if the last axis of readings is not the channels of this layout.
-
-        Raises:
-            ValueError: If the last axis does not hold one reading a channel.
-        """
+        """Raise ValueError if the last axis of readings is not the channels of this layout."""
         shape = np.shape(raw) if not hasattr(raw, "shape") else raw.shape
         if not shape or shape[-1] != self.channels:
             raise ValueError(

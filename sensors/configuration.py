@@ -83,11 +83,7 @@ def is_whole(value: object) -> TypeGuard[int]:
 
 
 def require(condition: bool, config: object, field: str, rule: str) -> None:
-    """Check one field of a configuration.
-
-    Raises:
-        ValueError: If the condition does not hold; the message has the field, the rule and the value.
-    """
+    """Raise ValueError with the field, the rule and the value of a configuration unless a condition holds."""
     if not condition:
         raise ValueError(f"{type(config).__name__}.{field} must {rule}, got {getattr(config, field)!r}.")
 

@@ -163,11 +163,7 @@ class LegRigEnv(DrawnEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Hang the leg at rest.
-
-        Args:
-            seed: Seeds where it hangs.
-            options: ``{"configuration": j}`` changes the added masses, j from 1 to 8.
+        """Hang the leg at rest; ``{"configuration": j}`` changes the added masses, j from 1 to 8.
 
         Raises:
             ValueError: If an option is unknown or there is no such configuration.
@@ -201,10 +197,7 @@ class LegRigEnv(DrawnEnv):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Turn the hip for 0.1 s.
-
-        Args:
-            action: Speeds as shares of ``speed_deg``, shape (2,).
+        """Turn the hip for 0.1 s, with speeds as shares of ``speed_deg``, shape (2,).
 
         Raises:
             ValueError: If the action has another shape or is not finite.

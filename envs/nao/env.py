@@ -271,11 +271,6 @@ class NaoEnv(BipedEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the robot onto its footprints.
-
-        Args:
-            seed: Seeds all that the environment draws.
-            options: Handed to the task.
-        """
+        """Put the robot onto its footprints; the task takes the options."""
         self._payload.reset()
         return super().reset(seed=seed, options=options)

@@ -35,11 +35,7 @@ LEG_MOTORS = (
 
 
 def load_nao_spec() -> mujoco.MjSpec:
-    """Read nao.xml afresh.
-
-    Returns:
-        A specification of its own, to instrument or perturb in memory and then ``compile()``.
-    """
+    """Read nao.xml afresh: to instrument or perturb in memory and then ``compile()``."""
     xml = files("surefoot.envs.robots").joinpath("nao.xml").read_text(encoding="utf-8")
     return mujoco.MjSpec.from_string(xml)
 

@@ -42,13 +42,7 @@ class FaultChance(NamedTuple):
 
 
 def parse_chances(chances: Mapping[str, float]) -> tuple[FaultChance, ...]:
-    """Return the faults that may happen, of words and probabilities.
-
-    Args:
-        chances: As in :mod:`surefoot.sensors.faults.chances`.
-
-    Raises:
-        ValueError: If words are of another form, or a probability is none.
+    """Return the faults that may happen, of words and probabilities, or ValueError.
 
     >>> parse_chances({"within 20 s dies": 0.02})[0].within
     20.0

@@ -43,12 +43,7 @@ def offset(value: ArrayLike) -> Corruption[tuple[()]]:
 def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
     r"""Multiply readings by one plus an error that starts anywhere and drifts.
 
-    Args:
-        initial_std: Standard deviation of the relative error of the scale at power-up.
-        density: Spread of its walk per :math:`\sqrt{s}`.
-
-    Raises:
-        ValueError: If an argument is negative.
+    The relative error has a standard deviation at power-up and a spread of its walk per :math:`\sqrt{s}`.
     """
     return _walk(initial_std, density, lambda reading, error: reading * (1.0 + error))
 
@@ -56,12 +51,7 @@ def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[Wa
 def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
     r"""Add an offset that starts anywhere and drifts.
 
-    Args:
-        initial_std: Standard deviation of the offset at power-up, in the unit of the readings.
-        density: Spread of the walk, in the unit of the readings per :math:`\sqrt{s}`.
-
-    Raises:
-        ValueError: If an argument is negative.
+    Standard deviation at power-up, and spread of the walk per :math:`\sqrt{s}`, in the unit of the readings.
     """
     return _walk(initial_std, density, lambda reading, error: reading + error)
 

@@ -8,14 +8,7 @@ from surefoot.sensors.randomness import normal
 
 
 def white_noise(std: float) -> Corruption[tuple[()]]:
-    """Add independent normal noise to every reading.
-
-    Args:
-        std: Its standard deviation in the unit of the readings; 0 draws nothing.
-
-    Raises:
-        ValueError: If it is negative.
-    """
+    """Add independent normal noise of a standard deviation to every reading; 0 draws nothing."""
     check_not_negative(std=std)
 
     def add(reading: Array, rng: Rng, dt: float) -> Array:
@@ -27,29 +20,14 @@ def white_noise(std: float) -> Corruption[tuple[()]]:
 
 
 def saturate(low: float, high: float) -> Corruption[tuple[()]]:
-    """Clip readings to a range.
-
-    Args:
-        low: Lowest reading.
-        high: Highest reading.
-
-    Raises:
-        ValueError: If the range is empty.
-    """
+    """Clip readings to a range; an empty one is refused with a ValueError."""
     if not low < high:
         raise ValueError(f"'low' must be below 'high', got [{low}, {high}].")
     return stateless(lambda reading, rng, dt: limit(reading, low, high))
 
 
 def quantize(resolution: float) -> Corruption[tuple[()]]:
-    """Round readings to whole multiples of a resolution (halves to even).
-
-    Args:
-        resolution: The step in the unit of the readings; 0 leaves them as they are.
-
-    Raises:
-        ValueError: If it is negative.
-    """
+    """Round readings to whole multiples of a resolution (halves to even); 0 leaves them as they are."""
     check_not_negative(resolution=resolution)
 
     def round_to(reading: Array, rng: Rng, dt: float) -> Array:

@@ -51,14 +51,9 @@ def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruptio
     """Add creep: readings go on changing under a constant load.
 
     The load is taken to have been constant since the reading before; one that is not finite leaves no trace.
-
-    Args:
-        shares: How much each exponential adds in the end, in shares of the load; negative ones creep back.
-            None, ``()``, changes nothing.
-        time_constants: Their time constants in s.
-
-    Raises:
-        ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
+    Each exponential adds a share of the load in the end, a negative one creeps back, with a time constant in
+    s; without any, nothing changes. ValueError says that there are not as many of both, a share is not finite
+    or a time constant not positive.
     """
     if len(shares) != len(time_constants):
         raise ValueError(

@@ -42,17 +42,14 @@ def mounting(threshold: float, warp_std: float, common_std: float = 0.0) -> Corr
     """Change the offsets of a foot at impacts, touch-down as well as lift-off.
 
     An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
-    one reading to the next, and lasts as long as it does: one jump each, however many readings that takes.
-    A reading that was lost or is not finite is passed over.
+    one reading to the next, and lasts as long as it does: one jump each, however many readings that takes. A
+    reading that was lost or is not finite is passed over. The threshold goes with the rate at which the stage
+    is stepped.
 
     Args:
-        threshold: Change between two readings beyond which there is an impact, in the unit of the readings;
-            it goes with the rate at which the stage is stepped.
+        threshold: Change between two readings beyond which there is an impact, in the unit of the readings.
         warp_std: Standard deviation of a jump of each offset along the warp, in the unit of the readings.
         common_std: Standard deviation of the part of the jump that all cells of a foot share.
-
-    Raises:
-        ValueError: If a number is negative; from ``init`` if channels make no whole feet.
     """
     check_not_negative(threshold=threshold, warp_std=warp_std, common_std=common_std)
     cells = len(WARP)

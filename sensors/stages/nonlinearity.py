@@ -83,13 +83,8 @@ class NonlinearityState(NamedTuple):
 def random_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
     """Add a quadratic error that each channel draws for itself at power-up.
 
-    Args:
-        most: Largest departure in shares of the full scale, as a data sheet gives it: terms are drawn
-            uniformly from ``-most`` to ``most``.
-        full_scale: Full scale in the unit of the readings, a number or shape (K,).
-
-    Raises:
-        ValueError: As for :func:`nonlinearity`, for the worst that can be drawn.
+    Terms are drawn uniformly from ``-most`` to ``most``, the largest departure by a data sheet, in shares of
+    the full scale, a number or shape (K,); errors are those of :func:`nonlinearity` for the worst.
     """
     check_not_negative(most=most)
     nonlinearity(most, 0.0, full_scale)
@@ -137,16 +132,9 @@ def cross_slope(cubic: float, cross: float, axes: int) -> float:
 def cross_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
     """Add cubic errors and products of two axes, which each axis draws for itself at power-up.
 
-    Loads beyond the full scale keep the error that they have there.
-
-    Args:
-        cubic: Largest departure of the cubic terms in shares of the full scale: they are drawn uniformly from
-            ``-cubic`` to ``cubic``.
-        cross: The same for the effect of two axes at their full scales on each.
-        full_scale: Full scale of each axis, shape (K,).
-
-    Raises:
-        ValueError: If an argument is negative, or two loads could have one reading.
+    Largest departures of the cubic terms, drawn uniformly to either side, and of what two axes at their full
+    scales, shape (K,), add to each, in shares of the full scale. Loads beyond the full scale keep the error
+    that they have there. ValueError says that two loads could have one reading.
     """
     check_not_negative(cubic=cubic, cross=cross)
     scale = np.asarray(full_scale, dtype=np.float64)

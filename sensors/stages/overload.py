@@ -34,15 +34,9 @@ class OverloadState(NamedTuple):
 def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
     """Shift the offset for good after a load beyond the safe overload, towards that load.
 
-    The shift shows from the reading on that is too large; one that is not finite leaves no trace.
-
-    Args:
-        share: How much of the excess stays; from 0, which changes nothing, to 1.
-        safe: Largest load to either side that leaves no trace, in the unit of the readings, a number or
-            shape (K,).
-
-    Raises:
-        ValueError: If the share does not lie in 0 to 1 or a safe load is not positive.
+    A share of the excess stays, from 0, which changes nothing, to 1; safe loads are in the unit of the
+    readings, a number or shape (K,). The shift shows from the reading on that is too large; one that is not
+    finite leaves no trace.
 
     >>> import numpy as np
     >>> cell, rng = overload(0.02, 150.0), np.random.default_rng(0)

@@ -20,13 +20,8 @@ AXES = 3
 def shear(std: float) -> Corruption[Array]:
     """Read cells that feel three forces, shape (..., 3 K): all vertical ones first, then along x, then y.
 
-    The state are the shares k of x and y, shape (2, K).
-
-    Args:
-        std: Standard deviation of a share: newtons reported per newton of horizontal force.
-
-    Raises:
-        ValueError: If ``std`` is negative.
+    The state are the shares k of x and y, shape (2, K), newtons reported per newton, with a standard
+    deviation.
 
     >>> import numpy as np
     >>> cell, rng = shear(0.0), np.random.default_rng(0)

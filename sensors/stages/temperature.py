@@ -58,9 +58,6 @@ def thermal_drift(
         ramp: Rate at which the device warms up at first, in K/s.
         rise: Where the rise levels off in K; 0 for a ramp that goes on.
         relative: Whether the error is one of the scale rather than an offset.
-
-    Raises:
-        ValueError: If an argument is negative.
     """
     check_not_negative(initial_std=initial_std, density=density, tempco_std=tempco_std, ramp=ramp, rise=rise)
 

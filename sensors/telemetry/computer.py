@@ -165,16 +165,10 @@ class Telemetry:
         rng: Rng,
         hardware: Hardware | None = None,
     ) -> tuple[Packets, TelemetryState]:
-        """Switch the robot on at rest, some packets before time 0.
+        """Switch the robot on at rest, some packets before time 0; without hardware new one is drawn.
 
-        Args:
-            position: Joint positions in rad, shape (J,).
-            inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (6,).
-            rng: Where errors and noise come from.
-            hardware: The IMU and the encoders; ``None`` draws new ones.
-
-        Returns:
-            The packets that have arrived by time 0, at least one, and the state.
+        Joint positions in rad, (J,); specific force in m/s^2 and angular velocity in rad/s at the IMU, (6,).
+        Returns the packets that have arrived by time 0, at least one, and the state.
         """
         if hardware is None:
             hardware = Hardware(self._imu.init((6,), rng), self._encoders.init(position.shape, rng))
@@ -197,17 +191,10 @@ class Telemetry:
         state: TelemetryState,
         rng: Rng,
     ) -> tuple[Packets, TelemetryState]:
-        """Measure a control step.
+        """Measure a control step that ends at a time of the host in s: packets that have arrived, the state.
 
-        Args:
-            position: Joint positions at the ends of its S substeps in rad, shape (S, J).
-            inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (S, 6).
-            time: The host's time at its end in s.
-            state: The robot's side before it.
-            rng: Where noise comes from.
-
-        Returns:
-            The packets that have arrived by its end, in order, and the state.
+        Joint positions at the ends of its S substeps in rad, (S, J), and specific force in m/s^2 and angular
+        velocity in rad/s at the IMU, (S, 6).
         """
         computer, total, count, due, number, under_way = state
         start, row, rows = time - self.dt, 0, len(position)

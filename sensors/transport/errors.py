@@ -68,16 +68,10 @@ class GapState(NamedTuple):
 def spikes(
     rate: float, size: ArrayLike, *, code_range: tuple[ArrayLike, ArrayLike] | None = None
 ) -> Corruption[tuple[()]]:
-    """Add spikes at random.
+    """Add spikes at random, so many of a channel in a second in the mean; 0 adds none.
 
-    Args:
-        rate: Mean number of spikes of a channel in a second in 1/s; 0 adds none.
-        size: Standard deviation of a spike in the unit of the readings, a number or shape (K,).
-        code_range: Lowest and highest code of a converter, numbers or shapes (K,), to which readings beyond
-            are clipped and rounded; ``None`` for readings that are no codes.
-
-    Raises:
-        ValueError: If an argument is negative.
+    Their standard deviation is in the unit of the readings, a number or shape (K,). Readings beyond the
+    lowest and the highest code of a converter, if there is one, are clipped to it and rounded.
     """
     check_not_negative(rate=rate)
     sizes = np.asarray(size, dtype=np.float64)
@@ -136,16 +130,9 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
 
 
 def stale_repeats(probability: float, *, each: bool = False) -> Corruption[RepeatState]:
-    """Repeat the last value now and then.
+    """Repeat the last value with a probability in [0, 1), each channel on its own or all together.
 
     Where there is none, before the first reading and after one that was lost, the new one passes.
-
-    Args:
-        probability: Probability that a reading is a repeat; 0 repeats nothing.
-        each: Whether each channel repeats on its own; otherwise all do so together.
-
-    Raises:
-        ValueError: If the probability does not lie in [0, 1).
     """
     if not 0.0 <= probability < 1.0:
         raise ValueError(f"'probability' must lie in [0, 1), got {probability}.")
@@ -164,15 +151,13 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
 def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corruption[GapState]:
     """Lose readings in bursts: they are NaN.
 
+    Channels are lost each on its own, or together as they travel in one packet.
+
     Args:
-        share: Share of the time that is lost in the long run; 0 loses nothing.
+        share: Share of the time that is lost in the long run in [0, 1); 0 loses nothing.
         mean_length: Mean length of a gap in s. Where it is not long against the time between
             readings, gaps that fall between two of them are not seen, and those that are seem longer.
-        each: Whether each channel has a link of its own; otherwise all channels, which travel in one packet,
-            are lost together.
-
-    Raises:
-        ValueError: If the share does not lie in [0, 1) or the length is not positive.
+        each: Whether each channel has a link of its own.
     """
     if not 0.0 <= share < 1.0:
         raise ValueError(f"'share' must lie in [0, 1), got {share}.")

@@ -57,15 +57,9 @@ class LatencyState(NamedTuple):
 
 
 def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[LatencyState]:
-    """Hold the newest reading that has arrived over a late link.
+    """Hold the newest reading that has arrived by a link, late by a mean delay with jitter in s.
 
-    Args:
-        delay: Mean delay in s.
-        jitter: Its standard deviation in s.
-        depth: How many readings can be under way; those that have not arrived after that many are dropped.
-
-    Raises:
-        ValueError: If a time is negative or the depth is not positive.
+    So many readings, the depth, can be under way; those that have not arrived after as many are dropped.
     """
     Link(delay=delay, jitter=jitter)
     if depth < 1:

@@ -96,14 +96,9 @@ class Wired(Protocol):
 
 
 def check_wire(config: Wire | Wired, dt: float) -> None:
-    """Raise ValueError if a wire cannot hold the readings under way; call it before the first step.
+    """Raise ValueError if a wire cannot hold the readings under way, ``dt`` s apart.
 
-    Args:
-        config: The wire, or an instrument that has one.
-        dt: Time between readings in s.
-
-    Raises:
-        ValueError: If more readings are under way than ``under_way``; the message says how many are.
+    The message says how many are; call it before the first step.
 
     >>> from surefoot.sensors import preset
     >>> check_wire(preset("hx711-bar-cells"), dt=0.0125)
