@@ -32,24 +32,13 @@ class Parameters(NamedTuple):
     offset: Array
 
     def force(self, raw: Array) -> Array:
-        """Return the forces of readings, F = c raw + d (CoP paper, Eq. 2).
-
-        Args:
-            raw: Readings, shape (K,) or, of N samples, (N, K).
-
-        Returns:
-            Forces in N, of the same shape.
-        """
+        """Return forces in N, F = c raw + d (CoP paper, Eq. 2), of readings, (K,) or, of N, (N, K)."""
         return self.scale * raw + self.offset
 
     def relative_to(self, start: "Parameters") -> "Parameters":
-        """Return this map as a correction of another one's forces.
+        """Return this map as a correction (a, b) of another one's forces, F = a F0 + b, in N.
 
-        Args:
-            start: The map (c0, d0) to start from; none of its scales may be zero.
-
-        Returns:
-            (a, b) of F = a F0 + b: ``scale`` in calibrated newtons per starting newton, ``offset`` in N.
+        ``scale`` is in calibrated newtons per starting newton; none of the other's scales may be zero.
         """
         ratio = self.scale / start.scale
         return Parameters(ratio, self.offset - ratio * start.offset)
@@ -57,11 +46,7 @@ class Parameters(NamedTuple):
     def after(self, start: "Parameters") -> "Parameters":
         """Return this correction applied to the forces of another map: the inverse of :meth:`relative_to`.
 
-        Args:
-            start: The map (c0, d0) whose forces this one corrects.
-
-        Returns:
-            (c, d) = (a c0, a d0 + b), which takes readings to corrected forces.
+        That is (c, d) = (a c0, a d0 + b), which takes readings to corrected forces.
 
         >>> import numpy as np
         >>> start = Parameters(np.array([2e-5]), np.array([-160.0]))

@@ -166,29 +166,16 @@ class QuietStanding:
                 raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
 
     def init(self, raw: Array) -> StandingState:
-        """Return the state before any sample.
-
-        Args:
-            raw: A reading, shape (K,); its values do not matter.
-        """
+        """Return the state before any sample, of a reading, (K,), whose values do not matter."""
         self.layout.check_reading(raw)
         unknowns = 2 * self.layout.channels + _ROWS
         return StandingState(0.0, 0, 0, 0, np.zeros((unknowns, unknowns)), np.zeros(unknowns), 0.0)
 
     def update(self, state: StandingState, raw: Array, reference: Reference, dt: float) -> StandingState:
-        """Take in one sample; one that is not finite, in contact and still is only counted.
+        """Take in one sample: readings, (K,), and beliefs at the same time, ``dt`` s before the next one.
 
-        Args:
-            state: The samples so far.
-            raw: Readings, shape (K,).
-            reference: The robot's beliefs at the same time.
-            dt: Time to the next sample in s.
-
-        Returns:
-            The new state.
-
-        Raises:
-            ValueError: If an array is not of one sample of one robot.
+        One that is not finite, in contact and still is only counted; another shape is refused with a
+        ValueError.
         """
         self._check(raw, reference)
         warm = state.time >= self.warm_up - 1e-9
@@ -269,11 +256,7 @@ class QuietStanding:
         return bool(abs(specific - self.gravity) < self.acceleration_threshold and rate < self.rate_threshold)
 
     def _rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, bool]:
-        """Return a sample as whitened rows J u = y, and whether it is in contact.
-
-        Returns:
-            J (3, 2 K + 3), y (3,), and whether the total force exceeds the threshold.
-        """
+        """Return a sample as whitened rows, J (3, 2 K + 3) u = y (3,), and whether it is in contact."""
         weight, force = self.mass * self.gravity, self.start.force(raw)
         about_com = reference.position_sole - np.append(reference.com[:2], 0.0)
         by_channel = moment_rows(self.layout, about_com, reference.R_level_sole).sum(axis=0)

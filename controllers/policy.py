@@ -115,11 +115,7 @@ class PolicyNetwork:
         self._held = np.zeros(self._drive.size)
 
     def speeds(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the speeds of the postures for one observation, within [-1, 1], shape (A,).
-
-        Raises:
-            ValueError: If the observation lacks a part, or one has another size.
-        """
+        """Return the speeds of the postures for one observation, in [-1, 1], (A,); ValueError for a lack."""
         signal = self._vector(observation)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             signal = np.tanh(weight @ signal + bias)
@@ -141,15 +137,7 @@ class PolicyNetwork:
         return self._drive(self._held)
 
     def fits(self, observation_space: Any, action_space: Any) -> None:
-        """Raise ValueError if the policy was not made for an environment.
-
-        Args:
-            observation_space: The environment's, with parts by their names.
-            action_space: The environment's.
-
-        Raises:
-            ValueError: If a part is missing or has another size, or the motors are others.
-        """
+        """Raise ValueError if an environment lacks a part or has one of another size, or other motors."""
         shown = getattr(observation_space, "spaces", {})
         for part, size in self.parts.items():
             if part not in shown:

@@ -55,13 +55,8 @@ def linearise(
 ) -> Linearised:
     """Evaluate the data's residuals of Eq. 14 and differentiate them.
 
-    Args:
-        theta: Parameters, shape (2K,).
-        phi: Rows of (Fz, n_x, n_y), shape (N, 3, 2K).
-        vgrf: Fz_ref in N, shape (N,).
-        use: Weight of each sample, 0 or 1, shape (N,).
-        weights: The unit of residuals.
-        spread: Unit of each parameter in the derivative, shape (2K,).
+    Of parameters, (2K,), rows of (Fz, n_x, n_y), (N, 3, 2K), Fz_ref in N and weights of the samples, 0 or 1,
+    (N,) each; ``spread`` is the unit of each parameter in the derivative, (2K,).
     """
     moment, scaled = phi @ theta, phi * spread
     fz = moment[:, :1]
