@@ -40,6 +40,7 @@ Positive = Annotated[
     float, Rule("be finite and positive", lambda value: _is_number(value) and 0.0 < value < inf)
 ]
 Whole = Annotated[int, Rule("be a positive whole number", lambda value: is_whole(value) and value > 0)]
+Bits = Annotated[int, Rule("lie in 0 to 32", lambda value: is_whole(value) and 0 <= value <= 32)]
 Error = Annotated[NotNegative, ErrorField()]
 """A number that is an error."""
 
@@ -89,11 +90,14 @@ def require(condition: bool, config: object, field: str, rule: str) -> None:
 
 
 def check_fields(config: Any) -> None:
-    """Raise ValueError if a field does not keep the rule that its type names."""
+    """Raise ValueError if a field does not keep the rule that its type names, or is to be another class."""
     for field in fields(config):
         value, types = getattr(config, field.name), (field.type, *get_args(field.type))
         if value is None and NoneType in types:
             continue
+        if kind := next((kind for kind in types if kind is bool or is_dataclass(kind)), None):
+            rule = "be True or False" if kind is bool else f"be a {kind.__name__}"  # type: ignore[union-attr]
+            require(isinstance(value, kind), config, field.name, rule)  # type: ignore[arg-type]
         for rule in (rule for kind in types for rule in getattr(kind, "__metadata__", ())):
             if isinstance(rule, Rule):
                 require(rule.holds(value), config, field.name, rule.words)

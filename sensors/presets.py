@@ -12,6 +12,7 @@ from surefoot.sensors.devices.force_torque import ForceTorque
 from surefoot.sensors.devices.imu import Imu
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN142, StrainGauges
+from surefoot.sensors.severity import scaled
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import Mechanics
 from surefoot.sensors.transport.link import Link
@@ -87,17 +88,7 @@ FSR 400): hysteresis of 10 %, drift of at most 5 % a decade of time. Inferred: 1
 0.05 N, nonlinearity, drift and jumps. Readings that are stuck at zero half of the time are left out: add
 :class:`~surefoot.sensors.Fault` s."""
 
-PERFECT_LOAD_CELLS = LoadCells(
-    adc_bits=0,
-    polarity=(1,),
-    input_noise=0.0,
-    rate=None,
-    averaged=True,
-    initial_scale_std=0.0,
-    initial_offset_std=0.0,
-    scale_drift=0.0,
-    offset_drift=0.0,
-)
+PERFECT_LOAD_CELLS = scaled(LoadCells(adc_bits=0, polarity=(1,), rate=None, averaged=True), 0.0)
 """Cells that report the true mean load since they were last read, in N."""
 
 ICUB_FORCE_TORQUE = ForceTorque()
@@ -123,19 +114,7 @@ published: offsets change within hours, calibration is to be repeated every year
 offsets of a sister model, in a Valkyrie's feet, changed by 20 to 30 N. No data sheet was at hand: the range
 is from memory, all other numbers are inferred from the class."""
 
-PERFECT_FORCE_TORQUE = ForceTorque(
-    resolution_force=0.0,
-    resolution_torque=0.0,
-    noise_force=0.0,
-    noise_torque=0.0,
-    initial_scale_std=0.0,
-    cross_talk_std=0.0,
-    initial_offset_force_std=0.0,
-    initial_offset_torque_std=0.0,
-    scale_drift=0.0,
-    offset_drift_force=0.0,
-    offset_drift_torque=0.0,
-)
+PERFECT_FORCE_TORQUE = scaled(ForceTorque(resolution_force=0.0, resolution_torque=0.0), 0.0)
 """Sensors that report the true mean wrench since they were last read, in N and N m."""
 
 ICUB_FTSENS_LEG = StrainGauges()
@@ -147,23 +126,7 @@ ICUB_FTSENS_FOOT = StrainGauges(
 """The younger one in a foot, number 142; the weight of a foot of 0.8 kg shows as an ellipsoid with axes of
 1.3 to 1 in the median (in-situ paper, Table I: 1.4), of 1.1 to 1.6 in 80 % of sensors."""
 
-PERFECT_STRAIN_GAUGES = StrainGauges(
-    scale_error_std=0.0,
-    cross_talk_std=0.0,
-    offset_force=0.0,
-    offset_torque=0.0,
-    noise_force=0.0,
-    noise_torque=0.0,
-    adc_bits=0,
-    hysteresis=0.0,
-    creep_shares=(),
-    creep_time_constants=(),
-    offset_drift_force=0.0,
-    offset_drift_torque=0.0,
-    offset_tempco_force=0.0,
-    offset_tempco_torque=0.0,
-    scale_tempco=0.0,
-)
+PERFECT_STRAIN_GAUGES = scaled(StrainGauges(adc_bits=0, creep_shares=(), creep_time_constants=()), 0.0)
 """Gauges of which the maker's matrix, that of the leg's sensor, makes the true wrench."""
 
 NAO_IMU = Imu()
@@ -181,17 +144,9 @@ ONBOARD_IMU = Imu(
 175 ug and 0.014 degrees/s per sqrt(Hz), 16 bits, ranges of 12 g and 2000 degrees/s); biases as a NAO's, after
 the usual zeroing."""
 
-PERFECT_IMU = Imu(
-    accelerometer_noise=0.0,
-    gyroscope_noise=0.0,
-    accelerometer_bias_std=0.0,
-    gyroscope_bias_std=0.0,
-    accelerometer_walk=0.0,
-    gyroscope_walk=0.0,
-    accelerometer_resolution=0.0,
-    gyroscope_resolution=0.0,
-    accelerometer_range=0.0,
-    gyroscope_range=0.0,
+PERFECT_IMU = scaled(
+    Imu(accelerometer_resolution=0.0, gyroscope_resolution=0.0, accelerometer_range=0.0, gyroscope_range=0.0),
+    0.0,
 )
 """An IMU that reports what happened on the average since it was last read."""
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import tau
 from typing import Any
 
-from surefoot.sensors.configuration import Error, check_fields, require
+from surefoot.sensors.configuration import Bits, Error, check_fields
 from surefoot.sensors.corruption import Corruption, chain, device
 from surefoot.sensors.stages.affine import drift
 from surefoot.sensors.stages.converter import quantize, white_noise
@@ -14,7 +14,7 @@ from surefoot.sensors.stages.converter import quantize, white_noise
 class Encoders:
     """Joint encoders; the defaults are a NAO's after a careful calibration of its joints."""
 
-    bits: int = 12
+    bits: Bits = 12
     """Bits a turn; 0 does not round."""
 
     bias_std: Error = 1.0e-3
@@ -25,7 +25,6 @@ class Encoders:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require(isinstance(self.bits, int) and 0 <= self.bits <= 32, self, "bits", "lie in 0 to 32")
         check_fields(self)
 
     @property

@@ -113,7 +113,6 @@ class ForceTorque:
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
         check_fields(self)
-        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
         require(
             not (self.wire.wrong_words and not self.converts),
             self,

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors.configuration import Error, NotNegative, check_fields, require
+from surefoot.sensors.configuration import Error, NotNegative, check_fields
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 
@@ -69,7 +69,6 @@ class Imu:
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
         check_fields(self)
-        require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
 
 
 class ImuState(NamedTuple):

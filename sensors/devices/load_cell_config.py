@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import (
+    Bits,
     Error,
     ErrorField,
     NotNegative,
@@ -41,7 +42,7 @@ class LoadCells:
     adc_gain: Positive = 128.0
     """Gain of the amplifier before the converter: 128 on channel A of an HX711."""
 
-    adc_bits: int = 24
+    adc_bits: Bits = 24
     """Bits of the converter, whose input spans +-excitation / (2 adc_gain). 0 leaves it out: readings
     are in newtons then, without rounding or clipping."""
 
@@ -108,9 +109,6 @@ class LoadCells:
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
         check_fields(self)
-        require(
-            isinstance(self.adc_bits, int) and 0 <= self.adc_bits <= 32, self, "adc_bits", "lie in 0 to 32"
-        )
         require(self.coding in CODINGS, self, "coding", f"be one of {CODINGS}")
         require(
             isinstance(self.polarity, tuple)
@@ -132,15 +130,12 @@ class LoadCells:
             "rate",
             "be None or (lowest, highest) with 0 < lowest <= highest",
         )
-        require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
-        require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
         require(
             not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,
             self,
             "channels",
             f"be whole feet of {CELLS_OF_A_FOOT} cells where impacts move their offsets",
         )
-        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
         require(
             not (self.wire.wrong_words and self.adc_bits == 0),
             self,
