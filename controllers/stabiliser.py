@@ -27,6 +27,7 @@ as much as a sole has to its side.
 """
 
 from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from math import isfinite
 from typing import Any
 
@@ -42,6 +43,7 @@ HIP_ROLL, HIP_PITCH, ANKLE_PITCH, ANKLE_ROLL = [1, 6], [2, 7], [4, 9], [5, 10]
 """Where these joints (left, right) are in an action."""
 
 
+@dataclass(eq=False)
 class Stabiliser:
     """Turns observations of a NaoEnv, or of wrappers around one, into residuals on the ankles' targets.
 
@@ -75,55 +77,39 @@ class Stabiliser:
     True
     """
 
-    def __init__(
-        self,
-        state_layout: Mapping[str, slice],
-        *,
-        admittance: float = 1.5,
-        position_gain: float = 1.3,
-        velocity_gain: float = 0.065,
-        lever: float = 0.24,
-        largest_error: float = 0.1,
-        largest_angle: float = 0.2,
-        engage_after: float = 0.0,
-        action_scale: float = 0.2,
-        dt: float = 1.0 / 80.0,
-    ) -> None:
-        positive = {
-            "admittance": admittance,
-            "lever": lever,
-            "largest_error": largest_error,
-            "largest_angle": largest_angle,
-            "action_scale": action_scale,
-            "dt": dt,
-        }
-        for name, value in positive.items():
-            if not (isfinite(value) and value > 0):
+    state_layout: Mapping[str, slice]
+    _: KW_ONLY
+    admittance: float = 1.5
+    position_gain: float = 1.3
+    velocity_gain: float = 0.065
+    lever: float = 0.24
+    largest_error: float = 0.1
+    largest_angle: float = 0.2
+    engage_after: float = 0.0
+    action_scale: float = 0.2
+    dt: float = 1.0 / 80.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a value is impossible."""
+        for name in ("admittance", "lever", "largest_error", "largest_angle", "action_scale", "dt"):
+            if not (isfinite(value := getattr(self, name)) and value > 0):
                 raise ValueError(f"'{name}' must be finite and positive, got {value}.")
-        for name, value in {"velocity_gain": velocity_gain, "engage_after": engage_after}.items():
-            if not (isfinite(value) and value >= 0):
+        for name in ("velocity_gain", "engage_after"):
+            if not (isfinite(value := getattr(self, name)) and value >= 0):
                 raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-        if not (isfinite(position_gain) and position_gain > 1):
+        if not (isfinite(self.position_gain) and self.position_gain > 1):
             raise ValueError(
-                f"'position_gain' must be above 1, got {position_gain}: the centre of pressure has to lie "
-                "further out than the body leans, or it cannot push the body back."
+                f"'position_gain' must be above 1, got {self.position_gain}: the centre of pressure has to "
+                "lie further out than the body leans, or it cannot push the body back."
             )
         parts = ("cop_reference", "tilt", "gyroscope")
-        if missing := [name for name in parts if name not in state_layout]:
+        if missing := [name for name in parts if name not in self.state_layout]:
             raise ValueError(
-                f"'state_layout' lacks {missing}; it has {sorted(state_layout)}. Hand over the layout of a "
-                "NaoEnv: env.unwrapped.state_layout."
+                f"'state_layout' lacks {missing}; it has {sorted(self.state_layout)}. Hand over the layout "
+                "of a NaoEnv: env.unwrapped.state_layout."
             )
-        self._reference, self._tilt, self._gyroscope = (state_layout[name] for name in parts)
-        self.admittance = admittance
-        self.position_gain = position_gain
-        self.velocity_gain = velocity_gain
-        self.lever = lever
-        self.largest_error = largest_error
-        self.largest_angle = largest_angle
-        self.action_scale = action_scale
-        self.dt = dt
-        self._wait = round(engage_after / dt)
+        self._reference, self._tilt, self._gyroscope = (self.state_layout[name] for name in parts)
+        self._wait = round(self.engage_after / self.dt)
         self.reset()
 
     def reset(self) -> None:

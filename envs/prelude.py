@@ -33,25 +33,18 @@ _COLUMNS = (
 
 
 class Prelude(NamedTuple):
-    """N rows of commands for M motors; other fields are those of :class:`~surefoot.envs.Command`, N in front.
+    """N rows of commands for M motors.
 
     Attributes:
         dt: Time between two rows in s; the first row is ``dt`` after the beginning.
         motors: Names of the motors.
+        commands: The rows, N in front of each field; their phase is 0.
         rest: Rows at which the robot is in its first posture again and may stop, shape (N,), bool.
     """
 
     dt: float
     motors: tuple[str, ...]
-    joint_target: NDArray[np.float64]
-    com: NDArray[np.float64]
-    com_velocity: NDArray[np.float64]
-    com_acceleration: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    position_sole: NDArray[np.float64]
-    yaw_sole: NDArray[np.float64]
-    stance: NDArray[np.bool_]
-    swing: NDArray[np.bool_]
+    commands: Command
     rest: NDArray[np.bool_]
 
     @property
@@ -64,23 +57,20 @@ class Prelude(NamedTuple):
         cls, dt: float, motors: tuple[str, ...], commands: Sequence[Command], rest: NDArray[np.bool_]
     ) -> "Prelude":
         """Put commands into rows."""
-        parts = {
-            name: np.array([getattr(command, name) for command in commands])
-            for name in Command._fields
-            if name != "phase"
-        }
-        return cls(dt=dt, motors=motors, rest=rest, **parts)
+        parts: Any = map(np.array, zip(*commands, strict=True))
+        return cls(dt, motors, Command._make(parts)._replace(phase=0.0), rest)
 
     def command(self, row: int) -> Command:
         """Return the command of a row."""
-        return Command(**{name: getattr(self, name)[row] for name in Command._fields[:-1]}, phase=0.0)
+        *parts, phase = self.commands
+        return Command._make([*(part[row] for part in parts), phase])
 
     def write(self, path: AnyPath) -> None:
         """Write a CSV: ``time_s``, ``target_<motor>_rad``, the other fields with units, and ``rest_1``."""
         names = ["time_s", *(f"target_{motor}_rad" for motor in self.motors), *_names(), "rest_1"]
         time = self.dt * np.arange(1, len(self.rest) + 1)
-        parts = [np.reshape(getattr(self, field), (len(time), -1)) for field, _, _ in _COLUMNS]
-        rows = np.column_stack([time, self.joint_target, *parts, self.rest])
+        parts = [np.reshape(getattr(self.commands, field), (len(time), -1)) for field, _, _ in _COLUMNS]
+        rows = np.column_stack([time, self.commands.joint_target, *parts, self.rest])
         lines = [",".join(names), *(",".join(f"{value:.7g}" for value in row) for row in rows)]
         write_text(path, "\n".join(lines) + "\n")
 
@@ -104,7 +94,8 @@ class Prelude(NamedTuple):
             parts[field] = values.astype(bool) if field in ("stance", "swing") else values
         parts["position_sole"] = parts["position_sole"].reshape(-1, 2, 3)
         target = np.stack([time, *(table[name] for name in targets)], axis=1)[:, 1:]
-        return cls(float(time[-1]) / len(time), motors, target, rest=table["rest_1"].astype(bool), **parts)
+        commands = Command(target, **parts, phase=0.0)
+        return cls(float(time[-1]) / len(time), motors, commands, table["rest_1"].astype(bool))
 
 
 class Player:

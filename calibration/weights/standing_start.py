@@ -66,8 +66,6 @@ def standing_start(
     raw: ArrayLike,
     reference: Reference,
     dt: float,
-    *,
-    strict: bool = False,
 ) -> StandingFit:
     """Fit a recording, using no more of it than is needed.
 
@@ -76,16 +74,13 @@ def standing_start(
         raw: Readings, shape (n, K).
         reference: The robot's beliefs, each field with n samples on its first axis.
         dt: Time between samples in s.
-        strict: Whether to refuse a recording that leaves some direction undetermined, as standing on cells
-            that outnumber three a foot always does.
 
     Returns:
         The starting values.
 
     Raises:
         ValueError: If a shape is not as above.
-        CalibrationRefused: If too few samples were finite, in contact and still, or ``strict`` is asked
-            for and the recording does not determine all unknowns.
+        CalibrationRefused: If too few samples were finite, in contact and still.
     """
     check_value("dt", dt, positive=True)
     code = np.asarray(raw, dtype=np.float64)
@@ -98,13 +93,6 @@ def standing_start(
     if state.samples < standing.minimum_samples:
         raise _too_few(standing, state, code)
     estimate, unknowns = standing.solve(state), 2 * standing.layout.channels
-    if strict and estimate.rank < unknowns:
-        raise CalibrationRefused(
-            f"The recording determines {estimate.rank} of {unknowns} directions of the scales and offsets: a "
-            "robot at rest shows its weight and the place of its centre of mass, over and over.",
-            "Shift the weight over all cells for the scales and tare each foot in the air for the offsets, "
-            "or pass strict=False to change only what the recording determines.",
-        )
     return StandingFit(
         value=estimate.parameters,
         correction=estimate.correction,

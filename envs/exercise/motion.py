@@ -29,6 +29,7 @@ from surefoot.envs.command import Command
 from surefoot.envs.exercise.moves import SWAYS, Move, Schedule, motions_of, one_leg
 from surefoot.envs.exercise.postures import Postures, UnreachableError
 from surefoot.envs.exercise.robot import ExerciseRobot, prepare_robot
+from surefoot.envs.instrumentation.made import kept
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.robots.library import ROBOTS
 
@@ -70,9 +71,6 @@ SURELY_UP: Final = 0.5
 
 REACH: Final = 1.6
 """How far paths go on beyond their end where the legs can, for motions that are played by name."""
-
-MOST_KEPT: Final = 4
-"""Robots whose exercise is kept for more environments of the same."""
 
 _PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 
@@ -124,12 +122,7 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
         return Motion(prepare_robot(robot, feet, boxes=boxes))
     version = None if named else (Path(robot).resolve(), Path(robot).stat().st_mtime_ns)
     key = (str(robot), version, repr(feet), boxes)
-    if key not in _PLANNED:
-        planned = Motion(prepare_robot(robot, feet, boxes=boxes))
-        while len(_PLANNED) >= MOST_KEPT:
-            del _PLANNED[next(iter(_PLANNED))]
-        _PLANNED[key] = planned
-    own = copy(_PLANNED[key])
+    own = copy(kept(_PLANNED, key, lambda: Motion(prepare_robot(robot, feet, boxes=boxes))))
     own.robot = replace(own.robot, model=copy(own.robot.model))
     return own
 

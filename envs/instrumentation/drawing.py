@@ -112,8 +112,8 @@ def draw_nao() -> RobotDrawing:
         joint_names=hinge_joint_names(model),
         position_cell_sole=cell_positions(model),
         flaw="",
-        below_cells=below_cells(model),
-        below_ankle=below_ankle(model),
+        below_cells=below_sites(model, [f"{foot}_sole" for foot in FEET]),
+        below_ankle=below_sites(model, [f"{foot}_ankle_ft" for foot in FEET]),
         touching=np.pad(cell_positions(model), ((0, 0), (0, 0), (0, 1))),
     )
 
@@ -240,17 +240,7 @@ def _physical(inertia: NDArray[np.float64]) -> NDArray[np.float64]:
     return physical
 
 
-def below_ankle(model: mujoco.MjModel) -> BelowSensor:
-    """Describe the load of a six-axis sensor at the ankle: the foot with its sole plate."""
-    return _below(model, [f"{foot}_ankle_ft" for foot in FEET])
-
-
-def below_cells(model: mujoco.MjModel) -> BelowSensor:
-    """Describe the mass on the load cells: the sole plate; their common frame is the sole's."""
-    return _below(model, [f"{foot}_sole" for foot in FEET])
-
-
-def _below(model: mujoco.MjModel, sites: list[str]) -> BelowSensor:
+def below_sites(model: mujoco.MjModel, sites: list[str]) -> BelowSensor:
     """Measure the bodies that hang on those of the sites, which move with the soles as one."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -5,10 +5,10 @@ drawn get boxes in the place of meshes that are only seen; each has a copy of it
 change.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
@@ -23,6 +23,8 @@ from surefoot.envs.instrumentation.swap import (
     find_difference,
     fingerprint,
 )
+
+Value = TypeVar("Value")
 
 MOST_KEPT: Final = 4
 """Robots that are kept for more environments of the same kind."""
@@ -72,12 +74,18 @@ def make(
     cells = {body: np.asarray(places).tolist() for body, places in (given["cells"] or {}).items()}
     options = repr((feet, soles, boxes, {**given, "cells": cells}))
     key = (str(description.resolve()), description.stat().st_mtime_ns, options, fingerprint(bare))
-    if key not in _KEPT:
-        made = _make(mujoco.MjSpec.from_file(str(description)), bare, feet, soles, boxes, given)
-        while len(_KEPT) >= MOST_KEPT:
-            del _KEPT[next(iter(_KEPT))]
-        _KEPT[key] = made
-    return _KEPT[key]
+    file = str(description)
+    return kept(_KEPT, key, lambda: _make(mujoco.MjSpec.from_file(file), bare, feet, soles, boxes, given))
+
+
+def kept(store: dict[tuple[Any, ...], Value], key: tuple[Any, ...], make: Callable[[], Value]) -> Value:
+    """Return what is stored under a key, or make it, in the place of the oldest of :data:`MOST_KEPT`."""
+    if key not in store:
+        value = make()
+        while len(store) >= MOST_KEPT:
+            del store[next(iter(store))]
+        store[key] = value
+    return store[key]
 
 
 def _make(

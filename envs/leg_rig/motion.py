@@ -65,11 +65,8 @@ def sweep(
     Raises:
         ValueError: If numbers are not positive, or the time is too short for two swings at that speed.
     """
-    for name, value in {"duration": duration, "rate": rate, "speed_deg": speed_deg}.items():
-        positive(name, value)
-    amplitude, top_speed = _half_ranges(range_deg), np.radians(speed_deg)
-    # Duration of one swing of each joint at that speed.
-    period = 2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
+    time, amplitude = _samples(duration, rate), _half_ranges(range_deg)
+    period = _periods(amplitude, speed_deg)
     needed = max(period[0], 2.0 * period[1])
     if duration < needed * (1.0 - 1e-9):
         raise ValueError(
@@ -81,7 +78,7 @@ def sweep(
     while gcd(*swings) > 1:
         swings[0] -= 1
     frequency = 2.0 * np.pi / duration * np.array(swings)
-    return _smooth_triangles(_samples(duration, rate), amplitude, frequency, np.array([np.pi, phase]))
+    return _smooth_triangles(time, amplitude, frequency, np.array([np.pi, phase]))
 
 
 def raster(
@@ -96,10 +93,8 @@ def raster(
     This is how one would scan the range, and how the paper's figures look. A slow drift of a sensor looks
     like the second joint's turn then. Arguments and errors are those of :func:`sweep`.
     """
-    for name, value in {"duration": duration, "rate": rate, "speed_deg": speed_deg}.items():
-        positive(name, value)
-    amplitude, time = _half_ranges(range_deg), _samples(duration, rate)
-    period = 2.0 * np.pi * amplitude[0] * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / np.radians(speed_deg)
+    time, amplitude = _samples(duration, rate), _half_ranges(range_deg)
+    period = _periods(amplitude, speed_deg)[0]
     frequency = 2.0 * np.pi / duration * np.array([max(int(duration / period), 1), 0.5])
     return _smooth_triangles(time, amplitude, frequency, np.array([np.pi, np.pi]))
 
@@ -124,16 +119,14 @@ def swing(
     Raises:
         ValueError: If numbers are not positive or the swings do not fit into the ranges.
     """
-    for name, value in {"duration": duration, "rate": rate, "swing_deg": swing_deg}.items():
-        positive(name, value)
-    rest = _half_ranges(range_deg) - np.radians(swing_deg)
+    time = _samples(duration, rate)
+    rest = _half_ranges(range_deg) - np.radians(positive("swing_deg", swing_deg))
     if np.any(rest < 0.0):
         raise ValueError(
             f"'swing_deg' must be at most half of each range, {np.degrees(rest) + swing_deg} deg, "
             f"got {swing_deg:g}."
         )
     rng = np.random.default_rng([0x5716, seed])
-    time = _samples(duration, rate)
     slow = 2.0 * np.pi / max(duration, 20.0) * np.array([2.0, 5.0])
     motion = _sines(time, rest, slow, rng.uniform(0.0, 2.0 * np.pi, 2))
     angle, speed, acceleration = motion.angle, motion.rate, motion.acceleration
@@ -156,7 +149,16 @@ def _half_ranges(range_deg: tuple[float, float] | None) -> NDArray[np.float64]:
 
 
 def _samples(duration: float, rate: float) -> NDArray[np.float64]:
-    return np.asarray(np.arange(round(duration * rate)) / rate)
+    return np.asarray(np.arange(round(positive("duration", duration) * positive("rate", rate))) / rate)
+
+
+def _periods(amplitude: NDArray[np.float64], speed_deg: float) -> NDArray[np.float64]:
+    """Return how long in s one swing of each joint takes at that speed."""
+    top_speed = np.radians(positive("speed_deg", speed_deg))
+    period: NDArray[np.float64] = (
+        2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
+    )
+    return period
 
 
 def _sines(

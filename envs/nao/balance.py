@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.envs.command import Command
-from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
+from surefoot.envs.nao.surprise import NaoSurpriseEnv
 from surefoot.envs.observation import Seen
 from surefoot.envs.options import check_range, numbers_of
 
@@ -20,7 +20,7 @@ PAYLOAD_BOXES = (((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10)),)
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
 
 
-class NaoBalanceEnv(NaoStandEnv):
+class NaoBalanceEnv(NaoSurpriseEnv, NaoStandEnv):
     r"""Keep the centre of pressure where it is commanded, under pushes and a payload that is not announced.
 
     Actions and observations are :class:`NaoEnv`'s. After a quiet stand the commanded centre of pressure
@@ -54,20 +54,13 @@ class NaoBalanceEnv(NaoStandEnv):
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
-        stand_time: Length of the quiet stand in s, with which an episode begins.
         sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to stand still.
         sway_share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
-            before a calibrator can tell a load from a broken sensor.
-        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
-            mass lies: two corners each, in m, shape (boxes, 2, 3).
+        payload_boxes: Of :class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
-        push_interval: Mean time between pushes in s. None comes during the quiet stand.
-        **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
-
-    Attributes:
-        stand_time: As given.
+        push_interval: Mean time between pushes in s.
+        **options: Of the same.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
@@ -78,36 +71,35 @@ class NaoBalanceEnv(NaoStandEnv):
         self,
         *,
         duration: float | None = 21.5,
-        stand_time: float = 3.5,
         sway: Sequence[float] = (0.025, 0.03),
         sway_share: Sequence[float] = (0.5, 1.0),
         payload_mass: Sequence[float] = (0.5, 1.0),
-        payload_time: Sequence[float] = (10.5, 12.5),
         payload_boxes: Sequence[Sequence[Sequence[float]]] = PAYLOAD_BOXES,
         push_impulse: Sequence[float] = (0.3, 2.4),
         push_interval: float = 4.0,
         **options: Any,
     ) -> None:
-        refuse_planned_payload("NaoBalanceEnv", options)
         bounds = numbers_of(sway)
         if len(bounds) != 2 or not all(0.0 <= part <= LARGEST_SWAY for part in bounds):
             raise ValueError(
                 f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
                 f"over its feet; got {sway!r}."
             )
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
-        self.stand_time = self._surprise.stand_time
         self._bounds = (bounds[0], bounds[1])
         self._share = check_range("sway_share", sway_share)
-        super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
-        self._pushes.quiet_time = self.stand_time
-        self.quiet_ticks = self._surprise.stand_ticks
-        self._gravity = -float(self.model.opt.gravity[2])
+        super().__init__(
+            duration=duration,
+            payload_mass=payload_mass,
+            payload_boxes=payload_boxes,
+            push_impulse=push_impulse,
+            push_interval=push_interval,
+            **options,
+        )
 
     def draw(self, options: dict[str, Any]) -> "RandomSway":
         """Draw the sway and the payload."""
         sway = RandomSway.draw(self._bounds, self._share, self.stand_time, self.np_random)
-        self._surprise.draw(self._payload, self.np_random)
+        self.draw_payload()
         return sway
 
     @staticmethod
@@ -124,19 +116,10 @@ class NaoBalanceEnv(NaoStandEnv):
             return self._still
         else:
             motion = np.array(plan.at(tick * CONTROL_STEP))
-        place = motion[..., 0, :]
-        parts = np.zeros((*motion.shape[:-1], 3))
-        parts[..., :2] = motion
-        parts[..., 0, :] += self._com
-        com, velocity, acceleration = parts[..., 0, :], parts[..., 1, :], parts[..., 2, :]
         forward, left = self._follow
-        return self._still._replace(
-            joint_target=self._lean(place[..., 0] / forward, place[..., 1] / left),
-            com=com,
-            com_velocity=velocity,
-            com_acceleration=acceleration,
-            cop=com[..., :2] - self._com[2] / self._gravity * acceleration[..., :2],
-        )
+        level = np.zeros((*motion.shape[:-1], 3))
+        level[..., :2] = motion
+        return self._swayed(motion[..., 0, 0] / forward, motion[..., 0, 1] / left, level)
 
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""

@@ -5,8 +5,7 @@ from typing import Any
 
 from surefoot.envs.gait.footsteps import GaitTiming, check_gait
 from surefoot.envs.gait.pattern import Pattern, plan_walk
-from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
-from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.envs.nao.surprise import NaoSurpriseEnv
 from surefoot.envs.nao.walk import NaoPatternEnv
 from surefoot.envs.observation import Seen
 from surefoot.envs.options import numbers_of, positive
@@ -25,7 +24,7 @@ COP_WEIGHT = 3.0
 """What a centre of pressure where it is planned is paid, as a multiple of what walking alone pays."""
 
 
-class NaoCarryEnv(NaoPatternEnv):
+class NaoCarryEnv(NaoSurpriseEnv, NaoPatternEnv):
     """Walk on under pushes and a payload that is not announced.
 
     Actions and observations are :class:`NaoEnv`'s, and the zero action is the open-loop pattern of
@@ -63,19 +62,14 @@ class NaoCarryEnv(NaoPatternEnv):
     Args:
         speeds: Forward speeds in m/s, of which an episode draws one; each is planned once in a process.
         duration: Length of an episode in s.
-        stand_time: Length of the quiet stand in s, with which an episode begins.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
-            before a calibrator can tell a load from a broken sensor.
-        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
-            mass lies: two corners each, in m, shape (boxes, 2, 3).
+        payload_boxes: Of :class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
-        push_interval: Mean time between pushes in s. None comes during the quiet stand.
-        **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
+        push_interval: Mean time between pushes in s.
+        **options: Of the same.
 
     Attributes:
         pattern: The plan of this episode.
-        stand_time: As given.
 
     Raises:
         ValueError: If an option is out of its range, naming it, or a speed asks more than the legs can do.
@@ -89,35 +83,35 @@ class NaoCarryEnv(NaoPatternEnv):
         *,
         speeds: Sequence[float] = (0.02, 0.04, 0.06),
         duration: float = 26.0,
-        stand_time: float = 3.5,
         payload_mass: Sequence[float] = (0.5, 0.7),
-        payload_time: Sequence[float] = (10.5, 12.5),
         payload_boxes: Sequence[Sequence[Sequence[float]]] = PAYLOAD_BOXES,
         push_impulse: Sequence[float] = (0.4, 2.0),
         push_interval: float = 5.0,
         **options: Any,
     ) -> None:
-        refuse_planned_payload("NaoCarryEnv", options)
         self._speeds = numbers_of(speeds)
         if not self._speeds:
             raise ValueError("'speeds' must hold at least one speed in m/s, got none.")
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
-        self.stand_time = self._surprise.stand_time
+        super().__init__(
+            duration=positive("duration", duration),
+            payload_mass=payload_mass,
+            payload_boxes=payload_boxes,
+            push_impulse=push_impulse,
+            push_interval=push_interval,
+            **options,
+        )
         self._timing = GaitTiming(stand_time=self.stand_time)
         for speed in self._speeds:
             check_gait(speed, 0.0, self._timing.step_time)
         # A plan takes its last two steps and stands; an episode ends before that.
         end = 3.0 * self._timing.step_time + self.stand_time
-        self._plan_time = positive("duration", duration) + end
-        super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
-        self._pushes.quiet_time = self.stand_time
-        self.quiet_ticks = self._surprise.stand_ticks
+        self._plan_time = duration + end
 
     def draw(self, options: dict[str, Any]) -> Pattern:
         """Draw the speed and the payload."""
         speed = self._speeds[self.np_random.integers(len(self._speeds))]
         self.pattern = plan_walk(speed, 0.0, self._plan_time, timing=self._timing)
-        self._surprise.draw(self._payload, self.np_random)
+        self.draw_payload()
         return self.pattern
 
     def reward(self, seen: Seen) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Small pushes against the torso, and a mass that the robot picks up on its way."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import cos, isfinite, pi, sin
 from typing import Any
 
@@ -161,57 +161,3 @@ def _check_payload(payload: Any) -> tuple[float, float]:
             f"None for none; got {payload!r}."
         )
     return numbers[0], numbers[1]
-
-
-class Surprise:
-    """When an episode is still, and the later payload of its robot.
-
-    Args:
-        stand_time: Length of the quiet stand in s, with which an episode begins: calibrators get a standing
-            start.
-        payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand.
-        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
-            mass lies: two corners each, in m, shape (boxes, 2, 3).
-        dt: Control step in s.
-
-    Raises:
-        ValueError: If an option is out of its range, naming it.
-    """
-
-    def __init__(
-        self,
-        stand_time: float,
-        payload_mass: Sequence[float],
-        payload_time: Sequence[float],
-        payload_boxes: Sequence[Sequence[Sequence[float]]],
-        dt: float,
-    ) -> None:
-        self.stand_time = positive("stand_time", stand_time, or_zero=True)
-        self.stand_ticks = round(self.stand_time / dt)
-        self._mass = check_range("payload_mass", payload_mass)
-        self._time = check_range("payload_time", payload_time)
-        try:
-            self._boxes = np.array(payload_boxes, dtype=np.float64)
-        except (TypeError, ValueError):
-            self._boxes = np.zeros(0)
-        if self._boxes.shape[1:] != (2, 3) or not np.isfinite(self._boxes).all() or not len(self._boxes):
-            raise ValueError(
-                "'payload_boxes' must be boxes of a lowest and a highest corner in m, shape (boxes, 2, 3), "
-                f"at least one and all finite; got {payload_boxes!r}."
-            )
-
-    def draw(self, payload: Payload, rng: np.random.Generator) -> None:
-        """Plan the payload of an episode: its mass, when it comes, and where it lies."""
-        mass = rng.uniform(*self._mass)
-        time = self.stand_time + rng.uniform(*self._time)
-        low, high = self._boxes[rng.integers(len(self._boxes))]
-        payload.plan(mass, time, rng.uniform(low, high).tolist())
-
-
-def refuse_planned_payload(task: str, options: Mapping[str, Any]) -> None:
-    """Raise TypeError if the options have a payload where a task draws its own."""
-    if "payload" in options:
-        raise TypeError(
-            f"{task} draws its payload: give 'payload_mass' and 'payload_time' in place of 'payload'."
-        )

@@ -65,6 +65,7 @@ class NaoStandEnv(NaoEnv):
             float((self._stand(self._lean(*shift))[0] - self._com)[axis]) / pelvis
             for axis, shift in enumerate([(pelvis, 0.0), (0.0, pelvis)])
         ]
+        self._gravity = -float(self.model.opt.gravity[2])
         self._still = self._sample(0)
 
     def _stand(self, posture: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -103,20 +104,25 @@ class NaoStandEnv(NaoEnv):
 
     def _sample(self, tick: Any) -> Command:
         ticks = np.ravel(tick).tolist()
-        where, speed, acceleration = np.array([self._sine(one) for one in ticks]).T.reshape(
-            3, *np.shape(tick)
-        )
-        outer = np.multiply.outer
+        motion = np.array([self._sine(one) for one in ticks]).reshape(*np.shape(tick), 3, 1)
         forward, left = self._sway
         sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])
-        com, com_acceleration = self._com + outer(where, sway), outer(acceleration, sway)
-        gravity = -float(self.model.opt.gravity[2])
+        where = motion[..., 0, 0]
+        return self._swayed(where * forward, where * left, motion * sway)
+
+    def _swayed(self, forward: Any, left: Any, motion: NDArray[np.float64]) -> Command:
+        """Return the command of a pelvis that is moved by so many m forward and left.
+
+        The motion of the centre of mass has shape (..., 3, 3): place, velocity and acceleration.
+        """
+        com = self._com + motion[..., 0, :]
+        velocity, acceleration = motion[..., 1, :], motion[..., 2, :]
         return Command(
-            joint_target=self._lean(where * forward, where * left),
+            joint_target=self._lean(forward, left),
             com=com,
-            com_velocity=outer(speed, sway),
-            com_acceleration=com_acceleration,
-            cop=com[..., :2] - com[..., 2:] / gravity * com_acceleration[..., :2],
+            com_velocity=velocity,
+            com_acceleration=acceleration,
+            cop=com[..., :2] - self._com[2] / self._gravity * acceleration[..., :2],
             position_sole=self._position_sole,
             yaw_sole=np.zeros(2),
             stance=np.ones(2, dtype=bool),

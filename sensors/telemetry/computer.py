@@ -66,24 +66,6 @@ class TelemetryLayout:
         self.size = 2 * joints + 8
 
 
-class Computer(NamedTuple):
-    """The sensors and the results of the robot's computer.
-
-    Attributes:
-        imu: State of the IMU.
-        encoders: State of the encoders.
-        attitude: The computer's belief of its tilt.
-        position: The last encoder readings in rad, shape (J,).
-        velocity: Their filtered differences in rad/s, shape (J,).
-    """
-
-    imu: ImuState
-    encoders: Any
-    attitude: Attitude
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-
-
 class Hardware(NamedTuple):
     """The constants of an IMU and encoders, whatever the robot does.
 
@@ -94,6 +76,22 @@ class Hardware(NamedTuple):
 
     imu: ImuState
     encoders: Any
+
+
+class Computer(NamedTuple):
+    """The sensors and the results of the robot's computer.
+
+    Attributes:
+        hardware: States of its sensors.
+        attitude: The computer's belief of its tilt.
+        position: The last encoder readings in rad, shape (J,).
+        velocity: Their filtered differences in rad/s, shape (J,).
+    """
+
+    hardware: Hardware
+    attitude: Attitude
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
 
 
 class TelemetryState(NamedTuple):
@@ -172,9 +170,9 @@ class Telemetry:
         """
         if hardware is None:
             hardware = Hardware(self._imu.init((6,), rng), self._encoders.init(position.shape, rng))
-        imu_state, encoder_state = hardware
-        reading, encoder_state = self._encoders.apply(position, encoder_state, rng, self.period)
-        computer = Computer(imu_state, encoder_state, UPRIGHT, reading, np.zeros_like(reading))
+        reading, encoder_state = self._encoders.apply(position, hardware.encoders, rng, self.period)
+        hardware = hardware._replace(encoders=encoder_state)
+        computer = Computer(hardware, UPRIGHT, reading, np.zeros_like(reading))
         under_way: Packets = ()
         for number in range(self.before_start):
             time = (number + 1 - self.before_start) * self.period
@@ -217,11 +215,11 @@ class Telemetry:
 
     def hardware(self, state: TelemetryState) -> Hardware:
         """Return the present state of IMU and encoders."""
-        return Hardware(state.computer.imu, state.computer.encoders)
+        return state.computer.hardware
 
     def with_hardware(self, state: TelemetryState, hardware: Hardware) -> TelemetryState:
         """Return a state that goes on with another IMU and other encoders."""
-        return state._replace(computer=state.computer._replace(**hardware._asdict()))
+        return state._replace(computer=state.computer._replace(hardware=hardware))
 
     def _measure(
         self,
@@ -231,7 +229,7 @@ class Telemetry:
         rng: Rng,
     ) -> tuple[NDArray[np.float64], Computer]:
         """Read the sensors once and fill a packet."""
-        imu_state, encoder_state, attitude, before, velocity = computer
+        (imu_state, encoder_state), attitude, before, velocity = computer
         period = self.period
         angle, encoder_state = self._encoders.apply(position, encoder_state, rng, period)
         sample, imu_state = self._imu.apply(inertial, imu_state, rng, period)
@@ -242,7 +240,7 @@ class Telemetry:
         velocity = velocity + self.smoothing * ((angle - before) / period - velocity)
         inertial_part = (attitude.roll, attitude.pitch, wx, wy, wz, fx, fy, fz)
         values = np.concatenate((angle, velocity, inertial_part))
-        return values, Computer(imu_state, encoder_state, attitude, angle, velocity)
+        return values, Computer(Hardware(imu_state, encoder_state), attitude, angle, velocity)
 
 
 _NOTHING: NDArray[np.float64] = np.zeros(6)

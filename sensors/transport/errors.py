@@ -59,7 +59,7 @@ class GapState(NamedTuple):
     """Whether the link is up.
 
     Attributes:
-        lost: 1 within a gap and 0 elsewhere, shape (1,); (K,) for channels with a link each.
+        lost: 1 within a gap and 0 elsewhere, shape (1,).
     """
 
     lost: Array
@@ -129,8 +129,8 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     return stateless(turn_over)
 
 
-def stale_repeats(probability: float, *, each: bool = False) -> Corruption[RepeatState]:
-    """Repeat the last value with a probability in [0, 1), each channel on its own or all together.
+def stale_repeats(probability: float) -> Corruption[RepeatState]:
+    """Repeat the last value with a probability in [0, 1), all channels together.
 
     Where there is none, before the first reading and after one that was lost, the new one passes.
     """
@@ -141,23 +141,20 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
         return RepeatState(np.full(shape, np.nan))
 
     def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
-        stale = uniform(rng, 0.0, 1.0, reading.shape if each else (1,)) < probability
+        stale = uniform(rng, 0.0, 1.0, (1,)) < probability
         read = np.where(stale & ~np.isnan(state.held), state.held, reading)
         return read, RepeatState(read)
 
     return Corruption(init, apply)
 
 
-def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corruption[GapState]:
-    """Lose readings in bursts: they are NaN.
-
-    Channels are lost each on its own, or together as they travel in one packet.
+def burst_gaps(share: float, mean_length: float) -> Corruption[GapState]:
+    """Lose readings in bursts: they are NaN, all channels together as they travel in one packet.
 
     Args:
         share: Share of the time that is lost in the long run in [0, 1); 0 loses nothing.
         mean_length: Mean length of a gap in s. Where it is not long against the time between
             readings, gaps that fall between two of them are not seen, and those that are seem longer.
-        each: Whether each channel has a link of its own.
     """
     if not 0.0 <= share < 1.0:
         raise ValueError(f"'share' must lie in [0, 1), got {share}.")
@@ -165,8 +162,7 @@ def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corru
         raise ValueError(f"'mean_length' must be finite and positive, got {mean_length}.")
 
     def init(shape: tuple[int, ...], rng: Rng) -> GapState:
-        drawn = uniform(rng, 0.0, 1.0, shape if each else (1,))
-        return GapState((drawn < share).astype(np.float64))
+        return GapState((uniform(rng, 0.0, 1.0, (1,)) < share).astype(np.float64))
 
     def apply(reading: Array, state: GapState, rng: Rng, dt: float) -> tuple[Array, GapState]:
         drawn = uniform(rng, 0.0, 1.0, state.lost.shape)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.instrumentation.drawing import below_ankle, below_cells
+from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
@@ -176,8 +176,7 @@ def test_hanging_feet_read_zero_and_ankle_sensors_carry_them():
 
 
 def test_what_hangs_below_a_sensor_is_the_published_foot_and_the_plate():
-    model = load_nao_spec().compile()
-    ankle, cells = below_ankle(model), below_cells(model)
+    ankle, cells = draw_nao().below_ankle, draw_nao().below_cells
     side = np.array([1.0, -1.0])
     np.testing.assert_allclose(ankle.mass, 0.17184, atol=1e-9)
     np.testing.assert_allclose(ankle.position_sensor_sole, [[0.0, 0.0, 0.04511]] * 2, atol=1e-9)
@@ -196,7 +195,7 @@ def test_ankle_wrenches_are_the_grounds_and_the_feets_own_weight_and_inertia():
     env = NaoWalkEnv(speed=0.1, duration=6.0, foot_roll=0.05)
     env.reset(seed=0)
     model, data = env.model, env.data
-    below = below_ankle(model)
+    below = draw_nao().below_ankle
     acceleration, velocity = np.zeros(6), np.zeros(6)
     largest = 0.0
     for step in range(320):

@@ -42,7 +42,8 @@ def test_a_plan_is_played_and_written(monkeypatch, tmp_path):
     planned.prelude.write(tmp_path / "nao_motion.csv")
     player = CalibrationMotion.read(tmp_path / "nao_motion.csv")
     assert player.motors == planned.prelude.motors
-    for target, swing in zip(planned.prelude.joint_target, planned.prelude.swing, strict=True):
+    commands = planned.prelude.commands
+    for target, swing in zip(commands.joint_target, commands.swing, strict=True):
         np.testing.assert_allclose(player({}), target, atol=1e-6)
         np.testing.assert_array_equal(player.swing, swing)
     assert player.done

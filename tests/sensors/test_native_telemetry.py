@@ -78,7 +78,7 @@ def same_packets(expected, found) -> None:
 
 def same_state(expected, found) -> None:
     assert type(found) is Record
-    (imu, (walk, *_), attitude, position, velocity), inertial, substeps, due, number, under_way = expected
+    ((imu, (walk, *_)), attitude, position, velocity), inertial, substeps, due, number, under_way = expected
     parts = {
         "bias": imu.bias, "matrix": imu.matrix, "error": walk.error, "up": attitude.up,
         "gyroscope_bias": attitude.bias, "position": position, "velocity": velocity,
