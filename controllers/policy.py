@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.controllers.posture import PostureDrive
+from surefoot.controllers.stabiliser import check_parts
 from surefoot.files import AnyPath, atomic_path, names_in_archive, parse_json, read_arrays
 
 __all__ = ["FORMAT", "PolicyFileError", "PolicyNetwork"]
@@ -65,6 +66,9 @@ class PolicyNetwork:
         engage_after: For how long after a reset to do nothing, in s: during a quiet stand, say.
         notes: How it was made: task, seed, versions.
 
+    Attributes:
+        drive: The integrator between the network's outputs and the action.
+
     Raises:
         PolicyFileError: If the shapes do not fit each other, or a number is not finite.
     """
@@ -88,7 +92,7 @@ class PolicyNetwork:
         self.biases = [np.array(bias, dtype=np.float64) for bias in biases]
         self.notes = dict(notes or {})
         try:
-            self._drive = PostureDrive(posture_matrix, posture_speed, posture_memory, dt)
+            self.drive = PostureDrive(posture_matrix, posture_speed, posture_memory, dt)
         except ValueError as refused:
             raise PolicyFileError(f"The policy's postures are impossible: {refused}") from refused
         if not 1 <= hold <= 1000:
@@ -101,18 +105,13 @@ class PolicyNetwork:
     @property
     def action_size(self) -> int:
         """Number of motors that an action moves."""
-        return int(self._drive.matrix.shape[0])
-
-    @property
-    def drive(self) -> PostureDrive:
-        """The integrator between the network's outputs and the action."""
-        return self._drive
+        return int(self.drive.matrix.shape[0])
 
     def reset(self) -> None:
         """Start an episode: the posture goes back to the pattern's."""
-        self._drive.reset()
+        self.drive.reset()
         self._seen = 0
-        self._held = np.zeros(self._drive.size)
+        self._held = np.zeros(self.drive.size)
 
     def speeds(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the speeds of the postures for one observation, in [-1, 1], (A,); ValueError for a lack."""
@@ -134,7 +133,7 @@ class PolicyNetwork:
             return np.zeros(self.action_size, dtype=np.float32)
         if age % self.hold == 0:
             self._held = self.speeds(observation)
-        return self._drive(self._held)
+        return self.drive(self._held)
 
     def fits(self, observation_space: Any, action_space: Any) -> None:
         """Raise ValueError if an environment lacks a part or has one of another size, or other motors."""
@@ -247,22 +246,17 @@ class PolicyNetwork:
                 format=np.array(FORMAT),
                 parts=np.array(list(self.parts)),
                 sizes=np.array(list(self.parts.values())),
-                posture_matrix=self._drive.matrix,
-                posture_speed=np.array(self._drive.speed),
-                posture_memory=np.array(self._drive.memory),
+                posture_matrix=self.drive.matrix,
+                posture_speed=np.array(self.drive.speed),
+                posture_memory=np.array(self.drive.memory),
                 hold=np.array(self.hold),
-                dt=np.array(self._drive.dt),
+                dt=np.array(self.drive.dt),
                 notes=np.array(json.dumps(self.notes, sort_keys=True)),
                 **layers,
             )
 
     def _vector(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        if missing := [part for part in self.parts if part not in observation]:
-            raise ValueError(
-                f"The observation lacks {missing}; it has {sorted(observation)}. FootSensors takes the "
-                "centre of pressure away and SelfCalibration brings it back: "
-                "SelfCalibration(FootSensors(env))."
-            )
+        check_parts(observation, self.parts)
         pieces = [np.ravel(observation[part]).astype(np.float64) for part in self.parts]
         for piece, (part, size) in zip(pieces, self.parts.items(), strict=True):
             if piece.size != size:
@@ -287,5 +281,5 @@ class PolicyNetwork:
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise PolicyFileError(f"Layer {i} holds numbers that are not finite: its training diverged.")
             size = weight.shape[0]
-        if size != self._drive.size:
-            raise PolicyFileError(f"The last layer gives {size} numbers for {self._drive.size} postures.")
+        if size != self.drive.size:
+            raise PolicyFileError(f"The last layer gives {size} numbers for {self.drive.size} postures.")

@@ -26,7 +26,7 @@ impacts and noise, and hard on a miscalibrated foot: with :math:`k_1 = 1.3`, a b
 as much as a sole has to its side.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from math import isfinite
 from typing import Any
@@ -118,23 +118,8 @@ class Stabiliser:
         self._seen = 0
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the action for one observation.
-
-        Args:
-            observation: An observation of the environment; it is not changed.
-
-        Returns:
-            An action, shape (11,), within [-1, 1].
-
-        Raises:
-            ValueError: If the observation has no centre of pressure.
-        """
-        if missing := [name for name in ("cop", "cop_valid") if name not in observation]:
-            raise ValueError(
-                f"The observation lacks {missing}; it has {sorted(observation)}. FootSensors takes the "
-                "centre of pressure away and SelfCalibration brings it back: "
-                "SelfCalibration(FootSensors(env))."
-            )
+        """Return the action for one observation, within [-1, 1], shape (11,); ValueError without a CoP."""
+        check_parts(observation, ("cop", "cop_valid"))
         self._seen += 1
         if self._seen <= self._wait:
             return np.zeros(ACTION_SIZE, dtype=np.float32)
@@ -162,13 +147,15 @@ class Stabiliser:
         return np.clip(error, -self.largest_error, self.largest_error)
 
 
+def check_parts(observation: Mapping[str, Any], parts: Iterable[str]) -> None:
+    """Raise ValueError if an observation lacks parts that a controller looks at."""
+    if missing := [part for part in parts if part not in observation]:
+        raise ValueError(
+            f"The observation lacks {missing}; it has {sorted(observation)}. FootSensors takes the centre of "
+            "pressure away and SelfCalibration brings it back: SelfCalibration(FootSensors(env))."
+        )
+
+
 def zero_action(observation: Mapping[str, Any]) -> NDArray[np.float32]:
-    """Return the action that leaves the pattern as it is, whatever is observed: the open-loop walker.
-
-    Args:
-        observation: Not looked at.
-
-    Returns:
-        Zeros, shape (11,).
-    """
+    """Return the action that leaves the pattern as it is, zeros: the open-loop walker."""
     return np.zeros(ACTION_SIZE, dtype=np.float32)

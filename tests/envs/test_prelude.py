@@ -73,7 +73,9 @@ def test_every_motion_starts_and_ends_in_the_middle(stage):
 def test_a_tempo_is_a_factor_on_all_speeds(stage):
     slow, fast = (stage.motion.prelude([f"sway left 1 @ {tempo}"], stage.dt) for tempo in (0.5, 1.0))
     assert slow.duration == pytest.approx(2.0 * fast.duration, abs=2 * stage.dt)
-    assert np.abs(fast.com_velocity).max() == pytest.approx(2.0 * np.abs(slow.com_velocity).max(), rel=0.02)
+    assert np.abs(fast.commands.com_velocity).max() == pytest.approx(
+        2.0 * np.abs(slow.commands.com_velocity).max(), rel=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,7 +140,7 @@ def test_an_exercise_begins_after_its_prelude(stage, short):
     fell, commands = played(stage)
     assert not fell
     assert len(commands) == len(short.rest)
-    np.testing.assert_array_equal(commands[10].joint_target, short.joint_target[10])
+    np.testing.assert_array_equal(commands[10].joint_target, short.commands.joint_target[10])
     stage.step(zero(stage))
     first = stage.command_at(stage.state.plan, 1)
     np.testing.assert_array_equal(stage.command.joint_target, first.joint_target)
@@ -147,8 +149,7 @@ def test_an_exercise_begins_after_its_prelude(stage, short):
 def test_a_prelude_of_another_robot_or_place_is_refused(short):
     with pytest.raises(ValueError, match=r"'prelude' moves .* but the robot's motors are"):
         NaoStandEnv(prelude=short._replace(motors=("knee", *short.motors[1:])))
-    aside = NaoStandEnv(
-        prelude=short._replace(position_sole=short.position_sole + np.array([0.0, 0.02, 0.0]))
-    )
+    moved = short.commands.position_sole + np.array([0.0, 0.02, 0.0])
+    aside = NaoStandEnv(prelude=short._replace(commands=short.commands._replace(position_sole=moved)))
     with pytest.raises(ValueError, match="'prelude' has its soles 20 mm from where the episode begins"):
         aside.reset(seed=0)
