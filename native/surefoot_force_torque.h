@@ -71,9 +71,9 @@ SF_API void sf_force_torque_step(const sf_force_torque_config *c, sf_force_torqu
 /* ------------------------------------------------------------------------------ one sensor down to its gauges */
 
 typedef struct {
-    int channels, bends, plays, of_load, creeps, walks, noisy, converts;
+    int channels, bends, plays, creeps, walks, noisy, converts;
     sf_real full_scale[SF_AXES], creep_shares[SF_CREEPS], creep_time_constants[SF_CREEPS];
-    sf_real hysteresis, hysteresis_excess[SF_GAUGES], hysteresis_most[SF_GAUGES], slack[SF_GAUGE_PLAYS];
+    sf_real hysteresis, hysteresis_excess[SF_AXES], slack[SF_GAUGE_PLAYS];
     sf_real walk_map[SF_GAUGES * SF_GAUGES], noise_map[SF_GAUGES * SF_GAUGES];
     sf_real temperature_ramp, temperature_rise, lowest, highest;
 } sf_strain_gauges_config;
@@ -81,7 +81,7 @@ typedef struct {
 /* Fields are those of the Python state, by their way through its parts. */
 typedef struct {
     sf_real response[SF_GAUGES * SF_AXES], tempco[2 * SF_GAUGES], offset[SF_GAUGES], temperature;
-    sf_real creep_yielded[SF_CREEPS * SF_AXES], hysteresis_plays[SF_GAUGE_PLAYS * SF_GAUGES];
+    sf_real creep_yielded[SF_CREEPS * SF_AXES], hysteresis_plays[SF_GAUGE_PLAYS * SF_AXES];
     sf_real bend_cubic[SF_AXES], bend_cross[SF_AXES * SF_AXES * SF_AXES];
 } sf_strain_gauges;
 
@@ -116,13 +116,6 @@ SF_API void sf_gauge_noise(const sf_real *map, sf_real factor, int K, sf_random 
     }
 }
 
-/* What the plays of K axes or gauges make of what these feel. */
-SF_API void sf_gauge_hysteresis(const sf_strain_gauges_config *c, sf_strain_gauges *s, int K, sf_real *load) {
-    for (int i = 0; i < K && c->plays; i++)
-        load[i] = sf_hysteresis(c->hysteresis, c->hysteresis_excess[i], c->hysteresis_most[i], c->slack, c->plays,
-                                s->hysteresis_plays + i, K, load[i]);
-}
-
 /* Read the sensor: six numbers in N and N m, at and in its frame, to counts, one a gauge. */
 SF_API void sf_strain_gauges_step(const sf_strain_gauges_config *c, sf_strain_gauges *s, sf_random *stream,
                                   const sf_real *wrench, sf_real dt, sf_real *counts) {
@@ -131,12 +124,13 @@ SF_API void sf_strain_gauges_step(const sf_strain_gauges_config *c, sf_strain_ga
     memcpy(load, wrench, sizeof load);
     if (c->bends) sf_coupled_nonlinearity(c->full_scale, s->bend_cubic, s->bend_cross, load);
     sf_creep(c->creep_shares, c->creep_time_constants, c->creeps, dt, SF_AXES, s->creep_yielded, load);
-    if (c->of_load) sf_gauge_hysteresis(c, s, SF_AXES, load);
+    for (int i = 0; i < SF_AXES && c->plays; i++)
+        load[i] = sf_hysteresis(c->hysteresis, c->hysteresis_excess[i], c->full_scale[i], c->slack, c->plays,
+                                s->hysteresis_plays + i, SF_AXES, load[i]);
     for (int i = 0; i < K; i++) {
         counts[i] = 0;
         for (int j = 0; j < SF_AXES; j++) counts[i] += s->response[SF_AXES * i + j] * load[j];
     }
-    if (!c->of_load) sf_gauge_hysteresis(c, s, K, counts);
     if (c->walks) sf_gauge_noise(c->walk_map, (sf_real)sqrt(dt), K, stream, s->offset);
     if (c->temperature_ramp > 0) s->temperature = sf_warmed(before, c->temperature_ramp, c->temperature_rise, dt);
     for (int i = 0; i < K; i++) {

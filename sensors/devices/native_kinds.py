@@ -21,7 +21,7 @@ from surefoot.sensors.devices.load_cells import load_cells
 from surefoot.sensors.devices.native_device import Kind, wire_constants
 from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.devices.strain_gauges import SMALLEST_LOOP as GAUGES_LOOP
-from surefoot.sensors.devices.strain_gauges import gauge_map, lag, strain_gauges
+from surefoot.sensors.devices.strain_gauges import gauge_map, strain_gauges
 from surefoot.sensors.faults.channels import (
     KINDS,
     Converter,
@@ -66,16 +66,13 @@ def _of_sensors(config: ForceTorque) -> tuple[Any, ...]:
 
 
 def _of_gauges(config: StrainGauges) -> tuple[Any, ...]:
-    most, true_at = lag(config)
-    slacks, excess = halving_slacks(config.hysteresis, GAUGES_LOOP, true_at)
+    slacks, excess = halving_slacks(config.hysteresis, GAUGES_LOOP, config.hysteresis_true)
     low, high = config.code_range
     own = {
         "plays": len(slacks),
-        "of_load": config.hysteresis_of == "load",
         "creeps": len(config.creep_shares),
         "converts": config.adc_bits > 0,
         "hysteresis_excess": excess,
-        "hysteresis_most": most,
         "slack": slacks,
         "walk_map": gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T,
         "noise_map": gauge_map(config, config.noise_force, config.noise_torque).T,

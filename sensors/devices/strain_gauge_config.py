@@ -91,13 +91,8 @@ class StrainGauges:
     """Bits of the converter: counts are whole and end at +-(2^(bits - 1) - 1). 0 leaves it out."""
 
     hysteresis: Annotated[Error, ErrorField(0.08)] = 0.01
-    """Width of a loop at mid-load over the load's peak-to-peak swing (see
-    :func:`~surefoot.sensors.stages.hysteresis.hysteresis`)."""
-
-    hysteresis_of: str = "load"
-    """What lags: ``"load"``, each component of the wrench behind its own swing, or ``"gauges"``, each gauge
-    behind its own strain. With the latter a small force beside a large torque, which the same gauges feel,
-    comes out off by a share of the torque: by 1.7 N along the leg where the former leaves 0.2 N."""
+    """Width of a loop at mid-load over the load's peak-to-peak swing, of each component of the wrench on its
+    own (see :func:`~surefoot.sensors.stages.hysteresis.hysteresis`)."""
 
     hysteresis_true_force: Positive = 50.0
     """Amplitude in N of the cycle whose ends are read without an error of slope (a loop that is as wide at
@@ -152,7 +147,6 @@ class StrainGauges:
             require(getattr(self, name) <= 0.5, self, name, "be at most 0.5")
         possible = is_whole(self.adc_bits) and (self.adc_bits == 0 or 2 <= self.adc_bits <= 32)
         require(possible, self, "adc_bits", "be 0 or lie in 2 to 32")
-        require(self.hysteresis_of in ("load", "gauges"), self, "hysteresis_of", "be 'load' or 'gauges'")
         require(self.hysteresis <= 0.08, self, "hysteresis", "be at most 0.08")
         for name in ("force", "torque"):
             most = getattr(self, f"full_scale_{name}")
@@ -200,6 +194,11 @@ class StrainGauges:
     def full_scale(self) -> NDArray[np.float64]:
         """Largest component along each axis in N and N m, shape (6,)."""
         return per_axis(self.full_scale_force, self.full_scale_torque)
+
+    @property
+    def hysteresis_true(self) -> NDArray[np.float64]:
+        """Amplitudes of the cycles whose ends are read right in shares of the full scales, shape (6,)."""
+        return per_axis(self.hysteresis_true_force, self.hysteresis_true_torque) / self.full_scale
 
     @property
     def nominal_matrix(self) -> NDArray[np.float64]:

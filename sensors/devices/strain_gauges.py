@@ -21,7 +21,6 @@ The element bends out of proportion, creeps and lags (see :mod:`surefoot.sensors
 scales (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +36,8 @@ from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.stages.nonlinearity import cross_nonlinearity
 from surefoot.sensors.stages.temperature import temperature_rise
 
-DOUBLINGS = 6
-"""The matrix has changed in N = 2^6 small steps: squared six times."""
+STEPS = 64
+"""The matrix has changed in so many small steps."""
 
 SCALE, OFFSET = 0, 1
 """Rows of :attr:`StrainGaugeState.tempco`."""
@@ -87,28 +86,36 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     k, (low, high) = config.channels, config.code_range
     eye, full_scale, response = np.eye(AXES), config.full_scale, config.nominal_response
     talk = config.scale_error_std * eye + config.cross_talk_std * (1.0 - eye)
-    change = talk * full_scale[:, None] / full_scale / 2.0**DOUBLINGS
+    change = talk * full_scale[:, None] / full_scale / STEPS
     offset_map = gauge_map(config, config.offset_force, config.offset_torque).T
     tempco_map = gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T
     # One matrix for each draw of a step: noise and, where offsets drift, their drift.
     noisy, walks = config.noisy, config.walks
     noise_map = gauge_map(config, config.noise_force, config.noise_torque).T
     walk_map = gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T
-    begin, carry = _element(config)
+    bends, creeping = config.bends, creep(config.creep_shares, config.creep_time_constants)
+    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
+    true_at = config.hysteresis_true
+    lagging = hysteresis(config.hysteresis, full_scale, smallest=SMALLEST_LOOP, true_at=true_at)
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         check_channels(shape, k)
-        grown = _grow(eye + change * normal(rng, (AXES, AXES)))
+        grown = np.linalg.matrix_power(eye + change * normal(rng, (AXES, AXES)), STEPS)
         offset = uniform(rng, -1.0, 1.0, shape) @ offset_map
         heat = normal(rng, (2, k))
         tempco = np.stack([config.scale_tempco * heat[0], heat[1] @ tempco_map])
-        return StrainGaugeState(response @ grown, tempco, offset, np.zeros(()), *begin(rng))
+        crept, lagged = creeping.init((AXES,), rng), lagging.init((AXES,), rng)
+        bend = bending.init((AXES,), rng) if bends else ()
+        return StrainGaugeState(response @ grown, tempco, offset, np.zeros(()), crept, lagged, bend)
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
         if wrench.shape != (AXES,):
             raise ValueError(f"A wrench must have the shape ({AXES},), got {wrench.shape}.")
-        matrix, tempco, offset, before = state[:4]
-        counts, loads = carry(wrench, state, rng, dt)
+        matrix, tempco, offset, before, crept, lagged, bend = state
+        load, bend = bending.apply(wrench, bend, rng, dt) if bends else (wrench, ())
+        load, crept = creeping.apply(load, crept, rng, dt)
+        load, lagged = lagging.apply(load, lagged, rng, dt)
+        counts = matrix @ load
         if walks:
             drawn = normal(rng, offset.shape)
             offset = offset + dt**0.5 * (drawn @ walk_map)
@@ -118,47 +125,9 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             counts = counts + normal(rng, counts.shape) @ noise_map
         if config.adc_bits:
             counts = np.rint(limit(counts, low, high))
-        return counts, StrainGaugeState(matrix, tempco, offset, temperature, *loads)
+        return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
 
     return Corruption(init, apply)
-
-
-_Loads = tuple[CreepState, HysteresisState, Any]  # the last three of StrainGaugeState
-
-
-def _element(
-    config: StrainGauges,
-) -> tuple[Callable[[Rng], _Loads], Callable[[Array, StrainGaugeState, Rng, float], tuple[Array, _Loads]]]:
-    """Make the element that bends, creeps and lags: its start, and counts without offsets of a wrench."""
-    of_load, bends = config.hysteresis_of == "load", config.bends
-    most, true_at = lag(config)
-    lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
-    creeping = creep(config.creep_shares, config.creep_time_constants)
-    bending = cross_nonlinearity(config.nonlinearity, config.cross_nonlinearity, config.full_scale)
-
-    def init(rng: Rng) -> _Loads:
-        lagged = lagging.init((AXES if of_load else config.channels,), rng)
-        return creeping.init((AXES,), rng), lagged, bending.init((AXES,), rng) if bends else ()
-
-    def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, _Loads]:
-        bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
-        load, crept = creeping.apply(bent, state.creep, rng, dt)
-        lagged = state.hysteresis
-        if of_load:
-            load, lagged = lagging.apply(load, lagged, rng, dt)
-        counts = state.response @ load
-        if not of_load:
-            counts, lagged = lagging.apply(counts, lagged, rng, dt)
-        return counts, (crept, lagged, bend)
-
-    return init, apply
-
-
-def _grow(step: Array) -> Array:
-    """Return the product of N small changes, all alike."""
-    for _ in range(DOUBLINGS):
-        step = step @ step
-    return step
 
 
 def _warm(
@@ -195,17 +164,6 @@ def shift_offset(
     drawn = normal(rng, state.offset.shape)
     jump = drawn @ gauge_map(config, force_std, torque_std).T
     return state._replace(offset=state.offset + jump)
-
-
-def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each axis or gauge that lags is at its full scale, and where it reads true.
-
-    The largest amplitudes are in N and N m or in counts, and those that read true are shares of them.
-    """
-    true = per_axis(config.hysteresis_true_force, config.hysteresis_true_torque)
-    felt = np.eye(AXES) if config.hysteresis_of == "load" else np.abs(config.nominal_response)
-    most = (felt * config.full_scale).max(axis=1)
-    return most, (felt * true).max(axis=1) / most
 
 
 def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:

@@ -78,7 +78,7 @@ def cells_with(**fields: Any) -> Callable[[], Corruption[Any]]:
 
 
 WARM = {"scale_tempco": 5e-5, "offset_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
-WARM_GAUGES = {"hysteresis_of": "gauges", "temperature_ramp": 0.5, "temperature_rise": 14.0}
+WARM_GAUGES = {"temperature_ramp": 0.5, "temperature_rise": 14.0}
 BENT = Mechanics(
     nonlinearity=0.01,
     hysteresis=0.02,

@@ -102,7 +102,7 @@ TABLE: dict[str, Any] = {
     ),
     **{name: preset(name, StrainGauges) for name in PRESETS[StrainGauges]},
     "gauges, whole": StrainGauges(nonlinearity=0.02, cross_nonlinearity=0.01, adc_bits=0, **HEATED),
-    "gauges that lag": StrainGauges(matrix=REDUNDANT, hysteresis=0.03, hysteresis_of="gauges", adc_bits=0),
+    "gauges that lag": StrainGauges(matrix=REDUNDANT, hysteresis=0.03, adc_bits=0),
     "gauges, nothing acts": StrainGauges(
         hysteresis=0.0,
         creep_shares=(),
@@ -244,7 +244,7 @@ def test_random_devices_are_the_same(library: Library, data: Any, seed: int, exc
     )  # fmt: skip
     gauges = StrainGauges(
         matrix=data.draw(st.sampled_from([REDUNDANT, StrainGauges().matrix])), adc_bits=some(16),
-        hysteresis=some(0.03), hysteresis_of=data.draw(st.sampled_from(["load", "gauges"])),
+        hysteresis=some(0.03),
         nonlinearity=some(0.02), cross_nonlinearity=some(0.01), creep_shares=shares,
         creep_time_constants=times, offset_drift_force=some(1.0), noise_torque=some(0.01),
         **data.draw(st.sampled_from([{}, HEATED])),
