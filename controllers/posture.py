@@ -12,10 +12,7 @@ POSTURES = ("sway forward", "sway left", "bow forward", "bow left")
 
 
 def posture_matrix() -> NDArray[np.float64]:
-    """Return the commands of the leg motors for each posture.
-
-    Returns:
-        Residuals per unit of posture, shape (11, 4).
+    """Return residuals of the leg motors per unit of each posture, shape (11, 4).
 
     >>> forward, _, _, _ = posture_matrix().T
     >>> float(forward[[2, 4]].sum())  # hip and ankle pitch cancel: the torso stays upright

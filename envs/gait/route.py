@@ -16,6 +16,7 @@ from surefoot.envs.gait.footsteps import (
     place_footsteps,
 )
 from surefoot.envs.gait.ground import Walk
+from surefoot.envs.options import numbers_of
 
 LEAST_STAND = 0.5
 """Shortest leg of standing in s: the weight has to settle."""
@@ -61,16 +62,13 @@ def parse_route(route: Any) -> tuple[Leg, ...]:
         )
     legs = []
     for index, row in enumerate(rows):
-        try:
-            duration, speed, turn_rate = (float(part) for part in row)
-        except (TypeError, ValueError):
-            duration = speed = turn_rate = float("nan")
-        if not (isfinite(duration) and isfinite(speed) and isfinite(turn_rate) and duration > 0.0):
+        numbers = numbers_of(row)
+        if len(numbers) != 3 or not all(map(isfinite, numbers)) or numbers[0] <= 0.0:
             raise ValueError(
                 f"'route' leg {index} must be (duration in s, speed in m/s, turn rate in rad/s), three "
                 f"finite numbers with a positive duration, got {row!r}."
             )
-        legs.append(Leg(duration, speed, turn_rate))
+        legs.append(Leg._make(numbers))
     return tuple(legs)
 
 

@@ -18,9 +18,7 @@ _LINKS = ("hip_1", "hip_2", "hip_3", "upper_leg", "lower_leg", "ankle_1", "ankle
 _JOINTS = {"hip_pitch": "hip_front_back", "hip_roll": "hip_lateral"}
 
 
-def load_icub_leg_spec(
-    configuration: int = 1, *, side: Literal["left", "right"] = "right", model: str = "iCubGazeboV2_5"
-) -> mujoco.MjSpec:
+def load_icub_leg_spec(configuration: int = 1, *, side: Literal["left", "right"] = "right") -> mujoco.MjSpec:
     """Build the in-situ rig with a leg of the iCub, all joints below the hip held: an own specification.
 
     The sensors lie where the fixed joints ``leg_ft_sensor`` and ``foot_ft_sensor`` are, with their frames: x
@@ -30,16 +28,15 @@ def load_icub_leg_spec(
     Args:
         configuration: Which masses to add, 1 to 8 (:data:`~surefoot.envs.leg_rig.spec.ADDED_MASSES`).
         side: Which leg.
-        model: A model of ``icub-models`` of the version 2.5 family.
 
     Raises:
         ImportError: If ``icub-models`` is not installed.
-        ValueError: If there is no such configuration, side or model.
+        ValueError: If there is no such configuration or side.
     """
     load = added_mass(configuration)
     if side not in ("left", "right"):
         raise ValueError(f"'side' must be 'left' or 'right', got {side!r}.")
-    spec = mujoco.MjSpec.from_string(_leg_urdf(model, side[0]))
+    spec = mujoco.MjSpec.from_string(_leg_urdf(side[0]))
     spec.option.gravity = (0.0, 0.0, -9.81)
     for joint, name in _JOINTS.items():
         hinge = spec.joint(f"{side[0]}_{joint}")
@@ -67,7 +64,7 @@ def _add_body(foot: Any, name: str, place: Any, mass: float, inertia: Any) -> No
     body.mass, body.inertia = mass, inertia
 
 
-def _leg_urdf(model: str, prefix: str) -> str:
+def _leg_urdf(prefix: str) -> str:
     """Cut one leg out of the robot's URDF: no visuals, and no joints but the hip's two."""
     try:
         icub_models = importlib.import_module("icub_models")
@@ -75,21 +72,11 @@ def _leg_urdf(model: str, prefix: str) -> str:
         raise ImportError(
             "The iCub's leg needs the package 'icub-models'; install it with pip install 'surefoot[icub]'."
         ) from error
-    try:
-        file = icub_models.get_model_file(model)
-    except FileNotFoundError as error:
-        known = sorted(icub_models.get_robot_names())
-        raise ValueError(f"'icub-models' has no model '{model}'; choose one of {known}.") from error
-    robot = ElementTree.parse(file).getroot()
+    robot = ElementTree.parse(icub_models.get_model_file("iCubGazeboV2_5")).getroot()
     leg = ElementTree.Element("robot", name="icub_leg")
     wrapper = ElementTree.SubElement(leg, "mujoco")
-    ElementTree.SubElement(
-        wrapper,
-        "compiler",
-        fusestatic="false",
-        balanceinertia="true",
-        strippath="false",
-    )
+    compiler = {"fusestatic": "false", "balanceinertia": "true", "strippath": "false"}
+    ElementTree.SubElement(wrapper, "compiler", compiler)
     names = {"root_link", *(f"{prefix}_{link}" for link in _LINKS)}
     for link in robot.findall("link"):
         if link.get("name") in names:

@@ -53,12 +53,6 @@ def test_recordings_at_rest_are_gravity():
             np.testing.assert_allclose(getattr(recording, f"wrench_{sensor}"), expected, atol=1e-6)
 
 
-@pytest.mark.usefixtures("_installed")
-def test_unknown_models_are_refused():
-    with pytest.raises(ValueError, match=r"no model 'iCub9'; choose one of .*'iCubGazeboV2_5'"):
-        load_icub_leg_spec(model="iCub9")
-
-
 def test_without_the_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "icub_models", None)
     with pytest.raises(ImportError, match=r"needs the package 'icub-models'.*surefoot\[icub\]"):

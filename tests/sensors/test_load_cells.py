@@ -146,20 +146,6 @@ def test_cells_drift_by_2_percent_and_1_newton_in_a_minute() -> None:
     assert config.offset_drift == pytest.approx(PER_SQRT_MINUTE)
 
 
-def test_the_true_map_undoes_the_errors_of_the_moment() -> None:
-    rng = np.random.default_rng(7)
-    config = replace(HX711_LOAD_CELLS, input_noise=0.0)
-    cells = load_cells(config)
-    state = cells.init((8,), rng)
-    for _ in range(50):
-        _, state = cells.apply(np.zeros((10, 8)), state, rng, DT)
-    scale, offset = true_map(config, state)
-    load = np.linspace(0.0, 40.0, 24).reshape(3, 8)
-    read = scale * static_counts(config, state, load, rng) + offset
-    # Half a count is 25 uN at most.
-    np.testing.assert_allclose(read, load, atol=4e-5)
-
-
 def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
     rng = np.random.default_rng(8)
     state = load_cells(HX711_LOAD_CELLS).init((8,), rng)
@@ -189,9 +175,9 @@ def test_ten_minutes_of_warming_move_offset_and_scale_by_their_coefficients(rise
     assert np.corrcoef(start.thermal[1].reshape(2, -1))[0, 1] == pytest.approx(0.0, abs=0.06)
 
 
-def test_the_true_map_knows_the_temperature():
+def test_the_true_map_undoes_the_errors_of_the_moment():
     rng = np.random.default_rng(11)
-    config = replace(WARMING, input_noise=0.0, scale_drift=0.0, offset_drift=0.0)
+    config = replace(WARMING, input_noise=0.0)
     cells = load_cells(config)
     state = cells.init((8,), rng)
     cold = true_map(config, state)
@@ -202,23 +188,6 @@ def test_the_true_map_knows_the_temperature():
     scale, offset = true_map(config, state)
     np.testing.assert_allclose(scale * counts + offset, load, atol=4e-5)
     assert np.abs(cold[0] * counts + cold[1] - load).max() > 0.1
-
-
-@pytest.mark.parametrize("off", [{"temperature_ramp": 0.0}, {"scale_tempco": 0.0, "offset_tempco": 0.0}])
-def test_cells_that_do_not_warm_up_read_bit_for_bit_what_they_read_before(off):
-    config = replace(WARMING, **off)
-    assert not config.warms
-    read = []
-    for each in (HX711_LOAD_CELLS, config):
-        rng = np.random.default_rng(12)
-        cells = load_cells(each)
-        state = cells.init((8,), rng)
-        counts = []
-        for _ in range(50):
-            one, state = cells.apply(np.full((10, 8), 5.0), state, rng, DT)
-            counts.append(one)
-        read.append(counts)
-    np.testing.assert_array_equal(read[0], read[1])
 
 
 def test_wrong_channels_are_refused() -> None:
