@@ -57,10 +57,11 @@ class NaoBalanceEnv(NaoSurpriseEnv, NaoStandEnv):
         sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to stand still.
         sway_share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_boxes: Of :class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`.
+        payload_boxes: Boxes in the torso's frame in m, of which an episode draws one, shape (boxes, 2, 3).
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s.
-        **options: Of the same.
+        **options: ``stand_time`` and ``payload_time`` in s, the length of the quiet stand and when after it the
+            payload comes (:class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`), and those of :class:`NaoEnv`.
 
     Raises:
         ValueError: If an option is out of its range, naming it.

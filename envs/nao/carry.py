@@ -63,10 +63,11 @@ class NaoCarryEnv(NaoSurpriseEnv, NaoPatternEnv):
         speeds: Forward speeds in m/s, of which an episode draws one; each is planned once in a process.
         duration: Length of an episode in s.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_boxes: Of :class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`.
+        payload_boxes: Boxes in the torso's frame in m, of which an episode draws one, shape (boxes, 2, 3).
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s.
-        **options: Of the same.
+        **options: ``stand_time`` and ``payload_time`` in s, the length of the quiet stand and when after it the
+            payload comes (:class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`), and those of :class:`NaoEnv`.
 
     Attributes:
         pattern: The plan of this episode.
