@@ -66,7 +66,7 @@ class NaoCarryEnv(NaoSurpriseEnv, NaoPatternEnv):
         payload_boxes: Boxes in the torso's frame in m, of which an episode draws one, shape (boxes, 2, 3).
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s.
-        **options: ``stand_time`` and ``payload_time`` in s, the length of the quiet stand and when after it the
+        **options: ``stand_time`` and ``payload_time`` in s, how long the quiet stand is and when after it the
             payload comes (:class:`~surefoot.envs.nao.surprise.NaoSurpriseEnv`), and those of :class:`NaoEnv`.
 
     Attributes:
