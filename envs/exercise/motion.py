@@ -29,7 +29,7 @@ from surefoot.envs.command import Command
 from surefoot.envs.exercise.moves import SWAYS, Move, Schedule, motions_of, one_leg
 from surefoot.envs.exercise.postures import Postures, UnreachableError
 from surefoot.envs.exercise.robot import ExerciseRobot, prepare_robot
-from surefoot.envs.instrumentation.made import kept
+from surefoot.envs.instrumentation.made import keep
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.robots.library import ROBOTS
 
@@ -122,7 +122,7 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
         return Motion(prepare_robot(robot, feet, boxes=boxes))
     version = None if named else (Path(robot).resolve(), Path(robot).stat().st_mtime_ns)
     key = (str(robot), version, repr(feet), boxes)
-    own = copy(kept(_PLANNED, key, lambda: Motion(prepare_robot(robot, feet, boxes=boxes))))
+    own = copy(keep(_PLANNED, key, lambda: Motion(prepare_robot(robot, feet, boxes=boxes))))
     own.robot = replace(own.robot, model=copy(own.robot.model))
     return own
 

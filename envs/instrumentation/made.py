@@ -75,11 +75,11 @@ def make(
     options = repr((feet, soles, boxes, {**given, "cells": cells}))
     key = (str(description.resolve()), description.stat().st_mtime_ns, options, fingerprint(bare))
     file = str(description)
-    return kept(_KEPT, key, lambda: _make(mujoco.MjSpec.from_file(file), bare, feet, soles, boxes, given))
+    return keep(_KEPT, key, lambda: _make(mujoco.MjSpec.from_file(file), bare, feet, soles, boxes, given))
 
 
-def kept(store: dict[tuple[Any, ...], Value], key: tuple[Any, ...], make: Callable[[], Value]) -> Value:
-    """Return what is stored under a key, or make it, in the place of the oldest of :data:`MOST_KEPT`."""
+def keep(store: dict[tuple[Any, ...], Value], key: tuple[Any, ...], make: Callable[[], Value]) -> Value:
+    """Make what a key stands for, if it is not stored, in the place of the oldest of :data:`MOST_KEPT`."""
     if key not in store:
         value = make()
         while len(store) >= MOST_KEPT:

@@ -120,7 +120,7 @@ class NaoBalanceEnv(NaoSurpriseEnv, NaoStandEnv):
         forward, left = self._follow
         level = np.zeros((*motion.shape[:-1], 3))
         level[..., :2] = motion
-        return self._swayed(motion[..., 0, 0] / forward, motion[..., 0, 1] / left, level)
+        return self._sway_command(motion[..., 0, 0] / forward, motion[..., 0, 1] / left, level)
 
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""

@@ -108,9 +108,9 @@ class NaoStandEnv(NaoEnv):
         forward, left = self._sway
         sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])
         where = motion[..., 0, 0]
-        return self._swayed(where * forward, where * left, motion * sway)
+        return self._sway_command(where * forward, where * left, motion * sway)
 
-    def _swayed(self, forward: Any, left: Any, motion: NDArray[np.float64]) -> Command:
+    def _sway_command(self, forward: Any, left: Any, motion: NDArray[np.float64]) -> Command:
         """Return the command of a pelvis that is moved by so many m forward and left.
 
         The motion of the centre of mass has shape (..., 3, 3): place, velocity and acceleration.
