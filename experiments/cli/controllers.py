@@ -182,8 +182,6 @@ def sweep(
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
     out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
     jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
-    backend: Annotated[str, Option(help="local, dask or ray; or here, in this very process.")] = "local",
-    address: Annotated[str | None, Option(help="Of a running scheduler of dask or head of ray.")] = None,
     retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
     any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
     films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
@@ -211,8 +209,7 @@ def sweep(
     changes = {name: value for name, value in given.items() if value not in ((), None)}
     with one_line_errors(out, "what is finished is kept."):
         chosen = plan_from_toml(plan, **changes)
-        where: Any = {"backend": backend, "jobs": jobs, "address": address}
-        results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
+        results = run_plan(chosen, out, jobs=jobs, retry_failed=retry_failed, any_version=any_version)
         with working("drawing and filming" if films else "drawing the report"):
             report = write_sweep(results, films)
     kept = len(results.rows) - results.computed

@@ -62,17 +62,14 @@ def run_plan(
     plan: EpisodePlan,
     folder: Path | None = None,
     *,
-    backend: str = "",
     jobs: int = 1,
-    address: str | None = None,
     retry_failed: bool = False,
     any_version: bool = False,
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 
-    Backend, jobs and address are those of :func:`~surefoot.experiments.study.runner.workers`. Raises
-    ValueError if something is refused before anything is run, StudyError if the folder cannot be used, the
-    disk is full, or a worker runs other software.
+    Raises ValueError if something is refused before anything is run, StudyError if the folder cannot be used,
+    the disk is full, or the code is changed meanwhile.
     """
     with ExitStack() as stack:
         if folder is None:
@@ -92,7 +89,7 @@ def run_plan(
         if missing:
             with working("trying out each kind"):
                 _try_out([case.arguments[0] for case in missing])
-            crew = stack.enter_context(runner(jobs, backend=backend, address=address))
+            crew = stack.enter_context(runner(jobs))
             computed = crew.run(
                 "Episodes",
                 cases,

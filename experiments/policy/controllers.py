@@ -154,7 +154,7 @@ def _policy(name: str, env_id: str) -> PolicyNetwork:
 def _file(name: str) -> Path:
     path = Path(name)
     if not path.is_file():
-        raise ValueError(f"There is no policy file '{name}'; every worker must find it under this path.")
+        raise ValueError(f"There is no policy file '{name}'; give its path.")
     return path
 
 
@@ -170,8 +170,8 @@ def _import_function(name: str) -> Callable[..., Any]:
         found = resolve_name(name)
     except (ImportError, AttributeError) as error:
         raise ValueError(
-            f"Controller '{name}' cannot be imported ({error}); its module must be on the Python path of "
-            "every worker; PYTHONPATH=. before the command adds this folder."
+            f"Controller '{name}' cannot be imported ({error}); its module must be on the Python path; "
+            "PYTHONPATH=. before the command adds this folder."
         ) from error
     if not callable(found):
         raise ValueError(f"Controller '{name}' is {type(found).__name__}, and no function.")

@@ -3,7 +3,7 @@
 * :mod:`~surefoot.experiments.study.store`: a :class:`Case` is a function that returns rows, and the code
   that it depends on; a :class:`Store` keeps the result of each, on the disk.
 * :mod:`~surefoot.experiments.study.runner`: a :class:`Runner` runs the cases that a store lacks, in this
-  process, in processes, on dask or on ray; a case that fails is kept as such.
+  process or in several; a case that fails is kept as such.
 * :mod:`~surefoot.experiments.study.tables`: tables, declared by their columns, and claims with a computed
   verdict; ``statistics``, ``figures``, ``page``: the parts that a person sees.
 

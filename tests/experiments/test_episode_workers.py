@@ -1,6 +1,5 @@
-"""Sweeps on real processes: crashed, and on clusters."""
+"""Sweeps on several processes, one of which crashes."""
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -25,23 +24,14 @@ def dies(observation):
 """
 
 
-def cluster(name: str) -> pytest.MarkDecorator:
-    package = {"dask": "distributed"}.get(name, name)
-    missing = name != "local" and importlib.util.find_spec(package) is None
-    return pytest.mark.skipif(missing, reason=f"{package} is not installed: pip install 'surefoot[{name}]'")
-
-
-CLUSTERS = [pytest.param(name, marks=cluster(name)) for name in ("local", "dask", "ray")]
-
-
-def command(folder: Path, controllers: str, *, seeds: int, backend: str) -> subprocess.Popen[bytes]:
+def command(folder: Path, controllers: str, *, seeds: int) -> subprocess.Popen[bytes]:
     (folder / "sweep_toys.py").write_text(TOYS)
     plan = folder / "sweep.toml"
     plan.write_text(
         f'controllers = {controllers}\nfeeds = ["true"]\nscenarios = ["stand"]\nseverities = [1]\n'
         f"seeds = {seeds}\nduration = 0.6\nsettle = 0.1\n"
     )
-    arguments = ["sweep", str(plan), "--out", str(folder / "out"), "--backend", backend]
+    arguments = ["sweep", str(plan), "--out", str(folder / "out"), "--jobs", "2"]
     # A file and no pipe: workers of a killed process would keep a pipe open for a while.
     with (folder / "said.txt").open("wb") as said:
         return subprocess.Popen(
@@ -67,10 +57,9 @@ def plan_of(*controllers: str, seeds: int) -> EpisodePlan:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", CLUSTERS)
-def test_a_worker_that_dies_costs_its_episode_alone(backend: str, tmp_path: Path) -> None:
+def test_a_worker_that_dies_costs_its_episode_alone(tmp_path: Path) -> None:
     controllers = '["zero", "sweep_toys:dies", "stabiliser"]'
-    ended(command(tmp_path, controllers, seeds=2, backend=backend), tmp_path)
+    ended(command(tmp_path, controllers, seeds=2), tmp_path)
     rows = pd.read_parquet(tmp_path / "out" / EPISODES)
     assert sorted(rows["case"]) == list(range(6))
     failed = rows[rows["error"] != ""]
@@ -79,9 +68,8 @@ def test_a_worker_that_dies_costs_its_episode_alone(backend: str, tmp_path: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", CLUSTERS)
-def test_results_are_the_same_to_the_last_digit(backend: str, tmp_path: Path) -> None:
-    ended(command(tmp_path, '["zero", "stabiliser"]', seeds=3, backend=backend), tmp_path)
+def test_results_are_the_same_to_the_last_digit(tmp_path: Path) -> None:
+    ended(command(tmp_path, '["zero", "stabiliser"]', seeds=3), tmp_path)
     rows = pd.read_parquet(tmp_path / "out" / EPISODES).sort_values("case", ignore_index=True)
     here = run_plan(plan_of("zero", "stabiliser", seeds=3)).rows
     assert not (rows["error"] != "").any()

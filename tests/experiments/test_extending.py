@@ -178,7 +178,7 @@ def test_workers_import_a_users_module(own, tmp_path):
         duration=6.0,
         cells="my_feet:heavy-cells",
     )
-    rows = run_plan(plan, tmp_path / "out", jobs=2, backend="local").rows
+    rows = run_plan(plan, tmp_path / "out", jobs=2).rows
     assert list(rows["error"]) == ["", ""]
 
 

@@ -197,13 +197,13 @@ def test_a_full_disk_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest
         assert (tmp_path / JOURNAL).read_bytes() == before
 
 
-def test_a_worker_with_other_software_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def elsewhere(case: Case) -> Any:
         outcome = attempt(case)
         return type(outcome)(outcome.key, outcome.name, "code 0", outcome.tables)
 
     monkeypatch.setattr("surefoot.experiments.study.runner.attempt", elsewhere)
-    with pytest.raises(StudyError, match="A worker runs code 0"):
+    with pytest.raises(StudyError, match="The code has changed meanwhile"):
         run(tmp_path, cases())
 
 

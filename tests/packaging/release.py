@@ -19,7 +19,6 @@ ROOT = Path(__file__).parents[2]
 WORK = ROOT / "build" / "release"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-SWEEP = "surefoot sweep --controller zero --feed true --scenario speed-0.04 --seeds 1 --duration 5 --jobs 1"
 SERVES = {
     "": [
         "python -c 'from surefoot.native import CALIBRATION; assert len(CALIBRATION.rooms()) == 2'",
@@ -38,8 +37,6 @@ SERVES = {
     "ros": ["surefoot calibrate walk no.bag > said 2>&1; cat said; grep -q 'no such bag' said"],
     "view": ["timeout --preserve-status -s INT 60 surefoot view --port 8397"],
     "mcap": ["surefoot view --log no.csv --mcap it.mcap > said 2>&1; cat said; grep -q 'no such file' said"],
-    "dask": [f"{SWEEP} --backend dask --out dask"],
-    "ray": [f"{SWEEP} --backend ray --out ray"],
     "docs": [f"sphinx-build -q -W -D nb_execution_mode=off {ROOT}/docs site"],
 }
 """What each extra serves; "docs" serves the checkout alone."""
