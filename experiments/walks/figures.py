@@ -1,13 +1,11 @@
-"""Figures of a study of walks: errors at a glance and over time; the CoP paper's 10 to 15."""
+"""Figures of a study of walks: errors at a glance and over time."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import (
     by_way,
     draw_curve,
@@ -16,7 +14,6 @@ from surefoot.experiments.study.figures import (
     grid_of,
     in_order,
     legend_below,
-    limit_to,
     logarithmic,
     look_of,
     name_axes,
@@ -24,15 +21,6 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
 from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric
-
-DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
-OVER_TIME = (
-    "CoP x, forward (mm)",
-    "CoP y, left (mm)",
-    "distance to truth (mm)",
-    "both feet, Fz (N)",
-    "left foot, Fz (N)",
-)
 
 
 def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = METRICS) -> Path:
@@ -91,44 +79,6 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
         name_axes(drawn, "time (s)", "CoP rmse of 2 s (mm)")
         legend_below(figure, drawn[0, 0])
     return path
-
-
-def over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw CoP and vertical forces as walks end (the paper's Figures 10 to 15), a column a trace."""
-    with figure_at(path, 10.0, 10.4) as figure:
-        panels = grid_of(figure, len(OVER_TIME), len(traces), sharex=True, sharey="row")
-        places, totals = [], []
-        for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
-            ways = trace.set_index("method")
-            truth = 1e3 * _array(ways.loc["truth", "cop"])
-            places.append(truth)
-            for name in DRAWN:
-                time, cop, vgrf = (_array(ways.loc[name, quantity]) for quantity in ("time", "cop", "vgrf"))
-                off = np.maximum(np.linalg.norm(1e3 * cop - truth, axis=1), 1e-2)
-                totals.append(vgrf.sum(axis=1))
-                style = {"linewidth": 1.1, "zorder": 2.0, "alpha": 0.9}
-                if name == "truth":
-                    off, style = np.full(len(off), np.nan), {"linewidth": 1.9, "zorder": 1.5}
-                for axes, line in zip(column, (*1e3 * cop.T, off, totals[-1], vgrf[:, 0]), strict=True):
-                    draw_curve(axes, time, line, look_of(name), **style)
-            column[0].set_title(title)
-            logarithmic(column[2])
-        for axes, values in zip(panels[:2, 0], np.concatenate(places).T, strict=True):
-            limit_to(axes, values, least=1.0)
-        bottom, top = panels[2, 0].get_ylim()
-        panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
-        # Single samples at a landing must not flatten all the others into one line.
-        low, high = map(float, np.nanpercentile(np.concatenate(totals), [0.5, 99.5]))
-        margin = 0.4 * max(high - low, 1.0)
-        panels[3, 0].set_ylim(low - margin, high + margin)
-        name_axes(panels, "time (s)", *OVER_TIME)
-        legend_below(figure, panels[0, 0])
-    return path
-
-
-def _array(values: Any) -> Floats:
-    """Return nested lists of a table as an array."""
-    return np.array([np.asarray(value, dtype=np.float64) for value in values])
 
 
 def by_scenario(scores: Frame, scenarios: Sequence[Scenario]) -> dict[str, Frame]:

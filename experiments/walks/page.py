@@ -17,7 +17,6 @@ from surefoot.experiments.study.page import (
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Frame, claim_table, plural, sentence
 from surefoot.experiments.walks import figures, findings, tables
-from surefoot.experiments.walks.gait_cycle import cycle_figure, cycle_table
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
@@ -31,7 +30,6 @@ _caption = Words("walks", "captions")
 _say_paper = Words("walks", "paper")
 
 PAPER, BAD = CONDITIONS
-PAPER_FIGURES = {0.02: "Figures 10 and 11", 0.04: "Figures 12 and 13", 0.1: "Figures 14 and 15"}
 YARDSTICKS = (
     (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
     (PAPER, "truth", f"{PAPER.title}, against the truth"),
@@ -89,7 +87,7 @@ def _scenario_sections(results: WalkStudyResults) -> list[Section]:
     overviews = [tables.overview_table(scores, scenarios, metric) for metric in tables.METRICS]
     summary = (*overviews, tables.alarm_table(scores))
     sections = [
-        Section("summary", "In short", (), findings.summary_findings(scores), summary, figures=shown),
+        Section("summary", "In short", tables=summary, figures=shown),
         *(_scenario_section(results, scenario, drawn) for scenario in scenarios),
     ]
     faults = tables.fault_table(scores, scenarios)
@@ -118,9 +116,8 @@ def _paper_sections(results: WalkStudyResults) -> list[Section]:
     folder = results.options.out / "figures"
     return [
         _walking_section(results, folder),
-        *((_cycle_section(results, folder),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
-        weights_section(weigh_after_walk(), folder),
+        weights_section(weigh_after_walk()),
     ]
 
 
@@ -178,33 +175,14 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
         for speed in results.speeds
     }
     overview = figures.overview(folder / "overview.svg", rows, tables.PAPER_METRICS)
-    drawn = list(_figure(overview, "All speeds", "overview"))
-    for speed in results.speeds:
-        here = results.traces[results.traces["speed"] == speed]
-        traces = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
-        path = figures.over_time(folder / f"over_time_{_tag(speed)}.svg", traces)
-        drawn += _figure(path, PAPER_FIGURES.get(speed, f"{speed:g} m/s"), "over_time", speed=speed)
+    drawn = _figure(overview, "All speeds", "overview")
     texts = (
         _say_paper("conditions", paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
         _say_paper("yardsticks"),
         _say_paper("definitions"),
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
-    return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=tuple(drawn))
-
-
-def _tag(speed: float) -> str:
-    return f"{speed:g}".replace(".", "_")
-
-
-def _cycle_section(results: WalkStudyResults, folder: Path) -> Section:
-    # In the middle of the paper's speeds, if it was walked.
-    speed, titles = results.speeds[len(results.speeds) // 2], {c.name: c.title for c in CONDITIONS}
-    cycles = results.cycles[results.cycles["speed"] == speed]
-    one = cycles[cycles["seed"] == cycles["seed"].min()]
-    drawn = cycle_figure(folder / "gait_cycle.svg", one, titles, figures.DRAWN)
-    table, shown = cycle_table(cycles, titles), _figure(drawn, "Gait cycle", "gait_cycle", speed=speed)
-    return Section("gait-cycle", "Gait cycles", tables=(table,), figures=shown)
+    return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=drawn)
 
 
 def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
@@ -212,7 +190,7 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
     drawn: tuple[ReportFigure, ...] = ()
     for speed, runs in results.loop.groupby("speed", sort=False):
         path = survival_curves(
-            folder / f"closed_loop_{_tag(speed)}.svg", runs.assign(controller="stabiliser")
+            folder / f"closed_loop_{speed:g}.svg".replace(".", "_", 1), runs.assign(controller="stabiliser")
         )
         drawn += _figure(path, f"Who falls when, {speed:g} m/s", "closed_loop")
     said = tuple(findings.loop_findings(results.loop))

@@ -20,7 +20,7 @@ from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
-from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.experiments.weights.weighing import weigh_cells
 from surefoot.robot.beliefs.believed import nothing
 from surefoot.robot.beliefs.momentum import unknown
 from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
@@ -109,7 +109,7 @@ class FootInstruments:
         self.calibrated: Parameters | None = None
         if cells is not None:
             if ankle is None:
-                self.calibrated = run_weighing(cells=cells, state=self._state.cells, seed=seed).channels.value
+                self.calibrated = weigh_cells(cells, self._state.cells, seed)
             # Every chip delivers once before the walk, as they do while a robot boots.
             part: Any = self._all.parts[0]
             period = 1.0 / cells.rate[0] if cells.rate else 0.0125

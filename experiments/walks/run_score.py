@@ -172,7 +172,6 @@ def _mean(values: Floats) -> float:
 
 
 OTHER_WAYS = ("baseline", "reference")  # no methods: weights before the walk, kept; what the motion asks for
-TRACE = (8.0, 2.0)  # kept for figures, in s before the end: the last steps before the robot stops
 
 
 def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:
@@ -196,37 +195,15 @@ def other_way(stream: Stream, way: str, settle: float) -> list[dict[str, Any]]:
     return [_row(stream, way, "truth") | _reference_score(stream, settle)]
 
 
-def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]:
-    """Return the end of a walk as a method saw it: rows of time (s), CoP in the world (m), vGRF (N)."""
-    log, truth = stream.log, stream.truth
-    end = log.time[-1]
-    shown = (log.time >= max(end - TRACE[0], 0.0)) & (log.time <= end - TRACE[1])
-    ways = {method: force} | ({"truth": truth.force} if method == TRUE_MAP else {})
-    return [
-        {
-            **walk_of(stream),
-            "method": name,
-            "time": log.time[shown],
-            "cop": cop_world(one, log.layout, truth.position_sole, truth.R_world_sole)[shown],
-            "vgrf": vertical_forces(one, log.layout, truth.R_world_sole)[shown],
-        }
-        for name, one in ways.items()
-    ]
-
-
 def _baseline(stream: Stream) -> Floats:
     found: Floats = starting_map(stream.log, "calibrated").force(stream.log.raw)
     return found
 
 
-def walk_of(stream: Stream) -> dict[str, Any]:
-    """Return the condition and the speed in m/s of a walk."""
-    about = stream.log.about
-    return {"condition": str(about["condition"]), "speed": float(about["speed_m_s"])}
-
-
 def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
-    return {**walk_of(stream), "seed": stream.seed, "method": name, "against": against}
+    about = stream.log.about
+    walk = {"condition": str(about["condition"]), "speed": float(about["speed_m_s"])}
+    return {**walk, "seed": stream.seed, "method": name, "against": against}
 
 
 def _reference_score(stream: Stream, settle: float) -> dict[str, float]:

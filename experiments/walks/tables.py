@@ -1,6 +1,6 @@
 """Tables of a study of walks: a scenario each, one over all; faults, alarms; the CoP paper's 4 to 6."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -138,10 +138,28 @@ _FAULTS: Mapping[str, Cell] = {
 def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     """Return all scores of a scenario, from one row a run."""
     title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
-    parts = by_way(scores[scores["scenario"] == scenario.name])
-    return table_of(
-        f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("walks", "scenarios")("scores")
-    )
+    own = scores[scores["scenario"] == scenario.name]
+    behind = _behind(own)
+    columns = {**_SCORES, BEHIND: _of_methods(lambda runs: behind(_method(runs)))}
+    note = Words("walks", "scenarios")("scores")
+    return table_of(f"scenario_{scenario.name}", title, columns, by_way(own).values(), note)
+
+
+BEHIND = f"CoP, more than {CALIBRATED}, paired (mm)"
+
+
+def _behind(runs: Frame) -> Callable[[str], str]:
+    """Make cells of a method: how much farther off its CoP is than the moment filter's, walk by walk."""
+    cop = runs.pivot(index="seed", columns="method", values="cop")
+
+    def cell(method: str) -> str:
+        if method == CALIBRATED or not {method, CALIBRATED} <= set(cop):
+            return ""
+        gap = mean_interval(cop[method] - cop[CALIBRATED])
+        said = interval_text(gap, 1e3)
+        return Verdict.of(gap.mean > 0.0, said) if gap.apart else said
+
+    return cell
 
 
 def overview_table(scores: Frame, scenarios: Sequence[Scenario], metric: Metric) -> Table:
@@ -202,7 +220,7 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
     """Errors of each way to read the feet, and who falls by it."""
     own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
     raw = int(loop[loop["feed"] == "none"]["fell"].sum())
-    cop = own.pivot(index="seed", columns="method", values="cop")
+    behind = _behind(own)
 
     def error(metric: str, factor: float) -> Cell:
         def cell(way: tuple[str, Frame]) -> str:
@@ -210,13 +228,6 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
             return with_interval(errors, factor) if len(errors) else decimal(0)
 
         return cell
-
-    def behind(way: tuple[str, Frame]) -> str:
-        if way[0] == CALIBRATED or not {way[0], CALIBRATED} <= set(cop):
-            return ""
-        gap = mean_interval(cop[way[0]] - cop[CALIBRATED])
-        said = interval_text(gap, 1e3)
-        return Verdict.of(gap.mean > 0.0, said) if gap.apart else said
 
     def fall(way: tuple[str, Frame]) -> str:
         falls, said = int(way[1]["fell"].sum()), count_of("fell")(way[1])
@@ -226,7 +237,7 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
         "what reads the feet": lambda way: look_of(way[0]).label,
         "walks that fall": fall,
         "CoP off by (mm)": error("cop", 1e3),
-        f"more than {CALIBRATED}, paired (mm)": behind,
+        f"more than {CALIBRATED}, paired (mm)": lambda way: behind(way[0]),
         "vertical force off by (N)": error("vgrf", 1.0),
     }
     note = (

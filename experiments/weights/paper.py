@@ -1,7 +1,6 @@
-"""Known weights: Tables 2 and 3 of the CoP paper (PMC12899417), its Figures 7 and 8, and ours."""
+"""Known weights: Tables 2 and 3 of the CoP paper (PMC12899417), and ours."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,17 +9,14 @@ from numpy.typing import NDArray
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
-from surefoot.experiments.study.page import ReportFigure, Section, Words
+from surefoot.experiments.study.page import Section, Words
 from surefoot.experiments.study.tables import (
     NOTHING,
     Cell,
-    Frame,
     Table,
     decimal,
     number,
     table_of,
-    with_deviation,
 )
 from surefoot.experiments.weights.weighing import MethodErrors, WeighingReport, errors_of
 
@@ -65,7 +61,6 @@ TABLE_3 = {"initial": MethodErrors(0.1839, 5.298), "calibrated": MethodErrors(0.
 """Before and after the paper's manual calibration from weights."""
 
 _say = Words("walks", "paper")
-_BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
 
 
 def paper_table_2() -> tuple[Table, float]:
@@ -125,8 +120,8 @@ def table_3(report: WeighingReport) -> Table:
 _MAPS = {"initial": "initial", "weights": "weights", "window": "window, walked", "moment": "moment, walked"}
 
 
-def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
-    """Return how repeated placements agree with their holes and with each other: by map, and by hole."""
+def repeat_table(report: WeighingReport) -> Table:
+    """Return how repeated placements agree with their holes and with each other, by map."""
     spots = ["foot", "x", "y", "load"]
     rows = report.repeats
     parts = list(rows.groupby("map", sort=False))
@@ -155,87 +150,17 @@ def repeat_tables(report: WeighingReport) -> tuple[Table, Table]:
         "std of repeats, vGRF (N)": spread("vgrf", 1.0),
     }
     amount = len(rows) // rows.groupby([*spots, "map"]).ngroups
-    by_map = table_of("repeats", f"{amount} repeats of each placement", columns, parts, _say("repeats"))
-
-    def place(name: str) -> Cell:
-        def cell(spot: tuple[tuple[str, float, float, float], Frame]) -> str:
-            own = 1e3 * spot[1][spot[1]["map"] == name][["cop_x", "cop_y"]]
-            return ", ".join(with_deviation(own[axis].mean(), own[axis].std()) for axis in own)
-
-        return cell
-
-    by_hole: dict[str, Cell] = {
-        "hole (mm)": lambda spot: f"{1e3 * spot[0][1]:.1f}, {1e3 * spot[0][2]:.1f}",
-        "weight (kg)": lambda spot: decimal(spot[0][3]),
-        **{_MAPS[name]: place(name) for name, _ in parts},
-    }
-    title = "CoP of repeated placements on the left foot, x, y (mm): mean ± standard deviation"
-    left = rows[rows["foot"] == rows["foot"].iloc[0]]
-    return by_map, table_of("repeats_holes", title, by_hole, list(left.groupby(spots)))
+    return table_of("repeats", f"{amount} repeats of each placement", columns, parts, _say("repeats"))
 
 
 def weight_tables(report: WeighingReport) -> tuple[Table, ...]:
     """Return all tables about known weights."""
-    return (paper_table_2()[0], table_2(report), table_3(report), *repeat_tables(report))
+    return (paper_table_2()[0], table_2(report), table_3(report), repeat_table(report))
 
 
-def weights_section(report: WeighingReport, folder: Path) -> Section:
-    """Return the section about known weights, and draw its figures into a folder."""
-    shown = (
-        ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", _say("figure_7")),
-        ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", _say("figure_8")),
-    )
-    return Section(
-        "weights", "Known weights", (_say("weights"),), tables=weight_tables(report), figures=shown
-    )
-
-
-def cop_figure(path: Path, report: WeighingReport) -> Path:
-    """Draw measured centres of pressure of the left foot against the plate's holes (the paper's Figure 7)."""
-    held_out = report.held_out
-    left = held_out[held_out["foot"] == held_out["foot"].iloc[0]]
-    maps = [left[left["map"] == name] for name in ("initial", "weights")]
-    # Of the lightest weights one map may have a centre of pressure, and the other none.
-    pressed = np.logical_and(*(rows["cop_x"].notna() for rows in maps))
-    with figure_at(path, 9.0, 4.4) as figure:
-        panels = grid_of(figure, 1, 2, sharex=True, sharey=True)[0]
-        for axes, rows, name, title in zip(
-            panels, maps, ("none", "baseline"), (_BEFORE, _AFTER), strict=True
-        ):
-            seen = rows[pressed]
-            ring = {"s": 46, "facecolors": "none", "edgecolors": "#9a9a9a"}
-            axes.scatter(1e3 * seen["x"], 1e3 * seen["y"], label="holes (truth)", **ring)
-            colour = look_of(name).colour
-            axes.scatter(
-                1e3 * seen["cop_x"], 1e3 * seen["cop_y"], s=7, color=colour, label="measured", zorder=3
-            )
-            axes.set_title(f"{title}: {1e3 * errors_of(seen).cop:.3g} mm rmse")
-            axes.set_aspect("equal")
-            axes.set_xlabel("x in the sole frame (mm)")
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
-        panels[0].set_ylabel("y in the sole frame (mm)")
-    return path
-
-
-def vgrf_figure(path: Path, report: WeighingReport) -> Path:
-    """Draw the vertical force of held-out placements on both feet (the paper's Figure 8)."""
-    maps = [report.held_out[report.held_out["map"] == name] for name in ("initial", "weights")]
-    load = GRAVITY * maps[0]["load"].to_numpy()
-    order, index = np.argsort(load, kind="stable"), np.arange(len(load))
-    with figure_at(path, 9.0, 4.2) as figure:
-        top, bottom = grid_of(figure, 2, 1, sharex=True, height_ratios=[2, 1])[:, 0]
-        for rows, name, label in zip(maps, ("none", "baseline"), (_BEFORE, _AFTER), strict=True):
-            forces = rows["vgrf"].to_numpy()
-            style = {"color": look_of(name).colour, "linestyle": "none", "marker": ".", "markersize": 4}
-            top.plot(index, forces[order], label=label, **style)
-            bottom.plot(index, np.maximum(np.abs(forces - load)[order], 1e-5), **style)
-        top.step(index, load[order], where="mid", color="black", linestyle=":", linewidth=1.4, label="weight")
-        top.set_ylabel("vertical force (N)")
-        top.legend(loc="upper left")
-        logarithmic(bottom)
-        bottom.set_ylabel("|error| (N)")
-        bottom.set_xlabel("held-out placement, sorted by weight")
-    return path
+def weights_section(report: WeighingReport) -> Section:
+    """Return the section about known weights."""
+    return Section("weights", "Known weights", (_say("weights"),), tables=weight_tables(report))
 
 
 def _cell(name: str) -> str:
