@@ -1,7 +1,7 @@
 """``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,9 +24,6 @@ Controller = Annotated[
 Stream = Annotated[
     Path | None, Option(help="Show a robot's stream of rows instead; a log's description, .json.")
 ]
-Mcap = Annotated[
-    Path | None, Option(help="Write samples into this .mcap: of --stream, or of --log without a page.")
-]
 Drawn = Annotated[
     str | None, Option(help="Show the feet of this environment, robot or MJCF file instead.", metavar="ENV")
 ]
@@ -44,7 +41,6 @@ def view(
     log: Annotated[Path | None, Option(help="Show a log instead, from its beginning to its end.")] = None,
     stream: Stream = None,
     stream_port: Annotated[int, Option(help="UDP port that the rows come to.", min=1, max=65535)] = 9870,
-    mcap: Mcap = None,
     host: Annotated[str, Option(help="Address of the page; 0.0.0.0 lets other computers in.")] = LOOPBACK,
     port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
     window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
@@ -68,9 +64,11 @@ def view(
     elif len(feeds) > 1:
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
     elif stream is not None:
-        _show_stream(stream, feeds[0], mcap, (host, stream_port), port)
-    elif mcap is not None:
-        _write_mcap(mcap, log, feeds[0])
+        address = (host, stream_port)
+        more = f"; rows come to UDP port {stream_port}"
+        _show_page(
+            lambda server: _stream_page(server, stream, feeds[0], address), stream.name, more, host, port
+        )
     elif log is not None:
         _show_page(lambda server: _log_page(server, log, feeds[0]), log.name, "", host, port)
     else:
@@ -145,49 +143,13 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
         return LogPage(server, LogFeet(read_log(log), _choose(feed).get("method", "moment")))
 
 
-def _show_stream(
-    description: Path, feed: str, mcap: Path | None, address: tuple[str, int], port: int
-) -> None:
-    """Show a robot's stream on a page, or refuse it; a file takes its samples until the page ends."""
-    with ExitStack() as kept:
+def _stream_page(server: Any, description: Path, feed: str, address: tuple[str, int]) -> Any:
+    """Return a robot's stream on a page, or refuse it."""
+    from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
-        def make(server: Any) -> Any:
-            from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
-
-            with _refuse():
-                feet = StreamFeet(description, _choose(feed).get("method", "moment"))
-                if mcap is not None:
-                    feet.keep = kept.enter_context(_mcap().open_mcap(mcap, feet.layout))
-                return StreamPage(server, feet, RowSocket(*address))
-
-        _show_page(make, description.name, f"; rows come to UDP port {address[1]}", address[0], port)
-    if mcap is not None:
-        typer.echo(f"MCAP: {mcap}")
-
-
-def _write_mcap(path: Path, log: Path | None, feed: str) -> None:
-    """Write a log into an MCAP file, or refuse it."""
-    from surefoot.experiments.logs.format import read_log
-    from surefoot.experiments.study.progress import working
-    from surefoot.experiments.walks.replay import starting_map
-
-    if log is None:
-        fail("--mcap takes what --stream or --log shows; give one of them.")
-    with _refuse(), working("writing the samples"):
-        files, method = _mcap(), _choose(feed).get("method", "none")
-        read = read_log(log, feet_alone=method in ("none", "tare"))
-        typer.echo(f"MCAP: {files.write_mcap(path, read, method, starting_map(read))}")
-
-
-def _mcap() -> Any:
-    """Return the writer of MCAP files, or say what to install."""
-    from surefoot.extras import not_installed
-
-    try:
-        from surefoot.experiments.logs import mcap
-    except ModuleNotFoundError as missing:
-        raise not_installed("--mcap", missing, "mcap") from None
-    return mcap
+    with _refuse():
+        feet = StreamFeet(description, _choose(feed).get("method", "moment"))
+        return StreamPage(server, feet, RowSocket(*address))
 
 
 def _choose(feed: str) -> dict[str, str]:

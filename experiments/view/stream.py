@@ -3,7 +3,7 @@
 import math
 import socket
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,6 @@ import numpy as np
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
-from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.columns import (
     PHASES,
@@ -82,7 +80,6 @@ class StreamFeet:
     """
 
     def __init__(self, description: Path, method: str) -> None:
-        self.keep: Callable[[float, Floats, Estimate], None] | None = None  # takes each sample, for a file
         told = parse_json(read_text(description, LogError), description.name, LogError)
         self.facts = facts = Description.read(told, f"{description.name}: the description")
         self.layout = facts.layout
@@ -125,16 +122,13 @@ class StreamFeet:
             # A robot that starts anew.
             self._begin()
         step = step if step > 0.0 else self.facts.dt_s
-        counts = np.array([_number(row, name) for name in self._counts])
-        raw = self._curves.straighten(counts)
+        raw = self._curves.straighten(np.array([_number(row, name) for name in self._counts]))
         reference = self._feel(row, raw) if alone else self._believe(row)
         raw_estimate, estimate = (one.update(raw, reference, step) for one in self._calibrators)
         self._time = time
         self.rows += 1
         soles = reference.position_sole, reference.R_level_sole
         self.shown = show_feet(time, *soles, raw_estimate, estimate)
-        if self.keep is not None:
-            self.keep(time, counts, estimate)
 
     def _begin(self) -> None:
         facts, alone = self.facts, self._alone

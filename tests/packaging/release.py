@@ -36,7 +36,6 @@ SERVES = {
     "experiments": ["surefoot --help", "surefoot calibrate ft --sample", "surefoot sweep --scenarios"],
     "ros": ["surefoot calibrate walk no.bag > said 2>&1; cat said; grep -q 'no such bag' said"],
     "view": ["timeout --preserve-status -s INT 60 surefoot view --port 8397"],
-    "mcap": ["surefoot view --log no.csv --mcap it.mcap > said 2>&1; cat said; grep -q 'no such file' said"],
     "docs": [f"sphinx-build -q -W -D nb_execution_mode=off {ROOT}/docs site"],
 }
 """What each extra serves; "docs" serves the checkout alone."""
