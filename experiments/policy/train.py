@@ -6,7 +6,7 @@ training that was stopped and resumed ends with the same policy, to the last dig
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
@@ -104,15 +104,12 @@ class Trainer:
             view = view.env
         return view
 
-    def run(
-        self, progress: Progress | None = None, *, board: bool = False, callbacks: Sequence[Any] = ()
-    ) -> PolicyNetwork:
+    def run(self, progress: Progress | None = None, *, board: bool = False) -> PolicyNetwork:
         """Train to the end, with checkpoints; return the policy, which lies in the folder as well.
 
         Args:
             progress: Is told of each update.
             board: Whether the curve and PPO's own figures are written for TensorBoard, which must be there.
-            callbacks: More of Stable-Baselines3's.
         """
         options = self.options
         if board:
@@ -125,7 +122,7 @@ class Trainer:
             until = min(self.updates + options.every, options.updates)
             self._model.learn(
                 (until - self.updates) * options.steps_per_update,
-                callback=[_curve_keeper(self, progress), *callbacks],
+                callback=_curve_keeper(self, progress),
                 reset_num_timesteps=False,
             )
             self._checkpoint()

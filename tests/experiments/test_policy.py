@@ -1,9 +1,7 @@
 """A balance policy from training to its scores: small trainings, short episodes."""
 
 import dataclasses
-import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -81,39 +79,6 @@ def test_tensorboard_is_given_the_curve_and_ppos_own_figures(trained, tmp_path):
     assert [event.step for event in events.Scalars("train/approx_kl")] == [32, 48]
     remove_training(tmp_path)
     assert not (tmp_path / "tensorboard").exists()
-
-
-def test_weights_and_biases_follows_a_training_by_its_own_callback(tmp_path, monkeypatch, capsys):
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    from surefoot.experiments.cli import controllers
-
-    class WandbCallback(BaseCallback):
-        def _on_step(self):
-            steps.append(self.num_timesteps)
-            return True
-
-    begun, steps = {}, []
-    stand_ins = {
-        "tensorboard": ModuleType("tensorboard"),
-        "wandb": SimpleNamespace(init=begun.update),
-        "wandb.integration": ModuleType("wandb.integration"),
-        "wandb.integration.sb3": SimpleNamespace(WandbCallback=WandbCallback),
-    }
-    for name, module in stand_ins.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    options = dataclasses.replace(SMALL, steps=16)
-    callback = controllers._wandb("feet", tmp_path, options)
-    assert (begun["project"], begun["config"]["steps"], begun["sync_tensorboard"]) == ("feet", 16, True)
-    trainer = Trainer(tmp_path, options)
-    trainer.run(callbacks=[callback])
-    trainer.close()
-    assert steps == [2, 4, 6, 8, 10, 12, 14, 16]
-
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(typer.Exit):
-        controllers._wandb("feet", tmp_path, options)
-    assert "--wandb needs wandb, which is missing: pip install wandb tensorboard." in capsys.readouterr().err
 
 
 def test_one_training_at_a_time_works_in_a_folder(trained, tmp_path):
