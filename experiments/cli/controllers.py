@@ -167,7 +167,6 @@ def sweep(
     jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
     retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
     any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
-    films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
     scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -193,8 +192,8 @@ def sweep(
     with one_line_errors(out, "what is finished is kept."):
         chosen = plan_from_toml(plan, **changes)
         results = run_plan(chosen, out, jobs=jobs, retry_failed=retry_failed, any_version=any_version)
-        with working("drawing and filming" if films else "drawing the report"):
-            report = write_sweep(results, films)
+        with working("drawing the report"):
+            report = write_sweep(results)
     kept = len(results.rows) - results.computed
     episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
     said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."

@@ -1,12 +1,10 @@
 """Pages of episodes, one file each: of an evaluation, the comparison; of a sweep, who fell where."""
 
-import base64
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from surefoot.experiments.episodes import figures, tables
-from surefoot.experiments.episodes.episode import VERSIONS, Episode
+from surefoot.experiments.episodes.episode import VERSIONS
 from surefoot.experiments.episodes.plan import find_scenario
 from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
 from surefoot.experiments.episodes.scores import (
@@ -20,7 +18,6 @@ from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.tasks import find_task
 from surefoot.experiments.study.page import Report, Section, Words, command_line, failure_section, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
-from surefoot.experiments.walks.video import LAST_SECONDS, film_episode
 
 _say = Words("episodes")
 
@@ -29,9 +26,8 @@ _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomis
 _LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
 
 PAGE = "index.html"
-_FILM = f"Its last {LAST_SECONDS:g} s; dots: the true centre of pressure (black) and the one fed back."
 
-_LISTED = 5  # how many of the worst episodes are listed at least
+_LISTED = 5  # how many of the worst episodes are listed
 
 
 def check_episodes(frame: Frame) -> tuple[Frame, Frame]:
@@ -117,23 +113,22 @@ def _failures(rows: Frame) -> tuple[Section, ...]:
     )
 
 
-def write_sweep(results: EpisodeResults, films: int = 0) -> Report:
-    """Draw the figures, save the tables as CSV, film the worst episodes, and write the page of a sweep."""
+def write_sweep(results: EpisodeResults) -> Report:
+    """Draw the figures, save the tables as CSV, and write the page of a sweep."""
     plan, rows, folder = results.plan, results.finished, results.folder
     ran = set(rows["scenario"])
     titles = {name: find_scenario(name, plan.own).title for name in plan.scenarios if name in ran}
     # The earliest falls, and then the lowest returns: those of different tasks cannot be compared.
     order = {"fell": False, "time": True, "return": True, "case": True}
-    worst = rows.sort_values([*order], ascending=[*order.values()]).head(max(films, _LISTED))
+    worst = rows.sort_values([*order], ascending=[*order.values()]).head(_LISTED)
     sections = [*_sweep_sections(rows, titles, folder / "figures")] if titles else []
     sections += _failures(results.failed)
     if titles:
-        note = () if films else ("Films of them come with --films.",)
-        sections.append(Section("worst", "The worst episodes", note, tables=(tables.worst_table(worst),)))
-        sections += [_film_section(folder, row) for row in worst.head(films).to_dict("records")]
+        sections.append(Section("worst", "The worst episodes", tables=(tables.worst_table(worst),)))
     shown = worst if titles else results.rows
     command = f"surefoot replay {folder} --case {int(shown['case'].iloc[0])}"
-    sections.append(Section("repeat", "Repeat any part", (_say("sweep_repeat"),), commands=(command,)))
+    commands = (command, f"{command} --video worst.mp4")
+    sections.append(Section("repeat", "Repeat any part", (_say("sweep_repeat"),), commands=commands))
     amount = _say(
         "sweep_amount",
         cases=plural(len(results.rows), "case"),
@@ -154,15 +149,3 @@ def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterato
         table = tables.score_table(part, f"outcome_{name}", sentence(title))
         outcomes = figures.outcome_figures(drawn, part, f"_{name}")
         yield Section(name, table.title, tables=(table,), figures=outcomes)
-
-
-def _film_section(folder: Path, row: dict[str, Any]) -> Section:
-    episode = Episode.from_json(row["spec"])
-    anchor, title = f"film-{episode.number}", f"Case {episode.number} on film"
-    path = folder / "films" / f"case{episode.number}.mp4"
-    try:
-        film_episode(path, episode, until=row["time"])
-    except OSError as error:
-        return Section(anchor, title, (f"There is no film: {error}",))
-    film = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
-    return Section(anchor, title, video=film, video_caption=_FILM)

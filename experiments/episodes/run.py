@@ -3,16 +3,15 @@
 Each row names its episode and the versions that made it: no policy's file is read again for it.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import AfterValidator, ConfigDict, Field
 
 from surefoot.experiments.episodes.episode import (
     COP_INPUTS,
@@ -27,15 +26,13 @@ from surefoot.experiments.episodes.episode import (
 )
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.scores import controllers_of
-from surefoot.experiments.logs.settings import Settings, must_be
-from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import PLAN, Case, Store
 from surefoot.experiments.study.tables import Column, Frame
-from surefoot.experiments.walks.walkers import FEEDS
+from surefoot.experiments.walks.walkers import FEEDS, check_feed
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,30 +167,8 @@ EPISODES = f"{TABLE}.parquet"
 
 _UNNAMED = "policy"  # name of a controller that nobody named
 
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-MayLack = Annotated[float, must_be("NaN, or finite and not negative", lambda x: x != x or 0.0 <= x < np.inf)]
-
-
-def _one_of(known: Collection[str]) -> AfterValidator:
-    return must_be(f"one of {', '.join(known)}, or module:name", lambda name: ":" in name or name in known)
-
-
-class EpisodeRow(Settings):
-    """The columns of an episode that a page needs; a centre of pressure may never have been felt."""
-
-    model_config = ConfigDict(extra="ignore", coerce_numbers_to_str=False)
-
-    controller: str
-    feed: Annotated[str, _one_of(FEEDS)]
-    cop_input: Annotated[str, _one_of(COP_INPUTS)]
-    scenario: Annotated[str, _one_of(TASKS)]
-    severity: NotNegative
-    seed: Annotated[int, Field(ge=0)]
-    returned: Annotated[float, Field(alias="return", allow_inf_nan=False)]
-    fell: bool
-    time: NotNegative
-    cop_error: MayLack
-    tracking: MayLack
+NEEDED = ("controller", "feed", "cop_input", "scenario", "severity", "seed", "return", "fell", "time")
+"""Columns of an episode that a page needs, besides errors, which may be missing."""
 
 
 def read_rows(path: Path) -> Frame:
@@ -220,16 +195,17 @@ def read_rows(path: Path) -> Frame:
 
 
 def read_episodes(path: Path, controller: str = "") -> Frame:
-    """Return checked episodes in order, without failures, perhaps renamed; LogError names the column."""
+    """Return episodes in order, without failures, perhaps renamed; ValueError if a column is missing."""
     frame = read_rows(path)
     if "error" in frame:
         frame = frame[frame["error"] == ""]
-    names = [field.alias or name for name, field in EpisodeRow.model_fields.items()]
-    if missing := [name for name in names if name not in frame]:
+    if missing := [name for name in (*NEEDED, "cop_error", "tracking") if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    records = frame[names].to_dict("records")
-    checked = [EpisodeRow.read(one, f"'{path}'").model_dump(by_alias=True) for one in records]
-    frame = frame.assign(**pd.DataFrame(checked, index=frame.index, columns=names))
+    for name in NEEDED[4:]:
+        if not (pd.to_numeric(frame[name], errors="coerce") > -np.inf).all():
+            raise ValueError(f"'{path}' is no table of episodes: column '{name}' holds what is no number.")
+    for feed in frame["feed"].unique():
+        check_feed(str(feed))
     frame = frame.assign(controller=frame["controller"].replace("", _UNNAMED))
     held = controllers_of(frame)
     if controller and len(held) > 1:

@@ -27,7 +27,6 @@ FILM, STILL = "walk.mp4", "walk.png"  # of two walks, in a study's folder
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
-LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
 AFTER_FALL = 4  # pictures after a fall that the still is of
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
@@ -110,11 +109,10 @@ def watch_walk(feed: str, **walk: Any) -> None:
         ]
 
 
-def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
-    """Film the last 12 s of an episode that ends at a time in s, or all of it, as .mp4; OSError as drawn."""
+def film_episode(path: Path, episode: Episode) -> Path:
+    """Film an episode as .mp4; errors as of :func:`shoot`."""
     who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
-    begin = 0.0 if until is None else until - LAST_SECONDS
-    return write_film(path, shoot(episode, begin, f"case {episode.number}: {who}").frames)
+    return write_film(path, shoot(episode, 0.0, f"case {episode.number}: {who}").frames)
 
 
 def write_film(path: Path, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> Path:

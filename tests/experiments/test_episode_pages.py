@@ -224,22 +224,6 @@ def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
         check_episodes(results.rows)
 
 
-@pytest.mark.slow
-def test_the_worst_are_filmed_or_it_says_why(tmp_path: Path, undrawn: None) -> None:
-    plan = EpisodePlan(
-        ("stabiliser",), ("none",), ("stand",), (1.0, 2.0), seeds=(3,), duration=0.3, settle=0.1
-    )
-    text = write_sweep(run_plan(plan, tmp_path), films=1).page.read_text(encoding="utf-8")
-    films = list((tmp_path / "films").glob("*.mp4")) if (tmp_path / "films").is_dir() else []
-    # Where nothing can be drawn there is a reason in its place.
-    assert (
-        ("data:video/mp4;base64," in text)
-        == bool(films)
-        != ("There is no film: nothing can be drawn" in text)
-    )
-    assert text.count("on film</h2>") == 1
-
-
 def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
     options = ["--controller", "zero", "--feed", "true", "--scenario", "stand", "--duration", "4.1",
                "--seeds", "2", "--first-seed", "4", "--jobs", "1", "--out", str(tmp_path)]  # fmt: skip

@@ -54,19 +54,14 @@ def test_episodes_are_read_or_refused(tmp_path):
     assert read_episodes(path)[frame.columns].equals(frame)
     for wrong, text in (
         (frame.drop(columns="return"), "lacks the column 'return'"),
-        (frame.assign(feed="sand"), "feed: must be one of true, none.*, or module:name, got 'sand'"),
-        (frame.assign(**{"return": "much"}), "return: Input should be a valid number.*, got 'much'"),
-        (frame.assign(controller=7), "controller: Input should be a valid string, got 7"),
-        (frame.assign(**{"return": np.nan}), "return: Input should be a finite number, got nan"),
-        (frame.assign(seed=frame["seed"] + 0.5), "seed: Input should be a valid integer"),
-        (frame.assign(time=-1.0), "time: Input should be greater than or equal to 0, got -1.0"),
-        (frame.assign(fell=2), "fell: Input should be a valid boolean.*, got 2"),
-        (frame.assign(tracking=np.inf), "tracking: must be NaN, or finite and not negative, got inf"),
+        (frame.assign(feed="sand"), "There is no feed 'sand'"),
+        (frame.assign(**{"return": "much"}), "column 'return' holds what is no number"),
+        (frame.assign(**{"return": np.nan}), "column 'return' holds what is no number"),
     ):
         wrong.to_parquet(path)
         with pytest.raises(ValueError, match=text):
             read_episodes(path)
-    frame.assign(tracking=np.nan, seed=frame["seed"].astype(float), fell=0).to_parquet(path)
+    frame.assign(tracking=np.nan).to_parquet(path)
     assert read_episodes(path)[frame.columns].equals(frame.assign(tracking=np.nan))
     frame.assign(controller=["", *frame["controller"][1:]]).to_parquet(path)
     assert list(read_episodes(path)["controller"].unique()) == ["policy", "clean"]
