@@ -117,7 +117,6 @@ def evaluate(
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:
-    """Return whether the command names something that is to be run."""
     source = ctx.get_parameter_source(name)
     return name not in ("page_of", "out", "as_json") and source is not None and source.name != "DEFAULT"
 

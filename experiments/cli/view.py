@@ -79,7 +79,6 @@ def view(
 
 
 def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: str, port: int) -> None:
-    """Serve a page until somebody interrupts."""
     try:
         from surefoot.experiments.view.server import address_of, close_server, open_server
     except ModuleNotFoundError as error:
@@ -119,7 +118,6 @@ def _refuse() -> Iterator[None]:
 def _live_page(
     server: Any, env: str | None, feed: str, options: dict[str, Any], folder: Path, repeat: Path | None
 ) -> Any:
-    """Return a robot on a page, or refuse it."""
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.view.page import Page
     from surefoot.experiments.view.session import WALK, Session, repeat_session
@@ -135,7 +133,6 @@ def _live_page(
 
 
 def _log_page(server: Any, log: Path, feed: str) -> Any:
-    """Return a log on a page, or refuse it."""
     from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.view.player import LogFeet, LogPage
 
@@ -144,7 +141,6 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
 
 
 def _stream_page(server: Any, description: Path, feed: str, address: tuple[str, int]) -> Any:
-    """Return a robot's stream on a page, or refuse it."""
     from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
     with _refuse():
@@ -165,7 +161,6 @@ def _choose(feed: str) -> dict[str, str]:
 
 
 def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
-    """Show a walk in a window, or film it."""
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 

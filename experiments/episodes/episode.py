@@ -257,7 +257,6 @@ def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[s
 
 
 def _other_cop(episode: Episode, controller: Controller | None) -> list[_Cop]:
-    """Return the centres of pressure of another episode."""
     other = replace(episode, seed=episode.seed + DONOR, cop_input="given")
     asked = [moment.observation for moment in episode_moments(other, controller) if moment.asked]
     taken = [(observation["cop"], observation["cop_valid"]) for observation in asked]

@@ -142,7 +142,6 @@ def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
 
 
 def _means(one: Stretch, size: int) -> Floats:
-    """Return means of so many conversions each."""
     blocks: Floats = one.value[: len(one.value) // size * size].reshape(-1, size)
     means: Floats = blocks.mean(axis=1)
     return means

@@ -46,7 +46,6 @@ def is_bag(path: Path) -> bool:
 
 
 def _columns(given: Any) -> dict[FieldPath, str]:
-    """Return columns by the paths of their fields."""
     if not isinstance(given, Mapping) or not given:
         raise ValueError("must be a table of fields, such as data.0 = 'raw_left_front_left_count'")
     found: dict[FieldPath, str] = {}
@@ -402,7 +401,6 @@ def _of_use(kind: str) -> bool:
 
 
 def _channels(message: Any) -> list[str]:
-    """Return the fields of counts or of a wrench."""
     if hasattr(message, "data"):
         return [f"data.{i}" for i in range(len(message.data))]
     stem = "wrench." if hasattr(message, "wrench") else ""

@@ -275,7 +275,6 @@ def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found
 def _make_beliefs(
     path: Path, table: LogTable, moved: LogTable, description: Description, time: Floats
 ) -> Found:
-    """Make beliefs of joints and IMU."""
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
         raise LogError(

@@ -121,7 +121,6 @@ def _fits(pattern: str, file: str, name: str) -> bool:
 
 
 def _rename(table: LogTable, own: Mapping[str, str]) -> dict[str, Any]:
-    """Return columns under the documented names."""
     table.require(list(own.values()), f"which the TOML file names; there are {join_names(table.names)}.")
     found = {name: table.data.column(theirs) for name, theirs in own.items()}
     rest = {name: table.data.column(name) for name in table.names if name not in own.values()}

@@ -56,7 +56,6 @@ def own_code(*names: str) -> tuple[str, ...]:
 
 
 def _find_home(module: str) -> Path:
-    """Return the folder of a package or the file of a module."""
     if module in sys.modules:
         there = sys.modules[module]
         path, folders = getattr(there, "__file__", None), getattr(there, "__path__", ())

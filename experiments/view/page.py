@@ -147,7 +147,6 @@ class Page(Served):
         return f"Broken: {'; '.join(session.errors.faults)}" if session.errors.faults else ""
 
     def _fresh(self) -> None:
-        """Remove the drawing of the last episode."""
         self._lies = self._due = 0.0
         self._forget()
 

@@ -65,7 +65,6 @@ class Served:
         raise NotImplementedError
 
     def _try(self, what: str, value: Any) -> None:
-        """Do one thing, or tell why not."""
         try:
             self._told = self._do(what, value)
         except _REFUSALS as error:
@@ -76,7 +75,6 @@ class Served:
         self._asked.put((what, value))
 
     def _waiting(self) -> list[tuple[str, Any]]:
-        """Requests of browsers since the last frame."""
         asked: list[tuple[str, Any]] = []
         while True:
             try:
@@ -85,7 +83,6 @@ class Served:
                 return asked
 
     def _paint(self, method: str) -> None:
-        """Draw in the colours of a method."""
         chosen = colours(method)
         self._board.paint(chosen)
         self._meters.paint(chosen)

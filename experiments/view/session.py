@@ -341,7 +341,6 @@ class Session:
         line.update(self._raw, reference, self._env.beliefs.soles(self._sensors.time))
 
     def _feed(self) -> None:
-        """Give the controller its feed of the last sample."""
         feed = self.settings["feed"]
         if feed == "true":
             seen: Mapping[str, Any] = {key: self._tap.seen[key] for key in TRUE_KEYS}

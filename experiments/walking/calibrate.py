@@ -193,7 +193,6 @@ def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters |
 
 
 def _last(facts: Facts) -> dict[str, Any]:
-    """Map, uncertainty and notices at the end of the log."""
     log, estimate = facts.log, facts.estimate
     spread = standard_deviations(estimate, facts.initial)
     last: dict[str, Any] = {

@@ -187,7 +187,6 @@ def _cut(claims: Claims, where: slice) -> Claims:
 
 
 def _condense(claims: Claims) -> Claims:
-    """Condense one window."""
     size = max(1, round(BLOCK / claims.dt))
     blocks = len(claims.raw) // size
     end, reference = blocks * size, claims.reference

@@ -112,7 +112,6 @@ def _scenario_section(results: WalkStudyResults, scenario: Scenario, folder: Pat
 
 
 def _paper_sections(results: WalkStudyResults) -> list[Section]:
-    """Return the sections about the CoP paper's study."""
     folder = results.options.out / "figures"
     return [
         _walking_section(results, folder),
@@ -199,7 +198,6 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
 
 
 def _commands(results: WalkStudyResults) -> tuple[str, ...]:
-    """Return the commands that repeat parts of a study."""
     options = results.options
     if not options.loops:
         quick = " --quick" if options.quick else ""

@@ -83,8 +83,6 @@ def errors_of(placements: pd.DataFrame) -> MethodErrors:
 
 
 class _Cells:
-    """The cells: read true loads as mean counts."""
-
     def __init__(self, config: LoadCells, state: LoadCellState, rng: np.random.Generator) -> None:
         self._config, self._state, self._rng = config, state, rng
         self._bow = NONLINEARITY * config.capacity * rng.uniform(-1.0, 1.0, config.channels)
