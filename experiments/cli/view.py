@@ -37,7 +37,6 @@ def view(
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
     controller: Controller = None,
     record: Annotated[Path, Option(help="Folder for what the page records.")] = Path("out/view"),
-    repeat: Annotated[Path | None, Option(help="Show again what was recorded into this log.")] = None,
     log: Annotated[Path | None, Option(help="Show a log instead, from its beginning to its end.")] = None,
     stream: Stream = None,
     stream_port: Annotated[int, Option(help="UDP port that the rows come to.", min=1, max=65535)] = 9870,
@@ -74,7 +73,7 @@ def view(
     else:
         made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
         made["start"] = {"speed": speed, "severity": severity}
-        live = partial(_live_page, env=env, feed=feeds[0], options=made, folder=record, repeat=repeat)
+        live = partial(_live_page, env=env, feed=feeds[0], options=made, folder=record)
         _show_page(live, env, f"; recordings go to '{record}'", host, port)
 
 
@@ -115,21 +114,15 @@ def _refuse() -> Iterator[None]:
         fail(str(error))
 
 
-def _live_page(
-    server: Any, env: str | None, feed: str, options: dict[str, Any], folder: Path, repeat: Path | None
-) -> Any:
-    from surefoot.experiments.logs.format import read_log
+def _live_page(server: Any, env: str | None, feed: str, options: dict[str, Any], folder: Path) -> Any:
     from surefoot.experiments.view.page import Page
-    from surefoot.experiments.view.session import WALK, Session, repeat_session
+    from surefoot.experiments.view.session import WALK, Session
 
     with _refuse():
-        if repeat is not None:
-            session, changes = repeat_session(read_log(repeat).about)
-        else:
-            options["start"] |= _choose(feed)
-            session, changes = Session(env or WALK, **options), []
+        options["start"] |= _choose(feed)
+        session = Session(env or WALK, **options)
         with server.atomic():  # A browser that waits draws it once, and not part by part.
-            return Page(server, session, folder=folder, changes=changes)
+            return Page(server, session, folder=folder)
 
 
 def _log_page(server: Any, log: Path, feed: str) -> Any:

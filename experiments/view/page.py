@@ -1,6 +1,6 @@
 """The page in the browser: a robot that walks, its feet, numbers, and controls."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,7 +12,7 @@ from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.view.panel import Panel
 from surefoot.experiments.view.robot import RobotMeshes
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import Change, Session
+from surefoot.experiments.view.session import Session
 
 TORSO = 0.32  # height in m of the torso of a robot whose scene has size 1: the NAO's
 LONGEST_FRAME = 0.1  # simulated s that one frame makes up for at most: a slower computer shows it more slowly
@@ -26,8 +26,7 @@ LATEST = ("severity", "drift", "temperature", "scale", "offset", "payload", "slo
 class Page(Served):
     """A session in the browser, on an empty page.
 
-    Recordings go into the folder, ``None`` for none; of a session that is repeated ``changes`` are still to
-    come. ``frames`` says how many were drawn.
+    Recordings go into the folder, ``None`` for none. ``frames`` says how many were drawn.
     """
 
     def __init__(
@@ -36,9 +35,8 @@ class Page(Served):
         session: Session,
         *,
         folder: Path | None = None,
-        changes: Iterable[Change] = (),
     ) -> None:
-        self.session, self._folder, self._coming = session, folder, list(changes)
+        self.session, self._folder = session, folder
         size = float(session.source.data.body(session.drawing.torso).xpos[2]) / TORSO
         weight = session.drawing.weight
         super().__init__(server, layout=session.layout, weight=weight, size=size)
@@ -97,11 +95,6 @@ class Page(Served):
 
     def _step(self) -> None:
         session = self.session
-        while self._coming and self._coming[0].step <= session.steps:
-            change = self._coming.pop(0)
-            self._try(change.what, change.value)
-        if session.over:
-            return
         session.step()
         self._simulated += session.dt
         if session.record_is_full:
@@ -132,7 +125,6 @@ class Page(Served):
                 self._record()
             case "power_up":
                 self._save()
-                self._coming.clear()
                 session.power_up(int(value))
                 self._fresh()
                 self._panel.show_settings()
@@ -175,4 +167,4 @@ class Page(Served):
 
 def commands(path: Path) -> Sequence[str]:
     """Return the commands that make something of a recording."""
-    return f"surefoot calibrate walk {path}", f"surefoot view --repeat {path}", f"surefoot view --log {path}"
+    return f"surefoot calibrate walk {path}", f"surefoot view --log {path}"

@@ -387,25 +387,6 @@ class Session:
         self._feed()
 
 
-def repeat_session(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
-    """Return the session that a log describes, powered up, and the changes that are still to come.
-
-    Raises ValueError if it was not recorded by a session.
-    """
-    view = about.get("view")
-    if not isinstance(view, Mapping):
-        raise ValueError("This log was not recorded by 'surefoot view', so that there is nothing to repeat.")
-    changes = [Change(int(step), str(what), value) for step, what, value in view["changes"]]
-    chosen: dict[str, Any] = {}
-    # First what was chosen before the power-up, of which older recordings know less.
-    while changes and changes[0].what in START and changes[0].what not in chosen:
-        _, what, value = changes.pop(0)
-        chosen[what] = value
-    made = {name: view[name] for name in ("controller", "feet", "soles")}
-    session = Session(view["env"], seed=int(view["seed"]), start=chosen, **made)
-    return session, changes
-
-
 def check_method(name: Any) -> str:
     """Return a calibrator's name of today; ValueError if there is none: a page's word imports no module."""
     method = method_name(str(name))

@@ -15,7 +15,7 @@ from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import WalkStudyOptions
-from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of, with_standing
+from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.score import hold_last
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -134,7 +134,7 @@ def _undo_errors(stream: Stream) -> Floats:
 def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
     log, start = stream.log, starting_map(stream.log)
     known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    calibrator = FootCalibrator(log.layout, method, **known, **with_standing(log, start, options))
+    calibrator = FootCalibrator(log.layout, method, **known, **options)
     force, scale, offset = np.empty((3, len(log), log.layout.channels))
     flags = np.empty(force.shape, dtype=np.int64)
     truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(start)

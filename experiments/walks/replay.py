@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
-from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.weights.known_map import read_map
-from surefoot.calibration.window.config import confidence_from_standing
-from surefoot.experiments.arrays import Floats, take_rows
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 
@@ -19,33 +17,12 @@ from surefoot.experiments.logs.table import LogError
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
     """Run one method over a log, N samples at once, from a map; options as of :class:`FootCalibrator`.
 
-    And those of :func:`~surefoot.calibration.replay` and :func:`with_standing`.
+    And those of :func:`~surefoot.calibration.replay`.
     """
-    options = with_standing(log, initial, options)
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
     # Accelerations are what can be filtered forwards and backwards.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
     return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
-
-
-def with_standing(log: Log, initial: Parameters, options: dict[str, Any]) -> dict[str, Any]:
-    """Return options with the window's weights of a quiet stand, as in the CoP paper, for ``stand`` in them.
-
-    It says for how many s the robot stands at the beginning. Raises LogError if the log has no such stand.
-    """
-    options = dict(options)
-    if not (stand := options.pop("stand", 0.0)):
-        return options
-    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
-    setup = OnlineSetup(layout=log.layout, mass=log.mass, initial=initial, **known)
-    # Filters settle in the first second; a reference describes the sample of `lag` samples ago.
-    rows = np.flatnonzero((log.time > log.time[0] + 1.0) & (log.time < log.time[0] + stand))
-    told = take_rows(log.reference, np.minimum(rows + log.lag, len(log) - 1))
-    try:
-        delta_force, delta_cop = confidence_from_standing(setup, log.raw[rows], told)
-    except ValueError as error:
-        raise LogError(f"{error} The log's first {stand:g} s were taken for a quiet stand.") from None
-    return {**options, "delta_force": delta_force, "delta_cop": delta_cop}
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:

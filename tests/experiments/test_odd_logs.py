@@ -258,10 +258,6 @@ def test_options_that_no_log_has_are_refused(log: Log, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "walk.csv")
     for options, message in (
         (
-            ["--stand", "9", "--method", "window"],
-            "--stand must be shorter than the log's 0.7375 s and positive",
-        ),
-        (
             ["--topics", "no.toml"],
             "walk.csv: is a table; --topics names columns of bags, and walk.toml those of",
         ),

@@ -7,7 +7,6 @@ import pytest
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.experiments.logs.format import Log, LogError
-from surefoot.experiments.walks import replay
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
 from surefoot.experiments.walks.replay import replay_logs, starting_map
 
@@ -39,22 +38,6 @@ def test_every_condition_starts_where_it_says(walks: dict[str, Log]) -> None:
         error = log.truth.scale * log.raw + log.truth.offset - log.truth.force
         standing = log.time < 3.0
         assert np.sqrt(np.mean(error[standing] ** 2)) < 0.05
-
-
-def test_the_window_takes_its_weights_of_a_quiet_stand(walks: dict[str, Log], log: Log) -> None:
-    walk = walks["paper"]
-    weighed, usual = replay_logs([walk], "window", stand=4.0)[0], replay_logs([walk], "window")[0]
-    # Where it has stood for long enough the cells and the reference agree better than in walking.
-    deltas = replay.with_standing(walk, starting_map(walk), {"stand": 4.0})
-    assert 1e-3 < deltas["delta_force"] < 0.01
-    assert 2e-3 < deltas["delta_cop"] < 0.05
-    same = replay_logs([walk], "window", **deltas)[0]
-    np.testing.assert_array_equal(same.force, weighed.force)
-    assert np.abs(weighed.force - usual.force).max() > 1e-3
-    with pytest.raises(
-        LogError, match=r"Only 0 of 0 samples .* The log's first 0\.5 s were taken for a quiet stand\."
-    ):
-        replay_logs([log], "window", stand=0.5)
 
 
 def test_none_is_the_starting_map(log: Log) -> None:

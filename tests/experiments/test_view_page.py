@@ -50,13 +50,8 @@ def page(server: Any, tmp_path: Path) -> Iterator[Any]:
 
 def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(
-        ["view", "--repeat", "gone.parquet"],
+        ["view", "--log", "gone.parquet"],
         "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
-    )
-    path = write_log(log, tmp_path / "walk.parquet")
-    fails(
-        ["view", "--repeat", path],
-        "This log was not recorded by 'surefoot view', so that there is nothing to repeat.",
     )
     fails(["view", "--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
     with socket.socket() as other:
@@ -147,7 +142,7 @@ def test_a_recording_goes_into_the_folder_of_the_command(page: Any, tmp_path: Pa
     files = sorted((tmp_path / "made").iterdir())
     assert [file.name for file in files] == ["naostand-v0-seed1-1.parquet", "naostand-v0-seed1-2.parquet"]
     assert len(read_log(files[1])) > 5
-    assert f"surefoot view --repeat {files[1]}" in page._panel.commands.content
+    assert f"surefoot view --log {files[1]}" in page._panel.commands.content
 
 
 def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
