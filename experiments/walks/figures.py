@@ -2,9 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
 
 from surefoot.experiments.study.figures import (
     by_way,
@@ -20,14 +17,13 @@ from surefoot.experiments.study.figures import (
 )
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.scenarios import Scenario
-from surefoot.experiments.walks.tables import METRICS, WALKING_TABLES, Metric
+from surefoot.experiments.walks.tables import METRICS, Metric
 
 
 def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = METRICS) -> Path:
     """Draw mean errors with 95 % intervals: rows by title down, a panel an error, colours for methods.
 
-    Dashed is what was set out to be reached; of runs against the CoP paper's baseline there are the paper's
-    own errors instead, as bars.
+    Dashed is what was set out to be reached, but of runs against the CoP paper's baseline.
     """
     methods = in_order(name for runs in rows.values() for name in runs["method"])
     of_paper = all("against" in runs for runs in rows.values())
@@ -38,8 +34,6 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
                 for name, runs in by_way(part).items():
                     at = i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5)
                     draw_mean(axes, runs[metric.column], metric.factor, at, name)
-                    if of_paper and (runs["against"] == "baseline").all():
-                        _draw_paper_value(axes, metric, float(runs["speed"].iloc[0]), at, name)
             if not of_paper:
                 axes.axvline(metric.target, color="black", linestyle="--", linewidth=0.8)
             logarithmic(axes, metric.label)
@@ -49,15 +43,6 @@ def overview(path: Path, rows: Mapping[str, Frame], metrics: Sequence[Metric] = 
             panels[0].plot([], [], look.marker, color=look.colour, label=look.label)
         legend_below(figure, panels[0])
     return path
-
-
-def _draw_paper_value(axes: Axes, metric: Metric, speed: float, at: float, name: str) -> None:
-    """Draw the CoP paper's own error of a method at a walking speed in m/s, if it gives one."""
-    published = WALKING_TABLES.get(speed, {}).get(name)
-    if published is not None:
-        style: Any = {"marker": "|", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
-        error = metric.factor * getattr(published, metric.column)
-        axes.plot(error, at, color=look_of(name).colour, **style)
 
 
 def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:

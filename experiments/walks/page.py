@@ -39,7 +39,7 @@ YARDSTICKS = (
 
 def report_walks(options: WalkStudyOptions) -> Report:
     """Run a study of walks, and write its page; it refuses the same as :func:`run_walk_study`."""
-    results = run_walk_study(options, bounds=not options.loops)
+    results = run_walk_study(options)
     with working("drawing the report"):
         return write_walks_page(results)
 

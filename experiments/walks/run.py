@@ -3,22 +3,15 @@
 Finished cases are kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters, posterior_bound
-from surefoot.calibration.moment.config import Moment
-from surefoot.calibration.setup import setup_from_options
 from surefoot.experiments.episodes.episode import TABLE
 from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
 from surefoot.experiments.episodes.run import case_of
-from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.runner import Runner, runner
 from surefoot.experiments.study.sources import own_code
@@ -26,7 +19,6 @@ from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
-from surefoot.experiments.walks.replay import beliefs_of, starting_map
 from surefoot.experiments.walks.run_score import (
     OTHER_WAYS,
     other_way,
@@ -41,7 +33,6 @@ from surefoot.experiments.walks.walkers import STAND_TIME
 
 LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
-BOUNDED = 3  # walks of a scenario that have a bound: it varies by 1 % from walk to walk
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
 
 Tables = dict[str, list[dict[str, Any]]]
@@ -68,8 +59,8 @@ class WalkStudyResults:
         return tuple(dict.fromkeys(scenario.speed for scenario in self.scenarios if scenario.paper))
 
 
-def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkStudyResults:
-    """Walk, record, replay, score, close the loop, film, and save; bounds on errors if asked for.
+def run_walk_study(options: WalkStudyOptions) -> WalkStudyResults:
+    """Walk, record, replay, score, close the loop, film, and save.
 
     Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
     used.
@@ -79,12 +70,9 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
     results = WalkStudyResults(options, chosen)
     scored = [score_case(s, m, options) for s in chosen for m in options.rows]
     scored += [score_case(s, way, options) for s in chosen if s.paper for way in OTHER_WAYS]
-    few = replace(options, seeds=min(options.seeds, BOUNDED))
-    limits = [Case(f"{s.name} bound", _bound, (s, few), _depends(s, few)) for s in chosen if bounds]
     loops = _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
-        "compute the bounds": limits,
         "close the loop": [case for cases in loops.values() for case in cases],
     }
     store = Store(options.out / "results")
@@ -105,11 +93,6 @@ def run_walk_study(options: WalkStudyOptions, *, bounds: bool = False) -> WalkSt
             _film(run, results)
     results.failures = store.failures([case for cases in stages.values() for case in cases])
     _collect(results, store, scored)
-    bounded = store.rows("bounds", limits)
-    if len(bounded):
-        results.scores = results.scores.merge(bounded, on=["scenario", "seed"], how="left")
-    else:
-        results.scores = results.scores.assign(bound_cop=np.nan)
     names = ("scores", "errors", "yardsticks", "loop")
     save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
     return results
@@ -177,19 +160,6 @@ def score_case(scenario: Scenario, method: str, options: WalkStudyOptions) -> Ca
     return Case(f"{scenario.name} {method}", _score, (scenario, method, options), depends)
 
 
-def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> float:
-    """Return the posterior Cramér-Rao bound on the CoP's error in m, judged samples; NaN but for walks."""
-    walks = log.truth is not None and bool(log.about.get("speed_m_s"))
-    if not walks or not judged.any() or not np.isfinite(log.raw).all():
-        return float("nan")
-    assert log.truth is not None
-    known: dict[str, Any] = {"mass": log.mass, "initial": starting_map(log), "dt": log.dt, "lag": log.lag}
-    setup, own = setup_from_options(log.layout, **known, options=dict(options))
-    truth = Parameters(log.truth.scale, log.truth.offset)
-    bound = posterior_bound(setup, log.raw, beliefs_of(log, "moment"), truth, Moment(**own))
-    return float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1))))
-
-
 def _depends(scenario: Scenario, options: WalkStudyOptions) -> tuple[Any, ...]:
     """Options and logs that decide a scenario's results; a log's name is a hash of all that made it."""
     logs = [
@@ -219,13 +189,3 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions) -> Tables
             rows = yardsticks_of(stream, method, played.force, options.settle)
             found.setdefault("yardsticks", []).extend(rows)
     return found
-
-
-def _bound(scenario: Scenario, options: WalkStudyOptions) -> Tables:
-    rows, shears = [], any(c.cells and c.cells.shear_std for c in scenario.cells)
-    for stream in streams_of(scenario, options)[0]:
-        # A bound knows of no fault, hand or shear: what it says of these would mean nothing.
-        if not (stream.faults or scenario.held[0] or shears):
-            limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
-            rows.append({"scenario": scenario.name, "seed": stream.seed, "bound_cop": limit})
-    return {"bounds": rows}

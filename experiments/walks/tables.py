@@ -124,7 +124,6 @@ _SCORES: Mapping[str, Cell] = {
     "NIS": _nis,
     "ends worse": _of_methods(count_of("worse")),
     "feet end worse": _of_methods(count_of("worse_foot")),
-    "bound on CoP (mm)": mean_of("bound_cop", 1e3),
 }
 
 _FAULTS: Mapping[str, Cell] = {

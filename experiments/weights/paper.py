@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.layout import nao_shoe_layout
-from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.study.page import Section, Words
 from surefoot.experiments.study.tables import (
@@ -82,25 +81,6 @@ def paper_table_2() -> tuple[Table, float]:
     return table_of("table2_paper", title, columns, cells, note), float(difference.max())
 
 
-def table_2(report: WeighingReport) -> Table:
-    """Return the simulated weighing as the paper's Table 2: codes under known loads, and lines."""
-    load = report.channel_load
-    shown = dict.fromkeys(int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0))
-    value = report.channels.value
-    columns: dict[str, Callable[[int], str]] = {
-        "cell": lambda i: _cell(report.channel_names[i]),
-        **{_load(load[j]): _code(report.channel_code[j]) for j in shown},
-        "c": lambda i: decimal(1e6 * value.scale[i] / GRAVITY, ".5f"),
-        "d": lambda i: decimal(value.offset[i] / GRAVITY, ".5f"),
-    }
-    note = (
-        f"Mean counts of one second each under {len(load)} weights from 1 g to 6 kg, some of them shown; "
-        "c in 1e-6 kg per count, d in kg."
-    )
-    cells = range(len(report.channel_names))
-    return table_of("table2_simulated", "The same of simulated cells", columns, cells, note)
-
-
 def table_3(report: WeighingReport) -> Table:
     """Return the errors on held-out holes as the paper's Table 3."""
     both = (report.errors("initial"), report.errors("weights"), *TABLE_3.values())
@@ -155,7 +135,7 @@ def repeat_table(report: WeighingReport) -> Table:
 
 def weight_tables(report: WeighingReport) -> tuple[Table, ...]:
     """Return all tables about known weights."""
-    return (paper_table_2()[0], table_2(report), table_3(report), repeat_table(report))
+    return (paper_table_2()[0], table_3(report), repeat_table(report))
 
 
 def weights_section(report: WeighingReport) -> Section:

@@ -22,7 +22,7 @@ from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.layout import FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
-from surefoot.calibration.weights.channels import ChannelFit, fit_channels
+from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.experiments.arrays import Floats
@@ -64,10 +64,6 @@ class WeighingReport:
     NaN below 5 N, vgrf in N, and their errors.
     """
 
-    channel_names: tuple[str, ...]
-    channel_load: Floats  # on each cell in kg, shape (n,)
-    channel_code: Floats  # mean counts under them, shape (n, K)
-    channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
     held_out: pd.DataFrame  # at holes that no fit saw; the maps are "initial" and "weights"
     repeats: pd.DataFrame  # the same weights in the same holes again and again, by further maps as well
 
@@ -95,11 +91,11 @@ class _Cells:
             [static_counts(self._config, self._state, one, self._rng).mean(axis=0) for one in bowed]
         )
 
-    def fit(self) -> tuple[Floats, ChannelFit]:
-        """Weigh the cells one by one; return mean counts, shape (n, K), and the lines through them in N."""
+    def fit(self) -> Parameters:
+        """Weigh the cells one by one; return the lines through their mean counts, in N."""
         weight = CHANNEL_LOADS * GRAVITY
         code = self.read(np.repeat(weight[:, None], self._config.channels, axis=1))
-        return code, fit_channels(code, weight, nao_shoe_layout().channel_names)
+        return fit_channels(code, weight, nao_shoe_layout().channel_names).value
 
     def read_foot(self, where: slice, load: Floats) -> Floats:
         """Return mean counts of all cells while those of one foot bear loads in N, shape (n, 4)."""
@@ -110,7 +106,7 @@ class _Cells:
 
 def weigh_cells(cells: LoadCells, state: LoadCellState, seed: int) -> Parameters:
     """Return the map of a NAO's cells by known weights on each, as :func:`run_weighing` finds it."""
-    return _Cells(cells, state, np.random.default_rng([_STREAM, seed])).fit()[1].value
+    return _Cells(cells, state, np.random.default_rng([_STREAM, seed])).fit()
 
 
 def run_weighing(
@@ -130,27 +126,20 @@ def run_weighing(
     if state is None:
         state = load_cells(cells).init((cells.channels,), rng)
     weighed = _Cells(cells, state, rng)
-    code, channels = weighed.fit()
-    own = {"initial": Parameters(cells.nominal_scale, cells.nominal_offset), "weights": channels.value}
+    calibrated = weighed.fit()
+    own = {"initial": Parameters(cells.nominal_scale, cells.nominal_offset), "weights": calibrated}
     held_out, repeats = [], [pd.DataFrame()]
     for foot, where in zip(layout.feet, layout.slices, strict=True):
         hole, load, unseen, cell_load, plate = _place(foot, rng)
         raw = weighed.read_foot(where, cell_load)
-        after = channels.value.force(raw)[:, where]
+        after = calibrated.force(raw)[:, where]
         fit = fit_cop_correction(after[~unseen], load[~unseen], hole[~unseen], _positions(foot))
         read = partial(_read_by_maps, foot=foot.name, where=where, fit=fit)
         held_out.append(read(own, raw[unseen], hole[unseen], load[unseen]))
         if maps is not None:
             hole, load, cell_load = _repeat(plate, np.unique(hole[unseen], axis=0), rng)
             repeats.append(read(own | dict(maps), weighed.read_foot(where, cell_load), hole, load))
-    return WeighingReport(
-        channel_names=layout.channel_names,
-        channel_load=CHANNEL_LOADS,
-        channel_code=code,
-        channels=channels,
-        held_out=pd.concat(held_out),
-        repeats=pd.concat(repeats),
-    )
+    return WeighingReport(pd.concat(held_out), pd.concat(repeats))
 
 
 def _read_by_maps(

@@ -27,10 +27,6 @@ from surefoot.sensors import ForceTorque
 RUN = ("speed-0.1", "instant-0.1", "fault-dropped")
 
 
-def bound(log: Log, judged: Any, options: Any) -> float:
-    return 1e-3
-
-
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
     options = WalkStudyOptions(
@@ -42,9 +38,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> WalkStudyResults:
         duration=STAND_TIME + 5.5,
         settle=STAND_TIME + 1.0,
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "bound_of", bound)
-        return run_walk_study(options, bounds=True)
+    return run_walk_study(options)
 
 
 @pytest.mark.slow
@@ -62,9 +56,6 @@ def test_every_run_is_scored(results: WalkStudyResults) -> None:
     dropped = scores[(scores["scenario"] == "fault-dropped") & (scores["method"] != TRUE_MAP)]
     assert (dropped["found"] < 0.02).all()
     assert (dropped[["isolated", "named"]] == 1.0).all(axis=None)
-    healthy = scores["scenario"] != "fault-dropped"
-    assert (scores[healthy]["bound_cop"] == 1e-3).all()
-    assert scores[~healthy]["bound_cop"].isna().all()
 
 
 @pytest.mark.slow
@@ -74,7 +65,7 @@ def test_walks_are_shared_and_kept(results: WalkStudyResults, monkeypatch: pytes
     assert len(list(logs.iterdir())) == 8
     monkeypatch.setattr(scenarios, "record_walk", _must_not_run)
     monkeypatch.setattr(run, "play", _must_not_run)
-    again = run_walk_study(results.options, bounds=True)
+    again = run_walk_study(results.options)
     pd.testing.assert_frame_equal(again.scores, results.scores)
     assert again.left_out == results.left_out
 
@@ -97,7 +88,7 @@ def test_a_new_method_leaves_old_scores_alone(
     folder = shutil.copytree(results.options.out, tmp_path / "walks")
     methods = ("none", "tare", "quasi-static")
     more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
-    assert set(run_walk_study(more, bounds=True).scores["method"]) == {
+    assert set(run_walk_study(more).scores["method"]) == {
         TRUE_MAP,
         "none",
         "tare",
