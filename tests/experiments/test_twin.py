@@ -298,7 +298,7 @@ def test_intervals_of_twenty_instruments_hold_nine_in_ten() -> None:
 def test_real_instruments_have_twins_or_the_reason_why_not(
     benchmark_script: Callable[[str], ModuleType],
 ) -> None:
-    script, folder = benchmark_script("twin_recordings"), Path(os.environ["SUREFOOT_DATA"])
+    script, folder = benchmark_script("real_recordings"), Path(os.environ["SUREFOOT_DATA"])
     for name, alike in (("force plate 1", True), ("force plate 2", True), ("balance board", False)):
         twin = script.find_twin(folder, name)
         seen = {one.name: one.value for one in twin.parameters}
