@@ -23,8 +23,6 @@ from surefoot.experiments.walks.run import WalkStudyResults, run_walk_study
 from surefoot.experiments.walks.scenarios import SCENARIOS, TRUE_MAP, Scenario, log_paths
 from surefoot.experiments.walks.video import FILM, STILL
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.experiments.weights.paper import weights_section
-from surefoot.experiments.weights.weighing import weigh_after_walk
 
 _caption = Words("walks", "captions")
 _say_paper = Words("walks", "paper")
@@ -116,7 +114,6 @@ def _paper_sections(results: WalkStudyResults) -> list[Section]:
     return [
         _walking_section(results, folder),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
-        weights_section(weigh_after_walk()),
     ]
 
 

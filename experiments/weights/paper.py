@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.study.page import Section, Words
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import (
     NOTHING,
     Cell,
@@ -136,11 +136,6 @@ def repeat_table(report: WeighingReport) -> Table:
 def weight_tables(report: WeighingReport) -> tuple[Table, ...]:
     """Return all tables about known weights."""
     return (paper_table_2()[0], table_3(report), repeat_table(report))
-
-
-def weights_section(report: WeighingReport) -> Section:
-    """Return the section about known weights."""
-    return Section("weights", "Known weights", (_say("weights"),), tables=weight_tables(report))
 
 
 def _cell(name: str) -> str:
