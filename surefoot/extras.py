@@ -21,10 +21,7 @@ def names_of(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return ``__getattr__`` and ``__dir__`` of a package that loads a module when a name of it is asked for.
 
-    Args:
-        package: Name of the package.
-        modules: The module of each name.
-        extra: The extra that brings the packages they need.
+    ``modules`` has the module of each name; the ``extra`` brings the packages that they need.
     """
 
     def get(name: str) -> Any:

@@ -55,14 +55,8 @@ _OWN = 50
 def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Lend a name beside a file, and rename the finished file into place, or remove it.
 
-    Folders are made. A link is followed: its target is replaced.
-
-    Args:
-        path: The file.
-
-    Raises:
-        ValueError: If something else than a regular file bears the name.
-        OSError: If it cannot be written; the old file is as it was.
+    Folders are made. A link is followed: its target is replaced. Raises ValueError if something else than a
+    regular file bears the name, OSError if it cannot be written; the old file is as it was then.
     """
     target = Path(os.path.realpath(_as_path(path)))
     there = stat_of_file(path)
@@ -126,13 +120,8 @@ def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.st
 def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
     """Return a text file in UTF-8, with or without a byte order mark.
 
-    Args:
-        path: The file.
-        refusal: The error to raise.
-
-    Raises:
-        ValueError: Or ``refusal``, if there is no such file, no regular one, a larger one than
-            :data:`LARGEST_TEXT`, or no text in UTF-8.
+    Raises the ``refusal`` if there is no such file, no regular one, a larger one than :data:`LARGEST_TEXT`,
+    or no text in UTF-8.
     """
     target = Path(_as_path(path))
     name = target.name or str(path)
@@ -153,15 +142,9 @@ def read_json(path: AnyPath, refusal: type[ValueError] = ValueError) -> Any:
 
 
 def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueError) -> Any:
-    """Parse a JSON text.
+    """Parse a JSON text that messages call ``name``.
 
-    Args:
-        text: The text.
-        name: Its name in messages.
-        refusal: The error to raise.
-
-    Raises:
-        ValueError: Or ``refusal``, if it is no JSON, or nested more than :data:`DEEPEST` levels deep.
+    Raises the ``refusal`` if it is no JSON, or nested more than :data:`DEEPEST` levels deep.
     """
     try:
         return _shallow(json.loads(text))
@@ -184,14 +167,8 @@ def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str
 def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a CSV file of finite numbers by their names, shape (rows,) each.
 
-    Args:
-        path: The file.
-        wanted: Names of columns that must be there.
-        cure: The advice of messages, such as ``"write it with ..."``.
-
-    Raises:
-        ValueError: As of :func:`read_text`; if a column is missing or there twice, a row is longer or
-            shorter than the names, or a cell is no finite number.
+    Raises ValueError, with the advice ``cure``, as :func:`read_text`; if a ``wanted`` column is missing, one
+    is there twice, a row is longer or shorter than the names, or a cell is no finite number.
     """
 
     def refusal(message: str) -> ValueError:
@@ -222,13 +199,8 @@ def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str,
 def read_arrays(path: AnyPath, largest: int) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by their names; nothing in it is executed.
 
-    Args:
-        path: The file.
-        largest: Bytes that all arrays together may unpack to; more is refused before any is unpacked.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is no regular file, no archive of plain arrays, or one that unpacks to more.
+    All arrays together may unpack to ``largest`` bytes; more is refused before any is unpacked. Raises
+    FileNotFoundError if there is no such file, ValueError if it is no regular one or no such archive.
     """
     found: dict[str, NDArray[Any]] = {}
     with _archive(path) as archive:

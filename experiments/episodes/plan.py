@@ -263,9 +263,7 @@ def run_episode(
     task: str = next(iter(TASKS)),
     **env_options: Any,
 ) -> dict[str, Any]:
-    """Run one episode of a task and return its row.
-
-    The row is that of :func:`~surefoot.experiments.episodes.episode.episode_row`.
+    """Run an episode of a task; return the row of :func:`~surefoot.experiments.episodes.episode.episode_row`.
 
     Args:
         controller: A name, a :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of

@@ -104,15 +104,9 @@ def creep_of(time: Floats, load: Floats, constant: float) -> Floats:
 def respond(
     time: Floats, raw: Floats, load: Floats, capacity: float, at_rest: AtRest, rate: float
 ) -> Response:
-    """Fit the answer of K channels to known loads in N, both (N, K).
+    """Fit the answer of K channels, counts or NaN, to known loads in N, both (N, K), at times in s.
 
-    Args:
-        time: Of the rows in s, shape (N,).
-        raw: Counts; NaN where no sample arrived.
-        load: True loads.
-        capacity: Rated load in N.
-        at_rest: Noise and drift of the channels.
-        rate: Conversions a second.
+    Known are the rated load in N, noise and drift at rest, and the conversions a second.
     """
     parts = blocks_of(time, load)
 

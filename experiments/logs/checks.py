@@ -150,14 +150,8 @@ def pass_or_refuse(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notices of accepted findings, and of weaker ones.
 
-    Args:
-        findings: The findings of checks.
-        accept: The reason to go on past a refusal; empty for none.
-        file: The file's name in messages.
-        written: The files that carry the reason, such as ``"every file"``.
-
-    Raises:
-        CalibrationRefused: With all that refuses, if there is no reason to go on.
+    Raises CalibrationRefused with all that refuses, if ``accept`` holds no reason to go on; messages name the
+    file, and the files that are ``written`` with the reason, such as ``"every file"``.
     """
     decision = decide(findings, accept)
     if decision.refused:

@@ -69,10 +69,8 @@ class TableMapping(Settings):
     def read_by_mapping(self, path: Path, absent: str, own: Mapping[str, str] | None = None) -> LogTable:
         """Read one table under the documented names and in SI units; LogError where that cannot be.
 
-        Args:
-            path: The table.
-            absent: The message if it is not there.
-            own: Its own names by the documented ones; by default those of ``tables``, if any.
+        ``absent`` is said if it is not there; ``own`` are its own names by the documented ones, by default
+        those of ``tables``, if any.
         """
         table = read_table(path, absent, separator=self.csv.separator, decimal=self.csv.decimal)
         own = self.tables.get(path.name, {}) if own is None else own

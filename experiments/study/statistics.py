@@ -77,11 +77,7 @@ class Survival(NamedTuple):
 
 
 def survival(time: ArrayLike, fell: ArrayLike) -> Survival:
-    """Return the share of walkers on their feet over time.
-
-    Args:
-        time: When each fell or was last seen, in s, shape (n,).
-        fell: Whether it fell, shape (n,).
+    """Return the share of walkers on their feet, of times at which each fell or was last seen, in s, (n,).
 
     >>> curve = survival([2.0, 5.0, 9.0, 9.0], [True, True, False, False])
     >>> curve.share

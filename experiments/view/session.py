@@ -105,13 +105,10 @@ class Session:
 
     Attributes:
         changes: All changes since the power-up, choices before it included.
-        steps: Number of steps since the power-up.
-        fell: Whether the episode ended with a fall.
         over: Whether the episode has ended; the next step needs a reset.
         feeds: The possible feeds of a controller, among :data:`WAYS`.
         settings: The present choice of :data:`START`.
         walks: Whether the robot's walk can be planned afresh, at another speed.
-        recording: What was recorded so far, ``None`` unless it records.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.

@@ -72,12 +72,7 @@ class Verdict:
 
 
 def judge_log(log: Log, initial: Parameters) -> Verdict:
-    """Say whether counts, layout, mass, motion and contacts of a log belong together.
-
-    Args:
-        log: The log.
-        initial: The map that a calibrator starts from.
-    """
+    """Say whether counts, layout, mass, motion and contacts of a log belong together, by a starting map."""
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):

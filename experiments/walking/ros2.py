@@ -72,10 +72,7 @@ def node_parameters(
 def parameters_of_log(log: Log, initial: Parameters, **options: Any) -> tuple[dict[str, Any], str]:
     """Return the parameters of the node for the robot of a log, or none of them and why.
 
-    Args:
-        log: The log; its description says how late references are.
-        initial: The map that the node starts from.
-        options: Further fields of the setup.
+    ``initial`` is the map that the node starts from; options are further fields of the setup.
     """
     facts = log.motion
     if facts is None:

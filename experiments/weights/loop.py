@@ -27,21 +27,13 @@ LEAST = 5e-4
 
 
 class Memory(NamedTuple):
-    """What a cell's readings owe to the order of its weighings.
+    """What a cell's readings owe to the order of its weighings."""
 
-    Attributes:
-        hysteresis: Width of the loop at half the largest load, in shares of that load.
-        hysteresis_std: Its standard deviation.
-        drift: Of the zero from the first row to the last in N.
-        drift_std: Its standard deviation.
-        reach: Standard deviations from which hysteresis or drift are surely there.
-    """
-
-    hysteresis: float
+    hysteresis: float  # width of the loop at half the largest load, in shares of that load
     hysteresis_std: float
-    drift: float
+    drift: float  # of the zero from the first row to the last in N
     drift_std: float
-    reach: float
+    reach: float  # standard deviations from which hysteresis or drift are surely there
 
     @property
     def loops(self) -> bool:
