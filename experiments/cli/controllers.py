@@ -136,11 +136,9 @@ def _page_of(named: list[str], out: Path | None, as_json: bool) -> None:
 
 
 def _report(frame: Any, out: Path | None, as_json: bool) -> None:
-    """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
+    """Print the scores and, into a folder, write them and a page."""
     from surefoot.experiments.episodes.page import check_episodes, write_evaluation
     from surefoot.experiments.episodes.tables import score_table
-    from surefoot.experiments.policy.card import own_episodes, write_card
-    from surefoot.experiments.policy.train import POLICY
     from surefoot.experiments.study.progress import working
 
     frame, failed = check_episodes(frame)
@@ -148,8 +146,6 @@ def _report(frame: Any, out: Path | None, as_json: bool) -> None:
     if out is not None:
         with working("drawing the page"):
             files["page"] = write_evaluation(frame, failed, out).page
-        if (out / POLICY).is_file() and own_episodes(out, frame) is not None:
-            files["card"] = write_card(out, frame)
     show([score_table(frame)], files, as_json=as_json)
 
 

@@ -1,7 +1,6 @@
-"""The card of a trained policy: how it was made, how well it does, and its limits."""
+"""The card of a trained policy: how it was made, and its limits."""
 
 import json
-import shlex
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -12,10 +11,6 @@ from jinja2 import Environment, StrictUndefined
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
-from surefoot.experiments.episodes.run import read_episodes
-from surefoot.experiments.episodes.scores import same_seeds, seeds_text
-from surefoot.experiments.episodes.tables import score_table
-from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task, task_in
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.policy.view import input_names
@@ -49,23 +44,8 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
     return path
 
 
-def own_episodes(out: Path, frame: Frame | None = None) -> Frame | None:
-    """Episodes of the policy in a folder, among given ones or those in the folder; ``None`` without any."""
-    try:
-        rows = read_episodes(out) if frame is None else frame
-    except ValueError:
-        return None
-    if "controller_hash" not in rows:
-        return None
-    own = rows[rows["controller_hash"] == controller_hash(str(out / POLICY))]
-    return own[own["controller"] == own["controller"].iloc[0]] if len(own) else None
-
-
-def write_card(out: Path, frame: Frame | None = None) -> Path:
-    """Write the card of the policy in a folder, with the scores of :func:`own_episodes`.
-
-    Raises FileNotFoundError without a policy.
-    """
+def write_card(out: Path) -> Path:
+    """Write the card of the policy in a folder; raise FileNotFoundError without one."""
     network = PolicyNetwork.load(out / POLICY)
     notes = network.notes
     options: dict[str, Any] = notes.get("options", {})
@@ -74,14 +54,10 @@ def write_card(out: Path, frame: Frame | None = None) -> Path:
     if (out / CURVE).exists():
         curve = pd.read_csv(out / CURVE)
         draw_curve(curve, out / FIGURE, most)
-    own = own_episodes(out, frame)
-    scored = task.name if own is None else own["scenario"].iloc[0]
-    of_other = f"episodes of the task `{scored}`: "
     sensors = options.get("sensors", "unknown")
     sizes = (sum(network.parts.values()), *(len(layer) for layer in network.biases))
     asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
     trained = {**asked, "sensors": sensors, **{name: options.get(name) for name in ("seed", "steps")}}
-    evaluated = " ".join(["surefoot evaluate", shlex.quote(str(out / POLICY)), *_options(asked)])
     template = files("surefoot.experiments.policy").joinpath(CARD).read_text(encoding="utf-8")
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
     text = environment.from_string(template).render(
@@ -102,18 +78,10 @@ def write_card(out: Path, frame: Frame | None = None) -> Path:
         most=most,
         figure=FIGURE,
         curve_file=CURVE,
-        scores=None if own is None else score_table(own).to_frame(),
-        evaluate_command=f"{evaluated} --out {shlex.quote(str(out))}",
-        episodes="" if own is None else f"{'' if scored == task.name else of_other}{_name_seeds(own)}",
+        evaluate_options="".join(f" {option}" for option in _options(asked)),
     )
     write_text(out / CARD, text)
     return out / CARD
-
-
-def _name_seeds(own: Frame) -> str:
-    if same_seeds(own):
-        return f"the episodes of the seeds {seeds_text(own['seed'])}, the same for all rows"
-    return "episodes that are not the same for all rows"
 
 
 def _options(values: Mapping[str, Any]) -> list[str]:

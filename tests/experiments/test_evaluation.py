@@ -311,36 +311,7 @@ def scored(*arguments):
     return answer.output
 
 
-def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn):
-    for others in (["zero"], ["shipped-randomised"]):
-        assert "Card" not in scored(*others, "--out", str(mine))
-        assert not (mine / "card.md").exists()
-        assert "None yet" in write_card(mine).read_text()
-        for path in mine.iterdir():
-            if path.is_file() and path.suffix not in (".npz", ".csv"):
-                path.unlink()
-    hint = f"`surefoot evaluate {mine / 'policy.npz'} --out {mine}` writes it here"
-    assert hint in write_card(mine).read_text()
-    output = scored("zero", str(mine / "policy.npz"), "--out", str(mine))
-    assert "Card" in output
-    text = (mine / "card.md").read_text(encoding="utf-8")
-    own = 100.0 + np.mean([np.sin(seed + 4) for seed in (20_000, 20_001, 20_002)])
-    assert f"| true | – | {own:.2f} ±" in text
-    assert "1100" not in text
-    assert "policy file" not in text
-    seeds = "the episodes of the seeds 20000 to 20002, the same for all rows"
-    assert f"over episodes of the task `balance-hard`: {seeds}" in text
-    scored(str(mine / "policy.npz"), "--task", "balance", "--out", str(mine / "own"))
-    assert f"over {seeds}" in write_card(mine, read_episodes(mine / "own")).read_text(encoding="utf-8")
-    # What an earlier policy left is none of a later one's.
-    shipped_policy("randomised").save(mine / "policy.npz")
-    assert "None yet" in write_card(mine).read_text()
-    (mine / "episodes.parquet").write_bytes(b"PAR1 and no more")
-    (mine / "study.json").unlink()
-    assert "None yet" in write_card(mine).read_text()
-
-
-def test_what_is_shipped_has_the_scores_of_its_own_episodes(tmp_path, undrawn):
+def test_what_is_shipped_has_its_card(tmp_path, undrawn):
     shipped = sorted(Path(str(files("surefoot.experiments.policy") / "files")).iterdir())
     assert {folder.name for folder in shipped} == {
         *(f"{task}-{sensors}" for task in ("balance", "walk") for sensors in SENSORS), "balance-hard-true",
@@ -348,7 +319,6 @@ def test_what_is_shipped_has_the_scores_of_its_own_episodes(tmp_path, undrawn):
     for folder in shipped:
         copied = shutil.copytree(folder, tmp_path / folder.name)
         assert write_card(copied).read_text() == (folder / "card.md").read_text()
-        assert set(read_episodes(folder)["scenario"]) == {folder.name.rpartition("-")[0]}
 
 
 def test_a_page_says_what_a_policy_was_when_it_was_run(tmp_path, mine, invented, undrawn):

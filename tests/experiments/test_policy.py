@@ -212,7 +212,7 @@ def test_feeds_differ_by_nothing_but_the_feet():
 def test_a_card_says_how_it_was_made(trained):
     text = write_card(trained[0]).read_text()
     assert "surefoot train --sensors true --seed 0 --steps 48" in text
-    assert "None yet" in text
+    assert "surefoot evaluate policy.npz --feed true" in text
     assert (trained[0] / "curve.png").stat().st_size > 5000
 
 
